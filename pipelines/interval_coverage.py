@@ -28,7 +28,7 @@ from agreement.machines import STREAMS, description, recipe_of, record
 from committed import provenance, write_result, write_tables
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
+from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.drift import BIN
 from sysid.gap.fit import Fit, fit_candidates, jacobian
@@ -242,12 +242,15 @@ def candidates_of(family: Family, known: Plant, problem: Problem) -> list[Candid
     meant = [
         c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
     ]
-    others = [
-        as_nuisance(c)
-        for c in every
-        if c.effect.name in problem.nuisances and c.target == problem.target and c.key != meant[0].key
-    ]
+    others = [c for c in every if c.effect.name in nuisances(problem) and c.target == problem.target and c.key != meant[0].key]
     return [*meant, *others]
+
+
+def nuisances(problem: Problem) -> tuple[str, ...]:
+    """Effects whose parameters are free in every fit of a stage, since others would absorb them otherwise."""
+    if problem.stage != "command":
+        return ()
+    return ("gain_error", "input_delay") if problem.integrates else ("input_delay",)
 
 
 @dataclass(frozen=True)

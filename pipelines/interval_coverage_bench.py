@@ -24,11 +24,11 @@ from agreement.machines import STANDS, STREAMS, description, recipe_of, record
 from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
 from committed import write_tables
-from interval_coverage import NOISE, PAGE, SEED, STILL, Family, problem_of, sensed
+from interval_coverage import NOISE, PAGE, SEED, STILL, Family, nuisances, problem_of, sensed
 from sysid.bench.recipe import BenchRecipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
+from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
@@ -104,7 +104,7 @@ def free(plant: Plant, problem: Problem, names: Sequence[str], family: Family, a
     first = [
         c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
     ]
-    rest = [as_nuisance(c) for c in every if c.effect.name in names and c.target == axis and c.key != first[0].key]
+    rest = [c for c in every if c.effect.name in names and c.target == axis and c.key != first[0].key]
     return [*first, *(c for k, c in enumerate(rest) if c.key not in {other.key for other in rest[:k]})]
 
 
@@ -158,7 +158,7 @@ def disturbed(machine: BenchRecipe, row: Row) -> BenchRecipe:
 
 def fitted(family: Family, plant: Plant, recordings: Sequence[Recording], row: Row, start: list[float]) -> tuple[Fit, Data]:
     problem, data = data_of(family, plant, recordings)
-    candidates = free(plant, problem, problem.nuisances, family, row.target)
+    candidates = free(plant, problem, nuisances(problem), family, row.target)
     known = [u.nominal for c in candidates[1:] for u in c.unknowns]
     return fit_candidates(data, plant.vector(), candidates, [np.array([*start, *known])]), data
 

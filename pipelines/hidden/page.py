@@ -1,4 +1,4 @@
-"""The figures as Markdown: what was asked for, what came out, and who was taken for whom."""
+"""The figures as Markdown: rates beside their goals, what each hidden effect was called, and the cases that went wrong."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 #: Rate → what it is, and its goal; "≤" and "≥" as written.
 GOALS: tuple[tuple[str, str, str], ...] = (
-    ("false_naming_none", "nothing hidden: anything named", "≤ 1 %"),
-    ("single_right", "one effect, three detection limits and more: right name and place, nothing else", "≥ 97 %"),
-    ("single_described_right", "— without those of which their own name, fitted at best, explains less than half: right", ""),
+    ("false_naming_none", "nothing hidden: an effect is named", "≤ 1 %"),
+    ("single_right", "one effect, at least three detection limits: right name and place, nothing else", "≥ 97 %"),
+    ("single_described_right", "— the same without cases of which the best fit of the true effect explains less than half", ""),
     ("single_abstained", "— of these: no name", ""),
     ("single_wrong", "— of these: a wrong name", ""),
     ("single_below_limit_wrong", "one effect, less than that: a wrong name", ""),
@@ -18,11 +18,11 @@ GOALS: tuple[tuple[str, str, str], ...] = (
     ("triple_exact", "three effects: exactly these", "≥ 80 %"),
     ("unknown_not_misnamed", "an effect without a name: nothing named", "≥ 95 %"),
     ("unknown_described", "— of these: described as unnamed", ""),
-    ("interval_coverage", "95 % intervals that hold the truth", "90–99 %"),
+    ("interval_coverage", "95 % intervals that contain the true value", "90–99 %"),
     ("interval_coverage_alike", "— of these, where machine and plant have the same formula", "90–99 %"),
-    ("interval_coverage_unlike", "— of these, where their formulas differ: the truth is the best fit of the plant's", ""),
-    ("closed", "named rightly and in whole: 95 % of the closable gap closed, in every signal", "all"),
-    ("failure", "no answer: a crash, or too long", "0"),
+    ("interval_coverage_unlike", "— of these, where the formulas differ: the best fit of the plant counts as true", ""),
+    ("closed", "all hidden effects named and no other: 95 % of the closable gap closed, in every signal", "all"),
+    ("failure", "no answer: a crash, or over the time limit", "0"),
 )
 
 
@@ -46,13 +46,13 @@ def page_tables(result: Mapping[str, Any]) -> str:
             f"| — `{name}` | ≤ 15 % | {_percent(spread['median'])}, {_percent(spread['p90'])} | | {spread['count']} |"
             for name, spread in error["coarse"].items()
         ),
-        "| — any that was named: share closed of the signal that closes least; least, median | ≥ 95 %"
+        "| — all cases with a name: closed share of the signal that closes least; minimum, median | ≥ 95 %"
         f" | {_percent(result['closed_min'])}, {_percent(result['closed_median'])} | | |",
-        f"| seconds a case, median and most | | {_number(seconds['median'])}, {_number(seconds['max'])} | | |",
+        f"| seconds per case, median and maximum | | {_number(seconds['median'])}, {_number(seconds['max'])} | | |",
         "",
-        "What one hidden effect was called:",
+        "Names given to a single hidden effect:",
         "",
-        "| hidden | called |",
+        "| hidden | named |",
         "| --- | --- |",
     ]
     for row, counts in result["confusion"].items():
@@ -60,17 +60,17 @@ def page_tables(result: Mapping[str, Any]) -> str:
         lines.append(f"| {row} | {called} |")
     lines += [
         "",
-        "Cases that were not as they should be:",
+        "Cases with a wrong or incomplete answer:",
         "",
-        "The last column: how much of what is hidden the best fit of its own name takes away, where that is not nearly all.",
+        "`explained`: share of the hidden error that the best fit of the true effect removes, where it is below 90 %.",
         "",
         "| case | hides | named | verdict | explained |",
         "| --- | --- | --- | --- | ---: |",
     ]
     for case in result["judgements"]:
         if case["failure"] or case["wrong"] or (case["due"] and not case["exact"]):
-            told = (_seen(case), _hides(case), _names(case["named"]), case["failure"] or case["verdict"], _explained(case))
-            lines.append(f"| {' | '.join(told)} |")
+            cells = (_seen(case), _hides(case), _names(case["named"]), case["failure"] or case["verdict"], _explained(case))
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

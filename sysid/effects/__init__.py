@@ -1,4 +1,4 @@
-"""Named effects: what a machine can do that its nominal simulation does not know. One effect a file."""
+"""Named effects: departures of a machine from its nominal simulation, one file each."""
 
 from sysid.effects.catalogue import BY_NAME, CATALOGUE, effect_named, form_for
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot

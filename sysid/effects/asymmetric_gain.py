@@ -19,7 +19,7 @@ EFFECT = Effect(
     excited_by="motion in both directions",
     confused_with={
         "valve_deadband": "a ratio of speeds grows with the command; unequal dead-bands shift by a constant",
-        "gain_error": "one direction alone, or both alike",
+        "gain_error": "an unequal gain changes one direction alone, a gain error both alike",
     },
     need=Need("motion_both_ways", 3, "Record {axis} at 30, 60 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),

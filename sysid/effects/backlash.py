@@ -1,4 +1,4 @@
-"""``backlash``: backlash between drive and structure: the output stands still while the input crosses it."""
+"""``backlash``: backlash between drive and structure: the output is at rest while the input crosses it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ EFFECT = Effect(
     source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
     excited_by="reversals of the axis, slow ones above all",
     confused_with={
-        "valve_deadband": "the cylinder moves and the joint waits a fixed distance; a dead-band stops both",
-        "stiction": "play costs a distance at each reversal; stiction costs a command at each start",
-        "valve_hysteresis": "play of positions shows at the joint alone; play of commands at the speed of the drive",
+        "valve_deadband": "with backlash the cylinder moves a fixed distance before the joint does; a dead-band stops both",
+        "stiction": "backlash loses a distance at each reversal; stiction loses a command at each start",
+        "valve_hysteresis": "backlash shows in the position of the joint alone; hysteresis in the speed of the drive",
     },
     example={"width": 0.1},
     rate_independent=True,
@@ -35,7 +35,7 @@ EFFECT = Effect(
 
 @inlined
 def step(x, p, i, s, j):
-    """``s[j]`` is the output; set it before the first step to start anywhere inside the play, NaN starts in its middle."""
+    """``s[j]`` is the output; set before the first step it is the initial side, NaN starts in the middle."""
     half = 0.5 * p[i]
     if np.isnan(s[j]):
         s[j] = x

@@ -1,4 +1,4 @@
-"""``base_misalignment``: the frame of the position measurement is not where it was surveyed to be."""
+"""``base_misalignment``: the frame of the position measurement differs from its surveyed position."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _R = ("rotation_x", "rotation_y", "rotation_z")
 EFFECT = Effect(
     name="base_misalignment",
     title="Base misalignment",
-    sentences=("The machine's base and the measuring frame are not where the survey says.",),
+    sentences=("The base of the machine and the measuring frame differ from the survey.",),
     part="base",
     stage="end_effector",
     target="base",
@@ -27,8 +27,8 @@ EFFECT = Effect(
     source="Hollerbach & Wampler, The calibration index, IJRR 15 (1996)",
     excited_by="poses spread over the work space",
     confused_with={
-        "joint_offset": "the error is sinusoidal in slew; that of an offset is tangential and grows with reach",
-        "link_length_error": "the error is fixed in space; that of a length follows the link",
+        "joint_offset": "a misalignment is sinusoidal in slew; an offset is tangential and grows with reach",
+        "link_length_error": "a misalignment is fixed in space; a length error follows the link",
     },
     example={"translation": [0.05, 0.0, 0.04], "rotation": [0.0, 0.06, 0.0]},
     need=Need("joint_coverage", 10, "Record poses over the whole work space."),

@@ -1,4 +1,4 @@
-"""The explicit list of effects, in the physical order in which the chain applies them."""
+"""The list of effects, in the physical order in which the chain applies them."""
 
 from __future__ import annotations
 
@@ -87,9 +87,9 @@ def effect_named(name: str, where: object = "effect") -> Effect:
 
 
 def confusions(effect: Effect) -> dict[str, str]:
-    """Effects that look like this one → what separates the two, whichever of the two files says it."""
-    said_there = {e.name: e.confused_with[effect.name] for e in CATALOGUE if effect.name in e.confused_with}
-    return {**effect.confused_with, **said_there}
+    """Effects similar to this one → what separates the two, from either file."""
+    from_others = {e.name: e.confused_with[effect.name] for e in CATALOGUE if effect.name in e.confused_with}
+    return {**effect.confused_with, **from_others}
 
 
 def form_for(effect: Effect, parameters: frozenset[str], where: object) -> Form:

@@ -1,4 +1,4 @@
-"""``clock_offset``: a stream's stamps are wrong by a constant time."""
+"""``clock_offset``: constant error of the time stamps of a stream."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ EFFECT = Effect(
     forms=(Form((Parameter("offset", "s", (-0.5, 0.5), (-0.05, -0.01, 0.01, 0.05), 0.002, "t_machine − t_stream"),)),),
     equation="t_machine = t_stream + offset",
     source="definition; latency of motion capture 5–30 ms (machine facts)",
-    excited_by="motion that both clocks see",
+    excited_by="motion recorded with both clocks",
     confused_with={
-        "input_delay": "an offset shifts every channel of one device alike, those without a command too",
-        "clock_skew": "constant over a recording, or growing with it: motion early and late",
-        "first_order_lag": "an offset shifts without smoothing, and channels without a command too",
+        "input_delay": "an offset shifts every channel of one device alike, including those without a command",
+        "clock_skew": "an offset is constant over a recording; a skew grows with time: compare motion early and late",
+        "first_order_lag": "an offset shifts without smoothing, including channels without a command",
     },
     example={"offset": -0.3},
     exempt=("causal", "finite", "time_invariant", "memoryless"),
-    need=Need("any_motion", 10, "Record brisk starts and stops that both devices see."),
+    need=Need("any_motion", 10, "Record fast starts and stops with both devices."),
 )
 
 

@@ -1,4 +1,4 @@
-"""``clock_skew``: a stream's clock runs too fast or too slow."""
+"""``clock_skew``: rate error of the clock of a stream."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ EFFECT = Effect(
     forms=(Form((Parameter("skew", "ppm", (-5000.0, 5000.0), (-200.0, 200.0), 20.0, "machine clock against stream clock"),)),),
     equation="t_machine = t_stream·(1 + 10⁻⁶·skew), t from the start of the recording",
     source="definition; 10–200 ppm between unsynchronised clocks (machine facts)",
-    excited_by="minutes of motion that both clocks see",
-    confused_with={
-        "input_delay": "grows over the recording; a delay stays",
-    },
+    excited_by="minutes of motion recorded with both clocks",
+    confused_with={"input_delay": "a skew grows over the recording; a delay is constant"},
     example={"skew": -5000.0},
     exempt=("causal", "finite", "time_invariant", "memoryless"),
-    need=Need("longest_any_motion", 60, "Record motion that both devices see for five minutes or more in one piece."),
+    need=Need("longest_any_motion", 60, "Record motion with both devices for five minutes or more without interruption."),
 )
 
 

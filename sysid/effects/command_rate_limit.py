@@ -1,4 +1,4 @@
-"""``command_rate_limit``: a ramp in the valve driver or the joystick electronics."""
+"""``command_rate_limit``: ramp in the valve driver or the joystick electronics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-#: Faster than any log can tell: the effect is absent.
+#: Faster than any log can show: the effect is absent.
 ABSENT = 1e4
 
 EFFECT = Effect(
@@ -22,9 +22,7 @@ EFFECT = Effect(
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",
-    confused_with={
-        "flow_saturation": "a plateau of acceleration; saturation is a plateau of speed",
-    },
+    confused_with={"flow_saturation": "a rate limit is a plateau of acceleration; saturation is a plateau of speed"},
     example={"rate": 2.0},
     need=Need("command_changes", 10, "Record 10 sudden full commands of {axis}."),
     actuations=("velocity", "position"),
@@ -35,7 +33,7 @@ EFFECT = Effect(
 
 @inlined
 def step(u, p, i, s, j, dt):
-    """Mean of the ramp over the step; ``s[j]`` is where it ends, ``s[j+1]`` one over its reach."""
+    """Mean of the ramp over the step; ``s[j]`` is its end, ``s[j+1]`` the reciprocal of the largest change per step."""
     if np.isnan(s[j]):
         s[j] = u
     if p[i] >= ABSENT:

@@ -1,4 +1,4 @@
-"""How an effect's functions are compiled (:mod:`sysid.compiled`), where effects of one's own look for it."""
+"""Decorators that compile the functions of an effect (:mod:`sysid.compiled`)."""
 
 from sysid.compiled import inlined, kernel, loop
 

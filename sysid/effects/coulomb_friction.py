@@ -1,4 +1,4 @@
-"""``coulomb_friction``: a constant force against the motion; holds the axis below break-away."""
+"""``coulomb_friction``: constant force against the motion, which holds the axis at rest below break-away."""
 
 from __future__ import annotations
 
@@ -24,24 +24,8 @@ EFFECT = Effect(
         ),
         Form(
             (
-                Parameter(
-                    "positive",
-                    "N or N·m",
-                    _BOUNDS,
-                    (1.0,),
-                    0.01,
-                    "in the positive direction",
-                    scale="force",
-                ),
-                Parameter(
-                    "negative",
-                    "N or N·m",
-                    _BOUNDS,
-                    (1.0,),
-                    0.01,
-                    "in the negative direction",
-                    scale="force",
-                ),
+                Parameter("positive", _FORCE, _BOUNDS, (1.0,), 0.01, "in the positive direction", scale="force"),
+                Parameter("negative", _FORCE, _BOUNDS, (1.0,), 0.01, "in the negative direction", scale="force"),
             )
         ),
     ),

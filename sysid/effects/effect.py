@@ -1,4 +1,4 @@
-"""What an effect is: a name from the contract, its words, its parameters, what shows it, its slots in a compiled plant."""
+"""Definition of an effect: its name and texts, parameters, required excitation, and slots in a compiled plant."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
 TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]
-#: What :func:`sysid.testing.check_effect` asks of an effect unless it is exempt, since it cannot be so by its nature.
+#: Properties that :func:`sysid.testing.check_effect` checks, unless the effect is exempt by its nature.
 Promise = Literal["causal", "finite", "time_invariant", "memoryless"]
 
 
@@ -28,15 +28,16 @@ class Parameter:
 
     Args:
         name: as in the contract.
-        unit: SI; ``drive`` or ``signal`` stands for m or rad, whichever the target moves in or reads.
-        bounds: what a fit may search, (low, high).
-        starts: values from which a fit starts.
-        negligible: a small departure from the neutral (or nominal) value, from which steps and tolerances of fits derive.
-        scale: ``starts`` and ``negligible`` are multiples of the typical force, or of one over the typical gravity load, that
-            the data show; "" where they are the values themselves.
-        stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.
-        secondary: it says how the effect acts, not how much: it means nothing without the others.
-        sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
+        unit: SI; ``drive`` or ``signal`` stands for m or rad, the unit of the target.
+        bounds: (low, high) of a fit.
+        starts: start values of a fit.
+        negligible: a negligible change, from which steps and tolerances of fits derive.
+        scale: unit of ``starts`` and ``negligible``: the typical force in the data, or one over the typical gravity load; ""
+        for
+            SI values.
+        stepwise: a small change may have no effect (a threshold between two samples of a command): a fit uses a grid.
+        secondary: it determines how the effect acts, not how much, and has no meaning without the others.
+        sets: for each component, the slots that take its value; by default the slot of the same name.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Form:
-    """A way to write the effect: one set of public parameters. The first form of an effect is its simplest."""
+    """One parametrisation of an effect; the first form of an effect is its simplest."""
 
     parameters: tuple[Parameter, ...]
 
@@ -68,12 +69,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Need:
-    """What recordings must contain before the effect can be seen.
+    """Excitation that recordings must contain.
 
     Args:
-        count: which quantity of :mod:`sysid.gap.excitation` is counted.
-        least: how much of it, in its unit.
-        advice: what to record where it is missing; ``{axis}`` stands for the target.
+        count: a count of :data:`sysid.gap.excitation.COUNTS`.
+        least: required amount, in its unit.
+        advice: what to record otherwise; ``{axis}`` stands for the target.
     """
 
     count: str
@@ -86,31 +87,31 @@ class Effect:
     """A named departure of a machine from its nominal simulation.
 
     Args:
-        name: the contract's name.
+        name: as in the contract.
         title: its name in reports and on the console.
         sentences: templates over ``{target}`` and the parameters; a report uses the first one whose parameters are all known.
-        beside: another effect on the same target → the sentence where that one changes what this one's value means.
-        part: where on the machine it is; without hydraulics a drive is in the place of valve and cylinder.
-        stage: where in the chain it acts.
-        target: what an instance is attached to.
-        slots: numbers read by the compiled step, neutral values included.
-        forms: ways to parametrise the slots, simplest first.
-        equation: what it computes, in one line.
+        beside: another effect on the same target → the sentence to use if that one changes the meaning of this one's value.
+        part: its place on the machine; without hydraulics a drive replaces valve and cylinder.
+        stage: its place in the chain.
+        target: kind of target of an instance.
+        slots: numbers read by the compiled step, with neutral values.
+        forms: parametrisations of the slots, simplest first.
+        equation: in one line.
         source: paper, book or data sheet.
-        excited_by: what a recording must contain to show it.
-        confused_with: effect that looks alike → what separates the two. Each pair is written once, in either file:
-            :func:`sysid.effects.catalogue.confusions` reads it from both sides.
-        generalises: simpler effects that it contains as special cases: it has to predict clearly better than they do.
-        need: the same as ``excited_by``, to be counted.
-        actuations: the kinds of axis that can have it (empty: not an axis effect).
-        memory: step time [s] → number of state values the step keeps.
-        sides: admissible places where the contract leaves two open.
-        example: values that show well in the picture of its page; by default values from which a fit starts.
-        exempt: promises of the catalogue that it cannot keep: stamps may lie before the motion, oil tells the time.
-        rate_independent: it does not depend on how fast its input is run through.
-        fitted: whether a fit searches its values; those of a sensor's resolution are read off the readings.
-        surrogate_test: a surrogate model of a simulator consists of the effects that have this value: at it each of them, as an
-            input effect, tests the surrogate.
+        excited_by: motion that excites it.
+        confused_with: similar effect → what separates the two. Each pair is written once, in either file;
+            :func:`sysid.effects.catalogue.confusions` combines both sides.
+        generalises: simpler effects that are special cases of it: it has to predict clearly better.
+        need: required excitation, as a count.
+        actuations: kinds of axis that can have it (empty: not an axis effect).
+        memory: step time [s] → number of state values of the step.
+        sides: admissible places, if there are two.
+        example: values of the picture on its page; by default start values.
+        exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
+        rate_independent: the output depends on the path of the input only, not on its speed.
+        fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
+        surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
+            the surrogate.
     """
 
     name: str
@@ -139,7 +140,4 @@ class Effect:
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""
-        for form in self.forms:
-            if frozenset(form.names) == names:
-                return form
-        return None
+        return next((form for form in self.forms if frozenset(form.names) == names), None)

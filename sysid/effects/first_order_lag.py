@@ -1,4 +1,4 @@
-"""``first_order_lag``: spool and pilot stage follow the command with one time constant."""
+"""``first_order_lag``: spool and pilot stage follow the command with a time constant."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ EFFECT = Effect(
     excited_by="starts, stops and reversals of the command",
     confused_with={
         "input_delay": "a delay has phase linear in frequency at flat gain; a lag smooths as well",
-        "valve_hysteresis": "the loop of a hysteresis has the same width at any rate; that of a lag grows",
-        "command_rate_limit": "a plateau of acceleration at large steps; a lag rises in proportion to the step",
+        "valve_hysteresis": "the loop of a hysteresis has the same width at any rate; that of a lag grows with the rate",
+        "command_rate_limit": "a rate limit is a plateau of acceleration at large steps; a lag rises in proportion to the step",
     },
     example={"time_constant": 0.15},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
@@ -38,7 +38,7 @@ EFFECT = Effect(
 def step(u, p, i, s, j, dt):
     """Mean of x over the step, so that integrating it gives the exact displacement.
 
-    ``s[j]`` is x, ``s[j+1]`` its share that is left after a step, ``s[j+2]`` the mean share during it.
+    ``s[j]`` is x, ``s[j+1]`` the decay over a step, ``s[j+2]`` the mean of the decay over a step.
     """
     if np.isnan(s[j]):
         s[j] = u

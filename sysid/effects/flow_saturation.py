@@ -1,11 +1,11 @@
-"""``flow_saturation``: beyond some command the spool is fully open (or the pump fully used) and speed rises no more."""
+"""``flow_saturation``: beyond some command the spool is fully open (or the pump at its limit) and the speed is constant."""
 
 from __future__ import annotations
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-#: A command no log reaches: the effect is absent.
+#: A command that no log reaches: the effect is absent.
 ABSENT = 10.0
 
 EFFECT = Effect(
@@ -22,9 +22,7 @@ EFFECT = Effect(
     equation="y = max(−limit, min(limit, u))",
     source="Merritt 1967, ch. 5",
     excited_by="large commands on one axis at a time",
-    confused_with={
-        "gain_curve": "a corner and a plateau, or a smooth bend",
-    },
+    confused_with={"gain_curve": "saturation has a corner and a plateau; a gain curve bends smoothly"},
     example={"limit": 0.5},
     need=Need("motion", 5, "Record {axis} alone at 60, 80 and 100 %, 5 s each."),
     actuations=("velocity",),

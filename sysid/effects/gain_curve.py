@@ -20,7 +20,7 @@ EFFECT = Effect(
     source="Jelali & Kroll 2003, §3.2 (progressive spools)",
     excited_by="commands of many magnitudes on both sides",
     confused_with={
-        "valve_deadband": "at mid commands: an offset line, or a curve through the origin",
+        "valve_deadband": "at medium commands a dead-band is a shifted line, a gain curve a curve through the origin"
     },
     example={"exponent": 2.0},
     need=Need("small_commands", 2, "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each."),

@@ -1,4 +1,4 @@
-"""``gain_error``: the axis is faster or slower than its nominal gain says."""
+"""``gain_error``: the axis is faster or slower than its nominal gain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ EFFECT = Effect(
     name="gain_error",
     title="Wrong speed gain",
     sentences=("The {target} moves at {ratio} times the speed that the simulation assumes.",),
-    beside={"valve_deadband": "Beyond its dead-band the {target} answers {ratio} times as steeply as the simulation assumes."},
+    beside={
+        "valve_deadband": "Beyond its dead-band the {target} responds {ratio} times as strongly as the simulation assumes."
+    },
     part="valve",
     stage="command",
     target="axis",
@@ -18,9 +20,7 @@ EFFECT = Effect(
     equation="v = ratio · gain · x",
     source="definition",
     excited_by="any motion",
-    confused_with={
-        "gain_curve": "a gain changes all speeds by one ratio, a curve the low ones most",
-    },
+    confused_with={"gain_curve": "a gain error changes all speeds by one ratio, a curve the low ones most"},
     need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
     surrogate_test=0.8,

@@ -36,10 +36,10 @@ EFFECT = Effect(
     source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
     excited_by="starts and stops of the boom tip, and seconds of rest after them",
     confused_with={
-        "oil_compressibility": "0.9–1.3 Hz that goes on after the joints stop, or 5–13 Hz of the axis itself",
+        "oil_compressibility": "sway, 0.9–1.3 Hz, continues after the joints stop; oil, 5–13 Hz, moves the axis itself"
     },
     example={"length": 0.25, "damping_ratio": 0.05},
-    need=Need("tip_stops", 5, "Move the boom tip briskly, stop, and let the tool swing for 5 s; ten times."),
+    need=Need("tip_stops", 5, "Move the boom tip fast, stop, and let the tool swing for 5 s; ten times."),
     memory=lambda dt: MEMORY,
 )
 
@@ -49,8 +49,9 @@ def _pull(dx, dy, vx, vy, length, rate, damping, h):
     """Acceleration of the bob for a horizontal deflection (dx, dy) and a velocity relative to the pivot, in a sub-step ``h``.
 
     String tension keeps the bob on the sphere: with w² = L² − d² the restoring acceleration is g·d·w/L²
-    plus the centripetal part, which at small angles is the linear pendulum g·d/L. A bob thrown up to its pivot (a jump in the
-    measured tip) would need any tension: it is limited to what the sub-step can follow, a hundred times that of rest or more.
+    plus the centripetal part, which at small angles is the linear pendulum g·d/L. The tension of a bob at the height of its
+    pivot (a jump in the measured tip) is unbounded; it is limited to what the sub-step can integrate, at least a hundred times
+    that at rest.
     """
     reach = length * length - dx * dx - dy * dy
     drop = math.sqrt(max(reach, 1e-4 * length * length))
@@ -64,9 +65,9 @@ def _pull(dx, dy, vx, vy, length, rate, damping, h):
 def step(x, y, z, p, i, s, j, dt, out):
     """Advance by ``dt`` with the pivot moving evenly from its last place to (x, y, z); writes the tool into ``out``.
 
-    The pivot enters as a position; its velocity changes at samples only, and that part of each change which points along the
-    string pulls the bob with it (``Δv = r (r·Δv_pivot)/L²``). So a measured pivot can drive the swing without being
-    differentiated twice. Velocity Verlet in sub-steps.
+    The pivot enters as a position; its velocity changes at samples only, and the component of each change along the string
+    moves the bob (``Δv = r (r·Δv_pivot)/L²``), so that a measured pivot is not differentiated twice. Velocity Verlet in
+    sub-steps.
     """
     length = p[i]
     if length < 1e-3:
@@ -117,7 +118,7 @@ def step(x, y, z, p, i, s, j, dt, out):
         vx = hx + 0.5 * h * ax
         vy = hy + 0.5 * h * ay
         over = ((bx - px) ** 2 + (by - py) ** 2) / (0.9999 * length * length)
-        if over > 1.0:  # a jump of the pivot beyond the string: the bob is drawn after it
+        if over > 1.0:  # a jump of the pivot beyond the string length: the bob follows
             bx = px + (bx - px) / math.sqrt(over)
             by = py + (by - py) / math.sqrt(over)
             vx = gx

@@ -16,9 +16,7 @@ EFFECT = Effect(
     equation="M = ratio · inertia",
     source="definition",
     excited_by="acceleration that is large against friction",
-    confused_with={
-        "viscous_friction": "force in phase with acceleration, or with speed",
-    },
-    need=Need("force_changes", 6, "Record {axis} with quick starts and stops, 20 s."),
+    confused_with={"viscous_friction": "inertia is a force in phase with the acceleration, viscous friction with the speed"},
+    need=Need("force_changes", 6, "Record {axis} with fast starts and stops, 20 s."),
     actuations=("force",),
 )

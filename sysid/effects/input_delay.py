@@ -1,4 +1,4 @@
-"""``input_delay``: the command acts later by a constant time (bus, valve electronics, oil column)."""
+"""``input_delay``: the command acts after a constant time (bus, valve electronics, oil column)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EFFECT = Effect(
 
 @inlined
 def retime(p, i, s, j, dt):
-    """What was held goes on with the delay that ``p`` has."""
+    """Apply the delay of ``p`` to the held samples."""
     if not np.isnan(s[j]):
         s[j + 1] = math.floor(p[i] / dt)
         s[j + 2] = p[i] / dt - s[j + 1]
@@ -47,7 +47,7 @@ def retime(p, i, s, j, dt):
 
 @inlined
 def fill(u, p, i, s, j, size, dt):
-    """As if the input had been ``u`` for long."""
+    """Fill the buffer as after a long constant input ``u``."""
     s[j] = 0.0
     retime(p, i, s, j, dt)
     for k in range(j + 3, j + size):
@@ -56,7 +56,7 @@ def fill(u, p, i, s, j, size, dt):
 
 @inlined
 def put(u, s, j, size, back):
-    """Before the first step: what the input was ``back`` ≥ 1 steps before it."""
+    """Before the first step: the input ``back`` ≥ 1 steps earlier."""
     s[j + size - back] = u
 
 
@@ -64,8 +64,7 @@ def put(u, s, j, size, back):
 def step(u, p, i, s, j, size, dt):
     """Ring buffer at ``s[j+3 : j+size]``, its head in ``s[j]``, whole steps of the delay and the rest in the two after it.
 
-    Blending the two neighbours is exact for the integral of a held command over the step, so a fraction of a step is
-    a smooth parameter.
+    Linear interpolation is exact for the integral of a held command over the step, so that the delay is a smooth parameter.
     """
     ring = size - 3
     first = j + 3

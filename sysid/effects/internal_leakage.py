@@ -1,4 +1,4 @@
-"""``internal_leakage``: oil creeps past piston and spool; the axis sinks with the valve closed."""
+"""``internal_leakage``: oil leaks past piston and spool; the axis creeps with the valve closed."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ EFFECT = Effect(
     equation="v = speed − rate",
     source="Merritt 1967, §5.3; 0.01–0.2 mm/s (machine facts)",
     excited_by="rest under load for tens of seconds",
-    confused_with={
-        "load_dependent_flow": "leakage acts at zero command; load-dependent flow needs flow",
-    },
+    confused_with={"load_dependent_flow": "leakage acts at zero command; load-dependent flow needs flow"},
     example={"rate": 0.05},
     need=Need("rest", 10, "Leave {axis} at rest under load for 60 s."),
     actuations=("velocity",),

@@ -1,4 +1,4 @@
-"""``joint_compliance``: structure and oil give way under the weight, and the arm sags."""
+"""``joint_compliance``: structure and oil deflect under the weight of the arm (sag)."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ EFFECT = Effect(
     ),
     equation="q = q₀ − compliance·L, L the gravity moment about the joint, L > 0 where it opposes positive motion",
     source="Siciliano et al., Robotics, 2009, §6.6; 0.25° for 2e4 N·m/rad (machine facts)",
-    excited_by="poses with the arm stretched out and drawn in",
+    excited_by="poses with the arm extended and retracted",
     confused_with={
         "link_length_error": "sag follows the gravity moment, downwards; a length error follows the link",
-        "backlash": "play turns with the direction of motion; sag with the load, at rest too",
+        "backlash": "backlash changes with the direction of motion; sag with the load, at rest too",
     },
     example={"compliance": 0.01},
     exempt=("time_invariant", "memoryless"),
-    need=Need("load_change", 20, "Record {axis} at the same angles with the arm stretched out and drawn in."),
+    need=Need("load_change", 20, "Record {axis} at the same angles with the arm extended and retracted."),
     actuations=("velocity", "position", "force"),
     sides=("drive", "structure"),
 )

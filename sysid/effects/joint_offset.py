@@ -1,4 +1,4 @@
-"""``joint_offset``: the zero of a joint sensor is not the zero of the model."""
+"""``joint_offset``: the zero of a joint sensor differs from that of the model."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ EFFECT = Effect(
     equation="q_true = q_measured + offset",
     source="Khalil & Dombre, Modeling, Identification and Control of Robots, 2002, ch. 11",
     excited_by="poses spread over the work space",
-    confused_with={
-        "joint_compliance": "sag changes with the gravity moment, not only with the angle",
-    },
+    confused_with={"joint_compliance": "sag changes with the gravity moment; an offset is constant"},
     example={"offset": 0.1},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),

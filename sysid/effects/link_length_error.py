@@ -1,4 +1,4 @@
-"""``link_length_error``: a link is longer or shorter than the URDF says."""
+"""``link_length_error``: a link is longer or shorter than in the URDF."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ EFFECT = Effect(
     equation="the link that the axis moves is longer by error along the line to the next joint (or the tip)",
     source="Khalil & Dombre 2002, ch. 11",
     excited_by="poses spread over the work space",
-    confused_with={
-        "joint_offset": "tangential and growing with reach, or radial",
-    },
+    confused_with={"joint_offset": "an offset is tangential and grows with reach; a length error is radial"},
     example={"error": 0.08},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),

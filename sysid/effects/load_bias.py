@@ -1,4 +1,4 @@
-"""``load_bias``: a constant load on a force-actuated axis (gravity, offset of the force measurement)."""
+"""``load_bias``: constant load on a force-actuated axis (gravity, offset of the force measurement)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ EFFECT = Effect(
     source="Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019",
     excited_by="motion in both directions",
     confused_with={
-        "coulomb_friction": "friction changes its sign with the motion, a load does not",
-        "joint_offset": "an offset moves the tip; a load moves the force",
+        "coulomb_friction": "friction changes sign with the motion, a load does not",
+        "joint_offset": "an offset changes the tip position; a load changes the force",
     },
     need=Need("force_both_ways", 1, "Record {axis} moving evenly in both directions, 20 s."),
     actuations=("force",),

@@ -1,4 +1,4 @@
-"""``load_dependent_flow``: the pressure that the load takes is missing at the valve, so it lifts slower than it lowers."""
+"""``load_dependent_flow``: the load reduces the pressure drop at the valve, so that lifting is slower than lowering."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ EFFECT = Effect(
     source="Q = Cd·w·x·√(2Δp/ρ), Merritt 1967, ch. 5, linear in Δp; ×0.80–0.89 up, ×1.16–1.23 down (machine facts)",
     excited_by="motion both ways at several reaches",
     confused_with={
-        "asymmetric_gain": "speed ratio up/down over gravity moment: its value at no moment, its slope",
-        "temperature_drift": "follows the pose, or the time of the session: the same motion early and late",
+        "asymmetric_gain": "over the gravity moment, unequal gain is the intercept of the speed ratio up/down, load its slope",
+        "temperature_drift": "load follows the pose, warm-up the time: compare the same motion early and late",
     },
     example={"coefficient": 0.04},
     exempt=("time_invariant", "memoryless"),
-    need=Need("load_change", 20, "Record {axis} up and down with the arm stretched out and drawn in, 20 s each."),
+    need=Need("load_change", 20, "Record {axis} up and down with the arm extended and retracted, 20 s each."),
     actuations=("velocity",),
 )
 
 
 @inlined
 def step(x, p, i, load):
-    """``load`` on the drive [N·m or N]; a load that would turn the motion round stops it."""
+    """``load`` on the drive [N·m or N]; a load that would reverse the motion stops it."""
     if x > 0.0:
         return x * max(1.0 - p[i] * load, 0.0)
     return x * max(1.0 + p[i] * load, 0.0)

@@ -1,4 +1,4 @@
-"""``oil_compressibility``: the oil column is a spring, and speed rings behind the valve as a second-order system."""
+"""``oil_compressibility``: the oil column is a spring; the speed responds to the valve as a second-order system."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-#: Faster than any log can tell: the effect is absent.
+#: Faster than any log can show: the effect is absent.
 ABSENT = 1e3
-#: State: speed and its slope, and what carries them over a step.
+#: State: speed and its slope, and the coefficients of a step.
 MEMORY = 8
 
 EFFECT = Effect(
     name="oil_compressibility",
     title="Oil spring",
-    sentences=("The {target} rings at {frequency} on the compressed oil.",),
+    sentences=("The {target} oscillates at {frequency} on the compressed oil.",),
     part="cylinder",
     stage="command",
     target="axis",
@@ -26,7 +26,7 @@ EFFECT = Effect(
         Form(
             (
                 Parameter("frequency", "Hz", (1.0, ABSENT), (4.0, 7.0, 12.0), 0.3, "natural frequency of load on oil"),
-                Parameter("damping_ratio", "1", (0.005, 0.6), (0.05, 0.2), 0.5, "of the ringing", secondary=True),
+                Parameter("damping_ratio", "1", (0.005, 0.6), (0.05, 0.2), 0.5, "of the oscillation", secondary=True),
             )
         ),
     ),
@@ -34,8 +34,8 @@ EFFECT = Effect(
     source="hydraulic natural frequency, Merritt 1967, §6.2; 5–13 Hz at 1:5, ζ 0.05–0.2 (machine facts)",
     excited_by="sharp starts and stops, sampled at ten times the frequency",
     confused_with={
-        "first_order_lag": "a lag never overshoots; oil rings, and moves on after the command stops",
-        "input_delay": "a delay never overshoots; oil rings at its own frequency",
+        "first_order_lag": "a lag has no overshoot; oil oscillates, and moves on after the command stops",
+        "input_delay": "a delay has no overshoot; oil oscillates at its natural frequency",
     },
     example={"frequency": 5.0, "damping_ratio": 0.1},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}, at 100 Hz or more."),
@@ -55,10 +55,10 @@ def step(u, p, i, s, j, dt):
     if np.isnan(s[j + 2]):
         omega = 2.0 * math.pi * p[i]
         fade = p[i + 1] * omega
-        ring = omega * math.sqrt(1.0 - p[i + 1] * p[i + 1])
+        damped = omega * math.sqrt(1.0 - p[i + 1] * p[i + 1])
         decay = math.exp(-fade * dt)
-        sine = decay * math.sin(ring * dt) / ring
-        cosine = decay * math.cos(ring * dt)
+        sine = decay * math.sin(damped * dt) / damped
+        cosine = decay * math.cos(damped * dt)
         s[j + 2] = cosine + fade * sine
         s[j + 3] = sine
         s[j + 4] = -omega * omega * sine

@@ -1,11 +1,11 @@
-"""``pump_flow_limit``: several axes together ask for more than the pump delivers, and all slow down by one factor."""
+"""``pump_flow_limit``: several axes demand more flow than the pump delivers, and all slow down by one factor."""
 
 from __future__ import annotations
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-#: More than any number of axes asks for: the effect is absent.
+#: More than any number of axes demands: the effect is absent.
 ABSENT = 100.0
 
 EFFECT = Effect(
@@ -23,8 +23,8 @@ EFFECT = Effect(
     source="flow balance of a pump at its displacement; 50–70 % of the summed demand (machine facts)",
     excited_by="several axes at large commands at the same time, and each alone",
     confused_with={
-        "flow_saturation": "the plateau is there when the axis moves alone; a pump's only when others move too",
-        "gain_error": "slower at all times, or only while other axes move",
+        "flow_saturation": "saturation limits an axis that moves alone; a pump only several axes together",
+        "gain_error": "a gain error acts at all times; a pump limit only while other axes move",
     },
     example={"limit": 1.0},
     need=Need("together", 5, "Record pairs of axes at full command together, and each of them alone, 5 s each."),

@@ -1,4 +1,4 @@
-"""``sensor_bias``: constant error of a sensor, the same at every reading."""
+"""``sensor_bias``: constant error of a sensor."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ EFFECT = Effect(
     source="definition; Everett, Sensors for Mobile Robots, 1995, ch. 1",
     excited_by="comparison with a second sensor of the same motion",
     confused_with={
-        "joint_offset": "a biased joint sensor also disagrees with the cylinder through the linkage; an offset with the "
-        "structure alone",
+        "joint_offset": "a biased joint sensor also disagrees with the cylinder through the linkage; an offset only with the "
+        "structure",
         "base_misalignment": "a shift of a measured point is not distinguishable from one of the base, and reported as that",
-        "internal_leakage": "leakage creeps as long as the axis rests; a bias is there at once",
-        "sensor_scale": "the same everywhere, or growing with the reading",
+        "internal_leakage": "the error of leakage grows while the axis rests; a bias is constant",
+        "sensor_scale": "a bias is the same everywhere; a scale error grows with the reading",
     },
     example={"bias": 0.05},
     need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),

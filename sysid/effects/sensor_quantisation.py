@@ -1,4 +1,4 @@
-"""``sensor_quantisation``: a sensor reads in whole steps of its counter or converter."""
+"""``sensor_quantisation``: readings are whole steps of a counter or converter."""
 
 from __future__ import annotations
 
@@ -15,27 +15,13 @@ EFFECT = Effect(
     stage="sensor",
     target="signal",
     slots=(Slot("step"),),
-    forms=(
-        Form(
-            (
-                Parameter(
-                    "step",
-                    "signal",
-                    (0.0, 0.1),
-                    (1e-4, 1e-3, 1e-2),
-                    2e-5,
-                    "between two readings",
-                    stepwise=True,
-                ),
-            )
-        ),
-    ),
+    forms=(Form((Parameter("step", "signal", (0.0, 0.1), (1e-4, 1e-3, 1e-2), 2e-5, "between two readings", stepwise=True),)),),
     equation="measured = step·⌊true/step + ½⌋",
     source="Widrow & Kollár, Quantization Noise, 2008, ch. 1; 0.01 mm on draw wires (machine facts)",
-    excited_by="slow motion, in which single steps show",
+    excited_by="slow motion that resolves single steps",
     confused_with={
-        "stiction": "the reading stands still while every other sensor moves on; stiction stops the motion itself",
-        "backlash": "steps at fixed readings, or a wait at each reversal",
+        "stiction": "with quantisation one reading is constant while other sensors move; stiction stops the motion itself",
+        "backlash": "quantisation has steps at fixed readings; backlash a standstill at each reversal",
     },
     example={"step": 0.05},
     fitted=False,

@@ -1,4 +1,4 @@
-"""``sensor_scale``: scale error of a sensor (a wrong drum radius, a wrong factor)."""
+"""``sensor_scale``: scale error of a sensor (wrong drum radius, wrong conversion factor)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EFFECT = Effect(
     excited_by="motion over the range, compared with a second sensor of the same motion",
     confused_with={
         "gain_error": "a scaled sensor also disagrees with every other sensor of the same motion",
-        "link_length_error": "in proportion to a reading, or fixed along a link",
+        "link_length_error": "a scale error is proportional to the reading; a length error is fixed along a link",
     },
     example={"scale": 1.1},
     need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),

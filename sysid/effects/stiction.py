@@ -1,4 +1,4 @@
-"""``stiction``: spool or seals stick; nothing moves until the command reaches break-away, then flow is full until release."""
+"""``stiction``: spool or seals stick: no motion until the command reaches break-away, then full flow until release."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import numpy as np
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-#: No valve meters less than this share of its flow: an axis that is asked for less stands.
+#: Smallest share of its flow that a valve meters: below it the axis is at rest.
 REST = 1e-4
+_BOUNDS = (0.0, 0.95)
 
 EFFECT = Effect(
     name="stiction",
@@ -27,7 +28,7 @@ EFFECT = Effect(
                 Parameter(
                     "breakaway",
                     "1",
-                    (0.0, 0.95),
+                    _BOUNDS,
                     (0.05, 0.15, 0.3),
                     0.004,
                     "effective command at which motion begins",
@@ -36,10 +37,10 @@ EFFECT = Effect(
                 Parameter(
                     "release",
                     "1",
-                    (0.0, 0.95),
+                    _BOUNDS,
                     (0.02, 0.05, 0.15),
                     0.004,
-                    "effective command below which it ends",
+                    "effective command at which it ends",
                     stepwise=True,
                     secondary=True,
                 ),
@@ -50,7 +51,7 @@ EFFECT = Effect(
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
     confused_with={
-        "valve_deadband": "a dead-band starts and stops at one command; stiction starts higher than it stops, and jumps",
+        "valve_deadband": "a dead-band starts and stops motion at one command; stiction starts it higher, with a jump"
     },
     example={"breakaway": 0.35, "release": 0.12},
     need=Need("command_changes", 10, "Record 20 slow starts from rest and slow stops of {axis} on both sides."),
@@ -63,7 +64,7 @@ EFFECT = Effect(
 def step(v, p, i, s, j, gain):
     """Speed ``v`` is ``gain``·effective command; ``s[j]`` is 1 while moving.
 
-    The release is at most the break-away, and no less than :data:`REST`: a lag never gets to zero.
+    The release is between :data:`REST`, since a lag never reaches zero, and the break-away.
     """
     if np.isnan(s[j]):
         s[j] = 0.0

@@ -1,4 +1,4 @@
-"""``stribeck_friction``: friction that is greatest at rest and falls as a film of oil builds up."""
+"""``stribeck_friction``: friction that is largest at rest and falls with speed as an oil film builds up."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ EFFECT = Effect(
                 Parameter(
                     "static_force", "N or N·m", (0.0, 1e6), (1.0,), 0.01, "at rest, at least the Coulomb force", scale="force"
                 ),
-                Parameter("coulomb_force", "N or N·m", (0.0, 1e6), (0.5,), 0.01, "once the film carries", scale="force"),
+                Parameter("coulomb_force", "N or N·m", (0.0, 1e6), (0.5,), 0.01, "with a full film", scale="force"),
                 Parameter(
                     "stribeck_velocity",
                     "drive/s",
                     (1e-5, 0.05),
                     (0.003, 0.01, 0.03),
                     0.05,
-                    "where 63 % of the excess is gone",
+                    "63 % of the excess is gone",
                     secondary=True,
                 ),
             )
@@ -38,8 +38,8 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994), §2.1",
     excited_by="slow motion in both directions, with starts from rest",
     confused_with={
-        "coulomb_friction": "the force is the same at every speed; Stribeck's falls as motion begins",
-        "viscous_friction": "a force that falls and then rises with speed, or only rises",
+        "coulomb_friction": "dry friction is constant over speed; Stribeck friction falls as motion begins",
+        "viscous_friction": "Stribeck friction falls with speed; viscous friction rises",
     },
     example={"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.05},
     need=Need("force_both_ways", 1, "Record {axis} at four speeds from creeping to full in both directions, 10 s each."),
@@ -50,7 +50,7 @@ EFFECT = Effect(
 
 @inlined
 def magnitude(v, p, i):
-    """Force that friction can oppose to a motion at speed ``v`` [N or N·m]."""
+    """Largest friction force at speed ``v`` [N or N·m]."""
     if p[i] == 0.0 and p[i + 1] == 0.0:
         return 0.0
     ratio = v / p[i + 2]

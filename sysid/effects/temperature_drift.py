@@ -1,4 +1,4 @@
-"""``temperature_drift``: the oil warms up and the gain creeps from its cold to its warm value."""
+"""``temperature_drift``: as the oil warms up, the gain changes from its cold to its warm value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("fraction", "1", (-0.6, 0.6), (-0.1, 0.1), 0.01, "gain gained when warm, as a share of the cold one"),
+                Parameter(
+                    "fraction",
+                    "1",
+                    (-0.6, 0.6),
+                    (-0.1, 0.1),
+                    0.01,
+                    "increase of the gain when warm, as a share of the cold one",
+                ),
                 Parameter(
                     "time_constant",
                     "s",
@@ -36,9 +43,7 @@ EFFECT = Effect(
     equation="v = gain·x·(1 + fraction·(1 − e^(−t/time_constant))), t from the start of the recording",
     source="viscosity of hydraulic oil over temperature: Jelali & Kroll 2003, §3.3; 5–20 % (machine facts)",
     excited_by="the same motion early and late in a recording of minutes",
-    confused_with={
-        "gain_error": "constant over the session, or creeping: the same motion early and late",
-    },
+    confused_with={"gain_error": "a gain error is constant; warm-up changes with time: compare the same motion early and late"},
     example={"fraction": 0.3, "time_constant": 5.0},
     exempt=("time_invariant",),
     need=Need("longest_motion", 60, "Record {axis} moving evenly to and fro for ten minutes from a cold start."),

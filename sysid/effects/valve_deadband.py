@@ -1,4 +1,4 @@
-"""``valve_deadband``: spool overlap; small commands move nothing, each side by its own amount."""
+"""``valve_deadband``: spool overlap: small commands cause no motion, with a limit for each side."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("positive", "1", (0.0, 0.95), _STARTS, 0.004, "commands up to this do not move it"),
-                Parameter("negative", "1", (0.0, 0.95), _STARTS, 0.004, "same on the negative side, as a magnitude"),
+                Parameter("positive", "1", (0.0, 0.95), _STARTS, 0.004, "largest command without motion"),
+                Parameter("negative", "1", (0.0, 0.95), _STARTS, 0.004, "same on the negative side, magnitude"),
             )
         ),
     ),

@@ -1,4 +1,4 @@
-"""``valve_hysteresis``: friction and magnetic remanence of the spool; the opening follows the command with backlash."""
+"""``valve_hysteresis``: friction and magnetic remanence of the spool: the opening follows the command with hysteresis."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("width"),),
-    forms=(Form((Parameter("width", "1", (0.0, 0.5), (0.02, 0.06, 0.15), 0.004, "full width of the play, in command"),)),),
+    forms=(Form((Parameter("width", "1", (0.0, 0.5), (0.02, 0.06, 0.15), 0.004, "full width, in command"),)),),
     equation="y = min(max(y, u − width/2), u + width/2)",
     source="Jelali & Kroll 2003, §3.4; 1–6 % on proportional valves (machine facts)",
     excited_by="command reversals at any rate, small ones included",
-    confused_with={
-        "input_delay": "a delay is a time at any amplitude; a hysteresis loses a fixed part of the command",
-    },
+    confused_with={"input_delay": "a delay is a time independent of amplitude; a hysteresis loses a fixed part of the command"},
     example={"width": 0.15},
     rate_independent=True,
     need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three openings."),
@@ -32,7 +30,7 @@ EFFECT = Effect(
 
 @inlined
 def step(u, p, i, s, j):
-    """``s[j]`` is the output; it begins in the middle of its play."""
+    """``s[j]`` is the output; it starts in the middle of the hysteresis."""
     half = 0.5 * p[i]
     if np.isnan(s[j]):
         s[j] = u

@@ -1,4 +1,4 @@
-"""``viscous_friction``: a force in proportion to speed, against it."""
+"""``viscous_friction``: force against the motion, proportional to the speed."""
 
 from __future__ import annotations
 
@@ -20,18 +20,7 @@ EFFECT = Effect(
     slots=(Slot("positive"), Slot("negative")),
     forms=(
         Form(
-            (
-                Parameter(
-                    "coefficient",
-                    "N·s/m or N·m·s",
-                    _BOUNDS,
-                    (1.0,),
-                    0.01,
-                    "slope",
-                    scale="force",
-                    sets=(("positive", "negative"),),
-                ),
-            )
+            (Parameter("coefficient", _SLOPE, _BOUNDS, (1.0,), 0.01, "slope", scale="force", sets=(("positive", "negative"),)),)
         ),
         Form(
             (
@@ -44,7 +33,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry et al., Automatica 30 (1994)",
     excited_by="motion at several speeds",
     confused_with={
-        "coulomb_friction": "constant over speed, or in proportion to it: two speeds tell",
+        "coulomb_friction": "dry friction is constant over speed, viscous friction proportional: compare two speeds"
     },
     example={"coefficient": 4.0},
     need=Need("force_both_ways", 1, "Record {axis} at three speeds in both directions, 20 s."),

@@ -1,4 +1,4 @@
-"""The gap workflow: where simulation and machine disagree, what the missing effect is called, and the proof."""
+"""The gap workflow: errors of a simulation against recordings, the missing effects, and their proof."""
 
 from sysid.gap import steps
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator

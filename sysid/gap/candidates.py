@@ -1,9 +1,9 @@
-"""What might be missing at a stage: every effect of the catalogue at every admissible place."""
+"""Candidates of a stage: every effect of the catalogue at every admissible place."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +12,12 @@ from sysid.effects import CATALOGUE, Effect, Form, Parameter
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
-from sysid.plant.layout import neutral_vector, parameter_indices
+from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
 
-#: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
-REACH = 50.0
+#: A parameter in units of one over the typical load is searched up to this multiple of its largest start value.
+LOAD_BOUND = 50.0
 
 
 @dataclass(frozen=True)
@@ -27,16 +27,15 @@ class Unknown:
     Args:
         key: public parameter name, with ``[i]`` for a component of a vector.
         places: indices into ``theta`` that take its value.
-        nominal: its value in the plant that is being questioned; ``absent``: its value where there is no such effect.
-        negligible: a small departure from nominal; steps and tolerances of fits derive from it.
-        stepwise: slopes say nothing about it; a fit searches it on a grid as well.
+        nominal: its value in the plant under test.
+        negligible: a negligible change; steps and tolerances of fits derive from it.
+        stepwise: the output is not differentiable by it; a fit searches it on a grid as well.
     """
 
     key: str
     places: tuple[int, ...]
     bounds: tuple[float, float]
     nominal: float
-    absent: float
     negligible: float
     stepwise: bool = False
 
@@ -45,10 +44,9 @@ class Unknown:
 class Candidate:
     """One effect in one form at one place.
 
-    A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
-    like any other effect where it departs from nominal by more than is negligible. An effect that the plant has already is
-    ``known``: what may be missing is another value of it, or a richer form. ``aliases``: (name, target) of what no recording
-    can tell from it; ``special``: of what is a special case of it on this machine.
+    An effect that the plant has already is ``known``: another value of it, or a richer form, may be missing.
+    ``aliases``: (name, target) of effects that no recording can distinguish from it; ``special``: of those that are special
+    cases of it on this machine.
     """
 
     effect: Effect
@@ -57,14 +55,13 @@ class Candidate:
     side: str | None
     unknowns: tuple[Unknown, ...]
     starts: tuple[tuple[float, ...], ...]
-    nuisance: bool = False
     known: bool = False
     aliases: tuple[tuple[str, str], ...] = ()
     special: tuple[tuple[str, str], ...] = ()
 
     @property
     def key(self) -> tuple[str, str, str | None]:
-        """What two forms of the same effect share: one of them at a time may be in a model."""
+        """Name, target and side, which all forms of an effect share; a model contains at most one of these forms."""
         return self.effect.name, self.target, self.side
 
     @property
@@ -72,7 +69,7 @@ class Candidate:
         """For tables: ``backlash(slew, drive)``, with the form where it is not the simplest."""
         side = f", {self.side}" if self.side else ""
         form = "" if self.form is self.effect.forms[0] else f" [{', '.join(self.form.names)}]"
-        return f"{self.effect.name}({self.target}{side}){form}{' ~' if self.nuisance else ''}"
+        return f"{self.effect.name}({self.target}{side}){form}"
 
     def contains(self, other: Candidate) -> bool:
         """Whether ``other`` is a special case of this one."""
@@ -80,7 +77,7 @@ class Candidate:
         return same or (other.effect.name, other.target) in self.special
 
     def instance(self, values: Array) -> KnownEffect:
-        """The effect with these values, as a plant takes it."""
+        """The effect with these values, for a plant."""
         parameters: dict[str, float | list[float]] = {}
         k = 0
         for parameter in self.form.parameters:
@@ -93,13 +90,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical sizes that the data show: force [N or N·m], gravity load on each axis [N·m or N], zero for no load."""
+    """Typical magnitudes in the data: force [N or N·m], gravity load on each axis [N·m or N], zero for no load."""
 
     force: float = 1.0
     loads: Mapping[str, float] = field(default_factory=dict)
 
-    def offered(self, effect: Effect, target: str) -> bool:
-        """Whether the data show what the effect's parameters are measured in."""
+    def known_for(self, effect: Effect, target: str) -> bool:
+        """Whether the data contain the unit of the effect's parameters (a load)."""
         parameters = [parameter for form in effect.forms for parameter in form.parameters]
         return bool(self.loads.get(target)) or not any(p.scale == "1/load" for p in parameters)
 
@@ -108,39 +105,30 @@ class Scales:
         return tuple(start * self.unit(parameter, target) for start in parameter.starts)
 
     def unit(self, parameter: Parameter, target: str) -> float:
-        """What the parameter's starts and sizes are multiples of."""
+        """Unit of the parameter's start values and negligible change."""
         if parameter.scale == "force":
             return self.force
         return 1.0 / self.loads[target] if parameter.scale == "1/load" else 1.0
 
 
 def candidates_at(
-    plant: Plant,
-    theta: Array,
-    stage: Stage,
-    targets: tuple[str, ...],
-    scales: Scales | None = None,
+    plant: Plant, theta: Array, stage: Stage, targets: tuple[str, ...], scales: Scales | None = None
 ) -> list[Candidate]:
     """All candidates of a stage.
 
     Args:
-        theta: the questioned plant's vector; its values are the nominal ones.
+        theta: vector of the plant under test; its values are the nominal ones.
         targets: axes, ``machine``, ``base``, ``tool`` or signals that belong to the stage's problem.
     """
     found = []
     scales = scales or Scales()
     for effect in CATALOGUE:
         for target in targets if effect.fitted else ():
-            if not _fits(effect, target, stage, plant) or not scales.offered(effect, target):
+            if not _fits(effect, target, stage, plant) or not scales.known_for(effect, target):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
                 found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
     return found
-
-
-def as_nuisance(candidate: Candidate) -> Candidate:
-    """The candidate as a nuisance."""
-    return replace(candidate, nuisance=True)
 
 
 def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
@@ -155,7 +143,7 @@ def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
 
 
 def _kind(target: str, plant: Plant) -> str:
-    """What kind of target a name is."""
+    """Kind of target of a name."""
     if target in ("machine", "base", "tool"):
         return target
     if target in plant.machine.axis_names:
@@ -164,7 +152,7 @@ def _kind(target: str, plant: Plant) -> str:
 
 
 def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple[str | None, ...]:
-    """Where an effect with two possible places shows: play before a directly driven joint shows in its command stage."""
+    """Sides of an effect that a stage shows: backlash ahead of a directly driven joint shows in its command stage."""
     if not effect.sides:
         return (None,)
     drives = machine.axis(target).drives
@@ -180,7 +168,6 @@ def _candidate(
 ) -> Candidate:
     unknowns: list[Unknown] = []
     starts: list[tuple[float, ...]] = []
-    neutral = neutral_vector(len(plant.machine.axes))
     for parameter in form.parameters:
         places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name, plant.streams)
         unit = scales.unit(parameter, target)
@@ -189,12 +176,10 @@ def _candidate(
             nominal = float(theta[group[0]])
             negligible = parameter.negligible * unit
             bounds = parameter.bounds
-            if parameter.scale == "1/load":  # what a servo's elbow may give is no choice for a crane's boom
-                most = REACH * max(abs(start) for start in parameter.starts) * unit
+            if parameter.scale == "1/load":  # the range follows from the load: an elbow of a servo arm and a crane boom differ
+                most = LOAD_BOUND * max(abs(start) for start in parameter.starts) * unit
                 bounds = max(bounds[0], -most), min(bounds[1], most)
-            unknowns.append(
-                Unknown(key, tuple(group), bounds, nominal, float(neutral[group[0]]), negligible, parameter.stepwise)
-            )
+            unknowns.append(Unknown(key, tuple(group), bounds, nominal, negligible, parameter.stepwise))
             starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))

@@ -1,4 +1,4 @@
-"""What one run of the workflow is about: the dataset, the questioned plant, and the stages it is made of."""
+"""One run of the workflow: the dataset, the simulation under test, and its stages."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Case:
     """A dataset against a simulation.
 
     Args:
-        plant: the plant under test; with a simulator of one's own, its input and output effects (none at first) and linkages.
-        theta: the plant's vector.
-        noise: standard deviation by signal; ``coarse``: sensors whose steps exceed what they are said to have, counted in it.
-        adapter: the simulator of one's own under test, with its input and output effects.
+        plant: the plant under test; for a user's simulator, its input and output effects (none at first) and linkages.
+        theta: vector of the plant.
+        noise: standard deviation by signal; ``coarse``: sensors whose steps exceed their specified noise, included in it.
+        adapter: the user's simulator under test, with its input and output effects.
     """
 
     dataset: Dataset
@@ -51,14 +51,14 @@ class Case:
 
     @property
     def reference(self) -> str:
-        """What the questioned simulation is called."""
+        """Name of the simulation under test."""
         return self.adapter.name if self.adapter is not None else self.plant.reference or "nominal"
 
     def runner(self, plant: Plant) -> Callable[[Recording], pd.DataFrame]:
-        """Recording → free run of the whole chain, with ``plant`` in the place of the questioned one."""
-        own = self.adapter
-        if own is not None:
-            return lambda recording: own.free_run(plant, recording)
+        """Recording → free run of the whole chain, with ``plant`` in place of the plant under test."""
+        adapter = self.adapter
+        if adapter is not None:
+            return lambda recording: adapter.free_run(plant, recording)
         model = compile_plant(plant)
         return lambda recording: free_run(model, recording)
 
@@ -69,15 +69,15 @@ class Stage:
 
     Args:
         sigma: noise floor by signal, (d,).
-        theta: the vector of the questioned plant, with what other stages say of the sensors that this one is read by.
-        finding: what was found, in the end.
+        theta: vector of the plant under test, with the sensor scales that other stages found.
+        result: of the search.
     """
 
     problem: Problem
     split: Split
     sigma: Array
     theta: Array
-    finding: StageResult | None = None
+    result: StageResult | None = None
 
     @property
     def label(self) -> str:
@@ -85,19 +85,19 @@ class Stage:
 
     @property
     def found(self) -> StageResult:
-        """The finding of a stage that was searched."""
-        assert self.finding is not None
-        return self.finding
+        """Result of a stage that was searched."""
+        assert self.result is not None
+        return self.result
 
 
 def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tuple[Case, list[Stage]]:
     """The case and its stages, not searched yet.
 
     Args:
-        simulation: a plant, or a simulator of one's own.
+        simulation: a plant, or a user's simulator.
 
     Raises:
-        ExcitationError: no stage is measured at both ends, or there is nothing to fit, to select or to hold out.
+        ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
     split = split_of(dataset)
     if isinstance(simulation, Plant):
@@ -111,9 +111,9 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
     if not split.fit or not split.select or not split.held_out:
         raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
-    said = noise_levels(dataset)
-    coarse = coarse_sensors(plant, split.seen, said)
-    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, said), split, seed, own, coarse)
+    noise = noise_levels(dataset)
+    coarse = coarse_sensors(plant, split.seen, noise)
+    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse)
     return case, [_stage(case, problem) for problem in problems]
 
 
@@ -124,7 +124,7 @@ def _stage(case: Case, problem: Problem) -> Stage:
 
 
 def stage_split(case: Case, problem: Problem) -> Split:
-    """The recordings of a stage by role: those of motion, and static poses where they show it too."""
+    """The recordings of a stage by role: those of motion, and static poses where they excite it too."""
     split = case.split
     if problem.poses:  # static poses show kinematics best
         poses = pose_split(case.dataset)
@@ -133,26 +133,23 @@ def stage_split(case: Case, problem: Problem) -> Split:
 
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
-    """Every effect that may be missing at the stage, whether the recordings show it or not."""
+    """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
     found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
-def on_itself(finding: StageResult, stage: Stage, theta: Array) -> StageResult:
-    """What was found on a surrogate of the stage, fitted to the stage itself."""
+def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
+    """A result found on a surrogate of the stage, fitted to the stage itself."""
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     unseen = Data(stage.problem, stage.split.select, stage.sigma)
-    fit = fit_candidates(seen, theta, finding.fit.candidates, [finding.fit.values])  # noqa: PD011
+    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
     nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
-    return replace(finding, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
+    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:
-    """Median force and gravity loads in the recordings to fit.
-
-    A load that is a thousandth of the largest one is none.
-    """
+    """Median force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
     force = 1.0
     if stage.problem.stage == "force":
         force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
@@ -163,10 +160,10 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
-    """For every candidate, whether the recordings that may be seen contain what it needs."""
+    """For every candidate, whether the fit and selection recordings excite it."""
     found = {}
     for stage in stages:
         for candidate in stage_candidates(case, stage):
-            if candidate.key not in found:  # the forms of an effect need the same
+            if candidate.key not in found:  # the same for all forms of an effect
                 found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
     return tuple(found.values())

@@ -1,4 +1,4 @@
-"""How well the clock of a stream is known: what alignment leaves open is no finding of the gap workflow."""
+"""Uncertainty of the clock of a stream: an offset that alignment leaves open is no effect."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from pathlib import PurePath
 
 from sysid.datasets.recording import Dataset
 
-#: So many standard errors of the offset are left open by alignment; its intervals hold 95 %, which are 1.96 of them.
-ERRORS, NORMAL95 = 2.0, 1.96
+#: Standard errors of the offset within which it is not an effect, and those in a 95 % interval.
+STANDARD_ERRORS, NORMAL95 = 2.0, 1.96
 
 
 def open_offset(dataset: Dataset, stream: str) -> float:
-    """Half-width [s] within which a clock offset of ``stream`` belongs to its clock records, and is no effect of its own.
+    """Half-width [s] of a clock offset of ``stream`` that its clock records leave open.
 
-    Two standard errors of the offset, root mean square of the recordings that were aligned on their motion, plus half a sample
-    (a stamp says no more than in which sample something was measured). A stream that was not aligned, or needs no alignment,
-    has half a sample alone: its stamps were taken as they are.
+    Two standard errors of the offset (root mean square over the recordings that were aligned on their motion), plus half a
+    sample, the resolution of a stamp. For a stream that was not aligned, half a sample.
 
     Args:
         stream: stem of its file, as in ``dataset.streams`` and as the target of ``clock_offset``.
@@ -28,11 +27,11 @@ def open_offset(dataset: Dataset, stream: str) -> float:
     ]
     known = [half for half in halves if math.isfinite(half)]
     error = math.sqrt(sum(half**2 for half in known) / len(known)) / NORMAL95 if known else 0.0
-    return ERRORS * error + 0.5 / _rate(dataset, stream)
+    return STANDARD_ERRORS * error + 0.5 / _rate(dataset, stream)
 
 
 def _rate(dataset: Dataset, stream: str) -> float:
-    """Samples a second of the tables, or of the stream where it is slower [Hz]."""
+    """Sample rate of the tables, or of the stream where it is lower [Hz]."""
     rates = [recording.rate_hz for recording in dataset.of_kind("motion")] or [dataset.machine.rate_hz]
     for channels in dataset.quality.get("streams", {}).values():
         for key, figures in channels.items():

@@ -1,4 +1,4 @@
-"""Recordings as a fit sees them: residuals in units of noise, binned, whitened by the drift of a model."""
+"""Recordings for a fit: residuals in units of noise, binned, whitened by the drift of a model."""
 
 from __future__ import annotations
 
@@ -9,35 +9,26 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.drift import BIN, DriftStrength, bins_of, estimate_drift, to_bins, white_noise, whiten_lanes
+from sysid.gap.drift import DriftStrength, bins_of, estimate_drift, to_bins, whiten_lanes
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
-#: What is left of a wandering 0.1 s later at a stage that does not integrate: it forgets within about a second.
-FORGETS = 0.9
+#: Share of the drift that is left after 0.1 s at a stage that does not integrate: its memory is about a second.
+MEMORY = 0.9
 
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise, activity, how many bins are measured.
-
-    Args:
-        wanders: residuals may wander, and what wanders is no evidence. Without it every sample counts as independent, which is
-            what a naive BIC does; kept to measure what that would cost.
-    """
+    """Recordings of a problem with what does not change between fits: noise and activity."""
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
-    wanders: bool = True
     activities: list[Array] = field(init=False)
-    samples: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.activities = [activity_of(self.problem, r) for r in self.recordings]
-        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
-        self.samples = sum(int((~np.isnan(part)).sum()) for part in parts)
 
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""
@@ -62,18 +53,10 @@ class Data:
 
     def drifts(self, theta: Array) -> tuple[tuple[DriftStrength, ...], float]:
         """Drift of every signal under one parameter vector, and the log-likelihood."""
-        return self.drifts_of(self.bins(theta[None]))
-
-    def drifts_of(self, bins: Sequence[Array]) -> tuple[tuple[DriftStrength, ...], float]:
-        """The same, of binned residuals, one (1, m, d) a recording."""
-        memory = 1.0 if self.problem.integrates else FORGETS
+        bins = self.bins(theta[None])
+        memory = 1.0 if self.problem.integrates else MEMORY
         found, total = [], 0.0
         for k in range(len(self.sigma)):
-            if not self.wanders:
-                white, log_likelihood = white_noise([part[0, :, k] for part in bins])
-                found.append(white)
-                total += log_likelihood * BIN * self.problem.rate(self.recordings[0])
-                continue
             drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
             found.append(drift)
             total += log_likelihood
@@ -81,9 +64,9 @@ class Data:
 
 
 def activity_of(problem: Problem, recording: Recording) -> Array:
-    """How much the stage moves in each bin, mean 1, (m,); constant where it does not move at all.
+    """Activity of the stage in each bin, mean 1, (m,); constant where it does not move.
 
-    Flow disturbances grow with flow, so a drive drifts while it moves and hardly at rest.
+    Flow disturbances grow with the flow: a drive drifts in motion and hardly at rest.
     """
     measured = to_bins(problem.measured(recording), problem.rate(recording))
     if not problem.integrates or len(measured) < 3:

@@ -1,50 +1,35 @@
-"""Which effects are named: the decision rule of the gap workflow, all of it.
+"""The decision rule of the gap workflow: which effects are named (reasons and sources: ``docs/decisions/decision-rule.md``).
 
 Given models of one stage (sets of effects) under shared variances:
 
 1. *Predictive density.* Each block of a few seconds is predicted from all other blocks, in closed form.
 2. *Survivors.* A model survives if it is not significantly worse than the best: the sum of its block differences is below
-   ``STANDARD_ERRORS`` standard errors, or below ``LEAST`` nats; or its evidence is not lower by as much (of forty models that
-   are compared one is better by two standard errors by chance, and evidence knows what its parameters cost). A block counts
-   for ``BLOCK_NATS`` at most, so that several have to agree (without it one block with 1600 nats makes the sum
-   insignificant: 2070 ± 1611).
-   A model that lacks an effect of another one predicts as well wherever the discrepancy can do that effect's work, and so does
-   one that needs more numbers for the same. There the evidence decides, the discrepancy of each learned beside it alone.
-3. *Where the formulas are right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest
-   minimal survivor, and no set of as few effects leaves a tenth less of the free run), the minimal survivors are what may be
-   meant: those of which no simpler one survives, without those whose other effects may all be absent, or lie at the edge of
-   what is plausible.
-4. *Where they are wrong and errors add up* (a stage that integrates), the smallest sets of effects that explain the free run
-   are. Each effect has its price: with it, the variance that is left above the noise floor is a fifth (it moves the output by
-   ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
-   formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
-   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is
-   likelier by more than twice ``BLOCK_NATS`` at the values with which each leaves least. These values go into the plant where
-   no survivor with further effects leaves less.
-   *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
-   effects; not those that lack effects which are worth theirs, because the discrepancy does their work. Not certain is an
-   effect without which the others leave hardly more, a tenth at the most.
-   Where nothing adds up, right or wrong, a simpler model within a survivor that also reaches the noise floor replaces it.
-5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value. Where nothing adds up, that interval contains what the discrepancy could do in the effect's place.
-   Where errors add up, an effect that is confused with a larger one of its axis has no name: it may be what the formula of
-   the larger one lacks.
-6. *Ambiguous*: in some of them; what takes its place in the others are its partners.
-7. Where formulas are wrong, what is named has to be worth the price of an effect on held-out recordings too (:func:`pays`);
-   where errors add up, each name beside the others.
+   ``STANDARD_ERRORS`` standard errors or below ``LEAST`` nats, or its evidence is not lower by as much. A block counts for
+   ``BLOCK_NATS`` at most, so that several have to agree. A model that lacks an effect of another predicts as well where the
+   discrepancy replaces that effect, and so does one that needs more parameters; there the evidence decides, the discrepancy of
+   each estimated beside it alone.
+3. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
+   survivor, and no set with as few effects leaves a tenth less of the free run): the minimal survivors are acceptable, those of
+   which no simpler one survives, without those whose other effects may all be absent or lie at the bounds of their range.
+4. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
+   acceptable. The price of each effect is that the variance above the noise floor falls to a fifth (it moves the output by
+   ``STANDARD_ERRORS`` times what remains). Of equally large sets within this price, those are acceptable that leave no more
+   than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is likelier by more than twice
+   ``BLOCK_NATS`` at their values of least error. The plant gets these values, unless a survivor with further effects leaves
+   less.
+   *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
+   effects, without those that lack effects worth their price because the discrepancy replaces them. An effect is not certain if
+   the others leave at most a tenth more without it.
+   Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
+5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
+   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place.
+   Where they accumulate, an effect confused with a larger one of its axis is not named.
+6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
+7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
+   where errors accumulate, each name beside the others.
 
-=================== ======= ============================================================================================
-number              value   derivation
-=================== ======= ============================================================================================
-``STANDARD_ERRORS`` 2       two-sided 5 % of a normal sum of block differences (Vehtari, Gelman, Gabry, Stat. Comput. 27, 2017)
-``LEAST``           3 nats  odds of e³ ≈ 20 to 1, "strong" evidence (Kass and Raftery, JASA 90, 1995); 95 % with equal priors
-``BLOCK_NATS``      5 nats  "very strong" evidence in one block (same scale); more than one block has to say so
-``EXPLAINED``       1.1     what is within a tenth of the noise floor has nothing to explain, and a tenth is what matters
-``SHARE``           1 %     of the closable gap on held-out recordings: less is of no practical significance
-=================== ======= ============================================================================================
-
-The region of practical equivalence of a parameter is what it may depart without moving the output of the stage by as much as
-adds a tenth to what is left of it (in quadrature); at least what is known to be open otherwise, of a clock for instance.
+The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
+stage; at least what is known to be open otherwise, of a clock for instance.
 """
 
 from __future__ import annotations
@@ -60,33 +45,37 @@ from sysid.gap.likelihood.stage import ModelFit
 
 Array = npt.NDArray[np.float64]
 
+#: Two-sided 5 % of a normal sum of block differences (Vehtari, Gelman, Gabry, Stat. Comput. 27, 2017).
 STANDARD_ERRORS = 2.0
+#: Odds of e³ ≈ 20 to 1, "strong" evidence (Kass and Raftery, JASA 90, 1995); 95 % with equal priors [nats].
 LEAST = 3.0
+#: "Very strong" evidence in one block (same scale) [nats].
 BLOCK_NATS = 5.0
+#: Least share of the closable gap on held-out recordings: less has no practical significance.
 SHARE = 0.01
-#: A stage within this multiple of its noise floor has nothing to explain: what is left moves the error by a tenth at most.
+#: A stage within this multiple of its noise floor is explained.
 EXPLAINED = 1.1
-#: An effect moves the output by ``STANDARD_ERRORS`` of what is left with it: what it has to divide the variance by.
+#: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
 PRICE = 1.0 + STANDARD_ERRORS**2
-#: So many of the likeliest survivors the minimal ones are compared with, the discrepancy learned beside each alone.
+#: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.
 LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
 
-#: What an effect lacks that has no name.
+#: Conditions that an effect without a name fails.
 NOT_EXCITED = "the recordings do not excite it enough"
-LITTLE = "what it takes of the error away is little beside what stays"
+LITTLE = "it reduces the error by too little compared with what remains"
 REPLACED = "another model without it predicts as well"
 WITHOUT = "a model without it predicts as well"
-REPAIRS = "it may repair the formula of an effect that it looks like"
-LOST = "on held-out recordings what it takes of the error away is little beside what stays"
+REPAIRS = "it may compensate for the formula of a similar effect"
+LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
 
 
 @dataclass(frozen=True)
 class NearMiss:
-    """An effect that was in a surviving model and is not named, and what it lacks."""
+    """An effect of a surviving model that is not named, and the condition that it fails."""
 
     candidate: Candidate
     values: Array
@@ -96,17 +85,18 @@ class NearMiss:
 
 @dataclass(frozen=True)
 class Decision:
-    """What the comparison of models says of one stage.
+    """Result of the comparison of the models of one stage.
 
     Args:
-        model: the smallest set that explains the output and what is adjusted beside it: what goes into the repaired plant.
+        model: the chosen set and the effects adjusted beside it, for the repaired plant.
         named: its effects that are named.
-        tied: sets of effects of which each would do, the one in ``model`` first.
+        tied: non-identifiable sets of effects, the one in ``model`` first.
         near_misses: its other effects and those of other survivors.
         survivors: models that predict as well as the best, likeliest first.
-        rivals: the smallest sets that explain the output, that of ``model`` first.
+        acceptable: the acceptable sets, that of ``model`` first.
         exact: whether the formulas are right up to a random disturbance.
-        adds_up: whether they are wrong and their errors add up, so that values are those of least squares over the free run.
+        accumulates: whether they are wrong and their errors accumulate, so that values are those of least squares over the free
+        run.
     """
 
     model: ModelFit
@@ -114,12 +104,12 @@ class Decision:
     tied: tuple[tuple[Candidate, ...], ...]
     near_misses: tuple[NearMiss, ...]
     survivors: tuple[ModelFit, ...]
-    rivals: tuple[ModelFit, ...]
+    acceptable: tuple[ModelFit, ...]
     exact: bool
-    adds_up: bool
+    accumulates: bool
 
     def without_names(self, labels: Sequence[str], lacks: str) -> Decision:
-        """The same model, in which names and ties of the effects ``labels`` lack something."""
+        """The same model without names and ties of the effects ``labels``, which become near misses."""
         named = tuple(c for c in self.named if c.label not in labels)
         tied = tuple(tie for tie in self.tied if tie[0].label not in labels)
         taken = [c for c in (*self.named, *(tie[0] for tie in self.tied)) if c.label in labels]
@@ -129,10 +119,10 @@ class Decision:
 
 
 class FreeRun:
-    """What sets of effects leave of the free run of a stage, in noise floors: with the values that they have."""
+    """Remaining error of sets of effects over the free run of a stage, in noise floors; here at the values of the models."""
 
     def nearest(self, model: ModelFit) -> ModelFit:
-        """The set of effects with the values that leave least of the output."""
+        """The set of effects with the values of least error."""
         return model
 
     def least_squares(self, model: ModelFit) -> ModelFit:
@@ -143,11 +133,11 @@ class FreeRun:
         return self.nearest(model).left
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
-        """By how many standard errors ``model`` leaves more than ``other``."""
+        """Difference in remaining error between ``model`` and ``other``, in standard errors."""
         return 0.0
 
     def moved(self, model: ModelFit, candidate: Candidate) -> float:
-        """What one of its effects moves of the output."""
+        """Change of the output by one of its effects."""
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
@@ -159,7 +149,7 @@ def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
 
 
 def survives(model: ModelFit, best: ModelFit) -> bool:
-    """Whether a model is not significantly worse than the best: a loser loses on both counts."""
+    """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
     total, error = difference(best, model)
     return total < max(STANDARD_ERRORS * error, LEAST) or model.evidence > best.evidence - LEAST
 
@@ -196,11 +186,11 @@ def decide(
         rope: least half-widths of regions of equivalence, by effect.
         shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
             effects that are not excited, is chosen.
-        own_evidence: of a model, the discrepancy learned beside it alone.
-        needed: by how many nats a model is likelier with a discrepancy than without any.
-        integrates: whether the output adds up what is wrong of its input, so that what acts slowly hides from the likelihood.
-        free: what sets of effects leave of the output, with the values that leave least; those of the models without it.
-        without: a model without one of its effects, the others fitted again; else looked up among ``models``.
+        own_evidence: evidence of a model with the discrepancy estimated beside it alone.
+        needed: gain in evidence of a model by a discrepancy [nats].
+        integrates: whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow.
+        free: remaining errors over the free run, at the values of least error; by default at those of the models.
+        without: a model without one of its effects, the others refitted; by default looked up among ``models``.
     """
     rope, free = rope or {}, free or FreeRun()
     best = max(models, key=lambda f: float(f.predictive.sum()))
@@ -210,22 +200,22 @@ def decide(
     if not integrates:
         likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free)
-    adds_up = integrates and not exact
-    if not adds_up:
-        rivals, model = likely, likely[0]
+    accumulates = integrates and not exact
+    if not accumulates:
+        acceptable, model = likely, likely[0]
     else:
-        rivals = _nearest(models, unsure, free, own_evidence)
-        model = _whole(rivals[0].with_values(free.least_squares(rivals[0])), survivors, unsure)
+        acceptable = _nearest(models, unsure, free, own_evidence)
+        model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
-    # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
-    tested = (model, *rivals) if not adds_up else tuple(free.least_squares(f) for f in rivals)
+    # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
+    tested = (model, *acceptable) if not accumulates else tuple(free.least_squares(f) for f in acceptable)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
     tying = {
-        c.key: _partners(c, model, rivals)
+        c.key: _partners(c, model, acceptable)
         for c in model.candidates
         if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
     }
-    smallest = {c.key for c in rivals[0].candidates}
+    smallest = {c.key for c in acceptable[0].candidates}
     if not exact and not integrates:
         known = {f.labels: f for f in models}
         less = without or (lambda f, c: known[f.labels - {c.label}])
@@ -239,7 +229,7 @@ def decide(
         lacks = lacking[candidate.key]
         if not worth or candidate.key not in smallest:
             lacks = LITTLE
-        elif not lacks and integrates and _repairs(candidate, rivals[0], free):
+        elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
             lacks = REPAIRS
         elif not lacks:
             named.append(candidate)
@@ -247,18 +237,18 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
-    predicts = not adds_up or any(rivals[0] is f for f in survivors)
+    predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
-    for other in (*rivals, *survivors):
+    for other in (*acceptable, *survivors):
         for candidate in other.candidates:
             if candidate.key not in seen:
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
                 near.append(NearMiss(candidate, values, deviations, WITHOUT if predicts else LITTLE))
-    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals), exact, adds_up)
+    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(acceptable), exact, accumulates)
 
 
-# -- the whitened likelihood: where formulas are right, and where nothing adds up ------------------------------------------
+# -- the whitened likelihood: formulas right, or errors that do not accumulate ---------------------------------------------
 
 
 def _likely(
@@ -268,43 +258,43 @@ def _likely(
     stay = [f for f in survivors if not _replaced(f, survivors, own_evidence)]
     minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
-    return [chosen, *(f for f in minimal if f is not chosen and _says_something_else(f, chosen, rope))]
+    return [chosen, *(f for f in minimal if f is not chosen and _is_alternative(f, chosen, rope))]
 
 
 def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a survivor that has an effect more, or does with fewer numbers, is clearly likelier."""
+    """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
     likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
     others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
     return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
-    """The simplest model within one that brings the output to its noise floor too: what it lacks has no practical significance.
+    """The simplest model within one that also reaches the noise floor: what it lacks has no practical significance.
 
-    A base that is turned about the axis of the first joint is an offset of that joint, whatever its other five numbers repair.
+    A base turned about the axis of the first joint is an offset of that joint, whatever its other five parameters compensate.
     """
     within = [f for f in models if f.left <= EXPLAINED and simpler(f, model)]
     return min(within, key=lambda f: (len(f.unknowns), -f.evidence), default=model)
 
 
 def _outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
-    """Whether a survivor has more effects that are worth their price: what they do is not left to the discrepancy.
+    """Whether a survivor has further effects that are worth their price, which the discrepancy must not replace.
 
-    What brings an output down to its noise floor needs no price.
+    A set that reaches the noise floor is worth any price.
     """
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
     explained = model.left <= EXPLAINED
     return not explained and any(n > 0 and (f.left <= EXPLAINED or _divided(model.left, f.left, n)) for f, n in more)
 
 
-def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
-    """Whether ``other`` does without an effect of ``model``, or has one in its place that is there for certain.
+def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
+    """Whether ``other`` lacks an effect of ``model``, or has one in its place that is certainly present.
 
-    One that fits at the edge of what is plausible stands for something else: oil that is warm after five seconds, for a gain.
+    An effect at a bound stands for another: oil that is warm after five seconds, for a gain.
     """
     here = {c.key for c in model.candidates}
     instead = [c for c in other.candidates if c.key not in here]
-    return not instead or any(not _within_rope(c, other, rope) and not _at_its_edge(c, other) for c in instead)
+    return not instead or any(not _within_rope(c, other, rope) and not _at_bound(c, other) for c in instead)
 
 
 def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun) -> bool:
@@ -315,21 +305,21 @@ def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelF
     return all(model.left <= EXPLAINED * max(free.left(f), 1.0) for f in as_small)
 
 
-# -- the free run: where formulas are wrong and errors add up ----------------------------------------------------------------
+# -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
 
 
 def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float]) -> list[ModelFit]:
-    """The sets of as few effects as explain the output, what leaves least of it first.
+    """The smallest sets of effects that explain the output, in ascending order of the remaining error.
 
-    Each effect has its price: what is left above the noise floor has to be divided by ``PRICE``. Sets of equal size that differ
-    by less are not distinguished by what they leave.
+    Each effect has to divide the variance above the noise floor by ``PRICE``. Sets of equal size that differ by less are not
+    distinguished by their remaining error.
     """
     variance: dict[int, list[tuple[float, ModelFit]]] = {}
     least, size = np.inf, 0
     for f in sorted(models, key=lambda f: len(f.candidates)):
         n = len(f.candidates)
         if (EXPLAINED**2 - 1.0) * PRICE**n >= least and n != size:
-            break  # more effects do not pay, whatever they leave
+            break  # no remaining error justifies more effects
         found = max(left(f), EXPLAINED) ** 2 - 1.0
         variance.setdefault(n, []).append((found, f))
         if found * PRICE**n < least:
@@ -339,17 +329,17 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
 
 
 def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a set is clearly likelier than another of its size, each with the values that explain the output best.
+    """Whether a set is clearly likelier than another of its size, each with its values of least squares.
 
-    Its own likeliest values may leave most of the output: they would compare what the sets do to fast errors alone. Where
-    formulas are wrong, very strong evidence of one block is not enough.
+    Its likeliest values may explain fast errors alone. Where formulas are wrong, very strong evidence of one block is not
+    enough.
     """
     evidence = [own_evidence(f.with_values(free.least_squares(f))) for f in (better, other)]
     return evidence[0] > evidence[1] + 2.0 * BLOCK_NATS
 
 
 def pays(before: float, after: float, effects: int = 1) -> bool:
-    """Whether effects are worth their price; root mean squares of the output without and with them, in noise floors."""
+    """Whether effects are worth their price; RMS errors of the output without and with them, in noise floors."""
     return after <= EXPLAINED or _divided(before, after, effects)
 
 
@@ -361,13 +351,13 @@ def _divided(before: float, after: float, effects: int = 1) -> bool:
 def _nearest(
     models: Sequence[ModelFit], unsure: set[str], free: FreeRun, own_evidence: Callable[[ModelFit], float]
 ) -> list[ModelFit]:
-    """The smallest sets of effects that explain the output and that no other is preferred to; what leaves least comes first."""
+    """The smallest sets of effects that explain the output and to which no other is preferred; least remaining error first."""
     close = smallest_sets(models, free.left)
 
     def preferred(f: ModelFit, g: ModelFit) -> bool:
-        """What leaves less; without a difference what is simpler, and what is not at the edge of the plausible."""
+        """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
-        edges = [any(_at_its_edge(c, each) for c in each.candidates) for each in (f, g)]
+        edges = [any(_at_bound(c, each) for c in each.candidates) for each in (f, g)]
         return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
@@ -377,7 +367,7 @@ def _nearest(
 
 
 def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) -> ModelFit:
-    """The likeliest survivor that has the effects of the smallest set and leaves no more; none with them has fewer."""
+    """The likeliest minimal survivor that contains the effects of the smallest set and leaves no more."""
     keys = {c.key for c in smallest.candidates}
     those = [f for f in survivors if keys <= {c.key for c in f.candidates} and f.left <= smallest.left]
     minimal = [f for f in those if not any(simpler(g, f) for g in those)]
@@ -385,7 +375,7 @@ def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) 
 
 
 def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]) -> str:
-    """Why an effect of the chosen model is not named; empty where it is."""
+    """Condition for a name that an effect of the chosen model fails; empty where it fails none."""
     if candidate.label not in nameable:
         return NOT_EXCITED
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
@@ -396,10 +386,10 @@ def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[
 
 
 def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
-    """Whether an effect moves less than another one of its axis that it is confused with.
+    """Whether an effect moves the output less than another one of its axis with which it is confused.
 
-    The formulas of valves and servos are idealisations, those of geometry and of forces are not: what the form of a curve lacks
-    looks like a gain beside it.
+    The formulas of valves and servos are idealisations, those of geometry and forces are not: an error in the form of a curve
+    looks like a gain.
     """
     if candidate.effect.stage != "command":
         return False
@@ -411,37 +401,37 @@ def _confused(one: Candidate, other: Candidate) -> bool:
     return one.effect.name in other.effect.confused_with or other.effect.name in one.effect.confused_with
 
 
-def _partners(candidate: Candidate, model: ModelFit, rivals: Sequence[ModelFit]) -> tuple[Candidate, ...]:
-    """What stands in the rivals in the place of an effect."""
+def _partners(candidate: Candidate, model: ModelFit, acceptable: Sequence[ModelFit]) -> tuple[Candidate, ...]:
+    """Effects in the other acceptable sets in place of an effect."""
     here = {c.key for c in model.candidates}
-    without = [f for f in rivals if all(c.key != candidate.key for c in f.candidates)]
+    without = [f for f in acceptable if all(c.key != candidate.key for c in f.candidates)]
     found: dict[Key, Candidate] = {}
     for c in (c for f in without for c in f.candidates if c.key not in here or f is not model):
-        if c.key != candidate.key and not any(c.key == d.key for d in rivals[0].candidates):
+        if c.key != candidate.key and not any(c.key == d.key for d in acceptable[0].candidates):
             found.setdefault(c.key, c)
     return tuple(found.values())
 
 
-def _at_its_edge(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether a value of an effect lies at a bound that is not its absence."""
+def _at_bound(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect lies at a bound other than its nominal value."""
     pairs = zip(candidate.unknowns, model.values_of(candidate), strict=True)
     return any(value in u.bounds and value != u.nominal for u, value in pairs)
 
 
-def unnoticed(left: float) -> float:
-    """Change of the output that adds a tenth, in quadrature, to what is left of it; both in noise floors."""
+def equivalent_change(left: float) -> float:
+    """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
     return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
 
 
 def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
     """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
 
-    They contain what the discrepancy could do in its place, as large as it was learned to be.
+    They include what the discrepancy could do in its place.
     """
     here = model.rows_of(candidate)
     values, reach = model.values_of(candidate), Z * np.hypot(model.deviations_of(candidate), model.confounded[here])
     response = model.response[here]
-    seen = unnoticed(model.left) / np.maximum(response, 1e-300)
+    seen = equivalent_change(model.left) / np.maximum(response, 1e-300)
     half = np.maximum(seen, rope.get(candidate.key, 0.0))
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(values - nominal) - reach <= half).all())

@@ -1,13 +1,13 @@
-"""What is left when the model is right: white sensor noise plus a drift that grows while the machine moves.
+"""Residual of the true model: white sensor noise plus a drift that grows while the machine moves.
 
-A free run integrates every disturbance, so even the true model's residual wanders like a random walk. The local level model
-(Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, §2.2) says how much of a residual is such
-wandering: ``r_k = level_k + s·ε_k``, ``level_{k+1} = level_k + s·√(calm + moving·activity_k)·η_k``. Its one-step
-prediction errors are white; fits and comparisons are made on them. Without drift they are the residual itself; with much drift
-they are its increments. A residual that only *looks* better because a parameter follows the wandering gains nothing.
+A free run integrates every disturbance, so that even the residual of the true model drifts like a random walk. The local level
+model (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, §2.2) estimates this drift:
+``r_k = level_k + s·ε_k``, ``level_{k+1} = level_k + s·√(calm + moving·activity_k)·η_k``. Its one-step prediction errors are
+white; fits and comparisons use them. Without drift they are the residual itself, with strong drift its increments. A parameter
+that only follows the drift gains nothing.
 
-Only a stage that integrates its input wanders without end. Elsewhere the level forgets (``memory`` < 1 per bin): a constant
-that lasts is then no wandering but an offset that wants explaining.
+Only a stage that integrates its input drifts without bound. Elsewhere the level decays (``memory`` < 1 per bin), so that a
+constant offset is no drift.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e4)
 
 @dataclass(frozen=True)
 class DriftStrength:
-    """Strength of the wandering of one signal.
+    """Strength of the drift of one signal.
 
     Args:
-        calm: variance that the level gains in each bin, relative to the noise of a bin.
+        calm: variance that the level gains in each bin at rest, relative to the noise of a bin.
         moving: the same per unit of activity (mean activity is 1).
         noise: standard deviation of a whitened residual.
         memory: share of the level that is left a bin later.
@@ -54,7 +54,7 @@ class DriftStrength:
 def _filter(residual: Array, activity: Array, calm: float, moving: float, memory: float, error: Array, variance: Array) -> None:
     """Prediction errors of the local level model and their variances, relative to the noise of a bin; NaN where missing."""
     level = 0.0
-    spread = 1.0  # the start of a run is known about as well as one bin is measured
+    spread = 1.0  # the start of a run is known about as well as one bin
     for k in range(len(residual)):
         if np.isnan(residual[k]):
             error[k] = np.nan
@@ -84,27 +84,6 @@ def whiten_lanes(residuals: Array, activity: Array, drift: DriftStrength) -> Arr
     return errors / np.sqrt(variances)
 
 
-def whiten(residual: Array, activity: Array, drift: DriftStrength) -> tuple[Array, Array]:
-    """(error/√variance, log variance), each (m,), for one series of bins."""
-    error, variance = np.empty(len(residual)), np.empty(len(residual))
-    _filter(np.ascontiguousarray(residual), activity, drift.calm, drift.moving, drift.memory, error, variance)
-    return error / np.sqrt(variance), np.log(variance)
-
-
-def log_density(residual: Array, activity: Array, drift: DriftStrength) -> Array:
-    """Log predictive density of every bin, (m,), NaN where missing, up to a constant."""
-    error, log_variance = whiten(residual, activity, drift)
-    return np.asarray(_normal(error / drift.noise) - 0.5 * log_variance - np.log(drift.noise))
-
-
-def _normal(standard: Array) -> Array:
-    """Log of the normal density without its constant; errors beyond :data:`CLIP` deviations count as that many.
-
-    Heavier tails were tried and were worse: a model that moves wrongly passes the motion off as outliers.
-    """
-    return np.asarray(-0.5 * np.clip(standard, -CLIP, CLIP) ** 2)
-
-
 def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory: float = 1.0) -> tuple[DriftStrength, float]:
     """Maximum likelihood over a grid, refined once; returns the drift and the log-likelihood (up to a constant).
 
@@ -114,26 +93,18 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
     """
     joined, active = np.concatenate(series), np.concatenate(activities)
     starts = np.concatenate([[0], np.cumsum([len(part) for part in series])])
-    room = np.empty((2, len(joined)))
+    work = np.empty((2, len(joined)))
     best = (DriftStrength(memory=memory), -np.inf)
     calm: Sequence[float] = _STRENGTHS
     moving: Sequence[float] = _STRENGTHS if any(np.ptp(a) > 0 for a in activities) else (0.0,)
     for _ in range(2):
         for c in calm:
             for m in moving:
-                noise, total = _likelihood(joined, active, starts, c, m, memory, room)
+                noise, total = _likelihood(joined, active, starts, c, m, memory, work)
                 if total > best[1]:
                     best = DriftStrength(c, m, noise, memory), total
         calm, moving = _around(best[0].calm), _around(best[0].moving) if len(moving) > 1 else (0.0,)
     return best
-
-
-def white_noise(series: Sequence[Array]) -> tuple[DriftStrength, float]:
-    """The noise of series that do not wander, and the log-likelihood (up to a constant)."""
-    joined = np.concatenate(series)
-    joined = joined[~np.isnan(joined)]
-    noise = robust_scale(joined)
-    return DriftStrength(noise=noise), float(_normal(joined / noise).sum() - len(joined) * np.log(noise))
 
 
 def _around(value: float) -> tuple[float, ...]:
@@ -142,10 +113,10 @@ def _around(value: float) -> tuple[float, ...]:
 
 @njit(nogil=True, cache=True)
 def _likelihood(
-    residual: Array, activity: Array, starts: npt.NDArray[np.int64], calm: float, moving: float, memory: float, room: Array
+    residual: Array, activity: Array, starts: npt.NDArray[np.int64], calm: float, moving: float, memory: float, work: Array
 ) -> tuple[float, float]:
-    """Noise and log-likelihood of series one after the other, (m,), each beginning at ``starts``; ``room``: (2, m)."""
-    error, variance = room[0], room[1]
+    """Noise and log-likelihood of series one after the other, (m,), each beginning at ``starts``; ``work``: (2, m)."""
+    error, variance = work[0], work[1]
     for s in range(len(starts) - 1):
         here = slice(starts[s], starts[s + 1])
         _filter(residual[here], activity[here], calm, moving, memory, error[here], variance[here])
@@ -165,7 +136,7 @@ def _likelihood(
 
 
 def robust_scale(values: Array) -> float:
-    """Standard deviation with what lies beyond :data:`CLIP` of itself drawn in (a few outliers do not count)."""
+    """Standard deviation of ``values``, clipped at :data:`CLIP` times itself, so that a few outliers do not count."""
     return float(_scale(np.ascontiguousarray(values, dtype=np.float64)))
 
 
@@ -185,7 +156,7 @@ def _scale(values: Array) -> float:
 
 def to_bins(values: Array, rate_hz: float, seconds: float = BIN) -> Array:
     """Means over bins along the second to last axis, (…, n, d) → (…, m, d); NaN where fewer than half the samples are there."""
-    # (0 − value)/−1 is the value: the one kernel serves both.
+    # (0 − value)/−1 is the value, so that one kernel serves both.
     nothing = np.zeros(values.shape[-2:])
     flat = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *values.shape[-2:])
     found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz, seconds)

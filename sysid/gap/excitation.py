@@ -1,7 +1,7 @@
-"""Does a dataset contain what an effect needs to be seen? Counted before anything is fitted, so that silence is explained.
+"""Whether recordings excite an effect, counted before any fit.
 
-An axis that does not move shows no effect at all, whatever else is counted: from one posture a bias, a scale and an offset are
-the same, and a sensor that reads one value reads in no steps.
+An axis that does not move excites no effect, whatever else is counted: at one posture a bias, a scale and an offset are the
+same, and a sensor shows no steps.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from sysid.plant import gravity_load
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
 Count = Callable[[Sequence[Recording], Machine, str], float]
 
 
-#: An axis moved where it covers this share of its limits [%] and this many standard deviations of its sensor's noise; of a
-#: recording of motion the outermost readings do not count (a share on either side).
+#: An axis moved if it covered this share of its limits [%] and this multiple of its sensor noise (standard deviation); in a
+#: recording of motion this share of the outermost readings on either side does not count.
 OF_LIMITS, OF_NOISE, OUTERMOST = 0.1, 20.0, 0.005
-#: Over so many times that share it moved, whatever is estimated of its noise: a fast motion at a low rate looks like noise.
-CLEARLY = 20.0
-#: Units of what an axis that did not move lacks.
-STILL = ("% of its range", "times its noise")
+#: At this multiple of that share it moved whatever the noise estimate: fast motion at a low rate looks like noise.
+CERTAIN_MOTION = 20.0
+#: Units of the travel of an axis that did not move.
+TRAVEL_UNITS = ("% of its range", "times its noise")
 
 
 def excitation_of(candidate: Candidate, recordings: Sequence[Recording], machine: Machine) -> Excitation:
-    """What the recordings have of what the candidate needs."""
+    """Excitation of a candidate by the recordings."""
     return excitation_at(candidate.effect, candidate.target, recordings, machine)
 
 
 def excitation_at(effect: Effect, target: str, recordings: Sequence[Recording], machine: Machine) -> Excitation:
-    """What the recordings have of what an effect needs at a target; on an axis that did not move, how far it moved."""
+    """Excitation of an effect at a target; for an axis that did not move, its travel."""
     axis = axis_of(target, machine)
     travel = _travel(recordings, machine, axis) if axis is not None else None
     if travel is not None and travel.short is not None:
@@ -54,20 +55,20 @@ def excitation_at(effect: Effect, target: str, recordings: Sequence[Recording], 
 
 
 def moved(recordings: Sequence[Recording], machine: Machine, axis: str) -> bool:
-    """Whether an axis moved in the recordings: clear of its sensor's noise and steps, and over some share of its limits.
+    """Whether an axis moved in the recordings beyond the noise and steps of its sensor and over some share of its limits.
 
-    Its joint counts, else what is driven; all recordings together, since static poses and rests at several places are postures
-    of their own. An axis that nothing measures did not move.
+    Its joint counts, else the driven signal; over all recordings together, so that static poses at several places count. An
+    axis that is not measured did not move.
     """
     travel = _travel(recordings, machine, axis)
     return travel is not None and travel.short is None
 
 
 def identifiable_targets(targets: Sequence[str], recordings: Sequence[Recording], machine: Machine) -> tuple[str, ...]:
-    """Those of some targets on which the recordings can show an effect, in the same order.
+    """The targets at which the recordings can excite an effect, in the same order.
 
-    An axis, or a signal of one, where the axis moved; the machine where two axes did, since what they share shows in both; all
-    others (base, tool, boom tip, streams) where any axis did.
+    An axis, or a signal of one, if the axis moved; the machine if two axes moved; all others (base, tool, boom tip, streams)
+    if any axis moved.
     """
     shown = {axis for axis in machine.axis_names if moved(recordings, machine, axis)}
 
@@ -79,17 +80,17 @@ def identifiable_targets(targets: Sequence[str], recordings: Sequence[Recording]
 
 
 def axis_of(target: str, machine: Machine) -> str | None:
-    """The axis that a target is, or whose signal it is; None for all others."""
+    """The axis of a target (an axis or one of its signals); None for all others."""
     owner = target if target in machine.axis_names else split_signal(target)[0]
     return owner if owner in machine.axis_names else None
 
 
 @dataclass(frozen=True)
 class _Travel:
-    """How far an axis went.
+    """Travel of an axis.
 
     Args:
-        span: between its outermost readings [SI]; ``limits``: between its limits, zero where the description gives none.
+        span: between its outermost readings [SI]; ``limits``: between its limits, zero if unknown.
         noise: standard deviation of its sensor, steps included.
     """
 
@@ -99,16 +100,16 @@ class _Travel:
 
     @property
     def short(self) -> tuple[float, float, str] | None:
-        """What there is, what is needed, and in which unit, where the axis did not move."""
+        """(have, need, unit) of an axis that did not move; else None."""
         share = 100.0 * self.span / self.limits if self.limits > 0.0 else OF_LIMITS
         if share < OF_LIMITS:
-            return share, OF_LIMITS, STILL[0]
+            return share, OF_LIMITS, TRAVEL_UNITS[0]
         times = self.span / self.noise if self.noise > 0.0 else np.inf
-        return (float(times), OF_NOISE, STILL[1]) if times < OF_NOISE or self.span == 0.0 else None
+        return (float(times), OF_NOISE, TRAVEL_UNITS[1]) if times < OF_NOISE or self.span == 0.0 else None
 
 
 def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Travel | None:
-    """Of the joint, else of what is driven; None where neither is measured."""
+    """Travel of the joint, else of the driven signal; None where neither is measured."""
     about = machine.axis(axis)
     for signal in dict.fromkeys((axis_signal(axis, "joint"), about.driven)):
         known = [(r, values) for r in recordings if len(values := r.values(signal)[~np.isnan(r.values(signal))])]
@@ -118,44 +119,41 @@ def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Tr
         span = float(max(high for _, high in ends) - min(low for low, _ in ends))
         limits = about.range if signal == about.driven else about.limits
         reach = float(limits[1] - limits[0]) if limits is not None and np.isfinite(limits).all() else 0.0
-        # Rounding of floating-point numbers is no motion.
         span = 0.0 if is_still(np.array([v for pair in ends for v in pair])) else span
         noise = machine.noise.get(signal, 0.0)
-        if noise == 0.0 and (reach == 0.0 or 100.0 * span < CLEARLY * OF_LIMITS * reach):
+        if noise == 0.0 and (reach == 0.0 or 100.0 * span < CERTAIN_MOTION * OF_LIMITS * reach):
             levels = [noise_of(r.values(signal), r.rate_hz) for r, _ in known if r.kind == "motion"]
-            noise = float(np.median(told)) if (told := [level for level in levels if np.isfinite(level)]) else 0.0
+            known_levels = [level for level in levels if np.isfinite(level)]
+            noise = float(np.median(known_levels)) if known_levels else 0.0
         return _Travel(span, reach, noise)
     return None
 
 
 def advice(item: Excitation) -> str:
-    """What to record so that the effect can be seen; the same for all effects of an axis that did not move."""
-    if item.unit in STILL:
+    """The recording that would excite the effect; the same for all effects of an axis that did not move."""
+    if item.unit in TRAVEL_UNITS:
         axis = split_signal(item.target)[0] or item.target
         return (
-            f"{axis} did not move ({item.have:.2g} {item.unit}, at least {item.need:g} needed): no effect on it or on its "
-            f"sensors can be told. Record {axis} moving over its range in both directions."
+            f"{axis} did not move ({item.have:.2g} {item.unit}, at least {item.need:g} needed), so that no effect on it or on "
+            f"its sensors is identifiable. Record {axis} moving over its range in both directions."
         )
-    return f"{item.name} on {item.target}: {_have(item)}. {_wanted(item.name, item.target)}"
+    have = f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
+    return f"{item.name} on {item.target}: {have}. {_advice(item.name, item.target)}"
 
 
 def advice_on_tie(tie: Sequence[tuple[str, str]]) -> str:
-    """What to record so that effects that fit equally well come apart: what shows the first, and what shows each rival."""
+    """The recordings that would distinguish effects that fit equally well: those that excite each of them."""
     names = " or ".join(f"{name} on {target}" for name, target in tie)
-    wanted = dict.fromkeys(_wanted(name, target) for name, target in tie)
-    return f"{names} cannot be distinguished. {' '.join(wanted)}"
+    recordings = dict.fromkeys(_advice(name, target) for name, target in tie)
+    return f"{names} cannot be distinguished. {' '.join(recordings)}"
 
 
-def _wanted(name: str, target: str) -> str:
+def _advice(name: str, target: str) -> str:
     return effect_named(name).need.advice.format(axis=target)
 
 
-def _have(item: Excitation) -> str:
-    return f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
-
-
 def reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Changes of direction of the joint (of what is driven, where no joint is measured), beyond travel and noise."""
+    """Changes of direction of the joint (of the driven signal where no joint is measured), beyond travel and noise."""
     total = 0
     for recording in recordings:
         for signal in (axis_signal(axis, "joint"), machine.axis(axis).driven):
@@ -173,58 +171,49 @@ def command_changes(recordings: Sequence[Recording], machine: Machine, axis: str
 
 
 def small_commands(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds with a small command (between 2 % and 40 % of full), on the side that has less of it."""
+    """Seconds with a small command (between 2 % and 40 % of full), on the side with less of it."""
     low, high = use.SMALL
-    sides = [0.0, 0.0]
-    for recording in recordings:
-        u = recording.values(axis_signal(axis, "command"))
-        sides[0] += float(np.sum((u > low) & (u < high))) / recording.rate_hz
-        sides[1] += float(np.sum((u < -low) & (u > -high))) / recording.rate_hz
-    return min(sides)
+
+    def small(recording: Recording, sign: float) -> Rows:
+        u = sign * recording.values(axis_signal(axis, "command"))
+        return (u > low) & (u < high)
+
+    return min(_seconds(recordings, lambda r: small(r, 1.0)), _seconds(recordings, lambda r: small(r, -1.0)))
 
 
 def motion_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds of command on the side that has less of it."""
-    sides = [0.0, 0.0]
-    for recording in recordings:
-        level = _level(recording, axis)
-        sides[0] += float(np.sum(level > 0)) / recording.rate_hz
-        sides[1] += float(np.sum(level < 0)) / recording.rate_hz
-    return min(sides)
+    """Seconds of command on the side with less of it."""
+    return min(_seconds(recordings, lambda r: _level(r, axis) > 0), _seconds(recordings, lambda r: _level(r, axis) < 0))
 
 
 def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of command in either direction."""
-    return sum(float(np.sum(_level(r, axis) != 0)) / r.rate_hz for r in recordings)
-
-
-def longest_motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds of command in the recording that has most of it."""
-    return max((motion((r,), machine, axis) for r in recordings), default=0.0)
+    return _seconds(recordings, lambda r: _level(r, axis) != 0)
 
 
 def any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
     """Seconds in which any axis is commanded."""
-    return sum(_moving(r, machine) for r in recordings)
+    return _seconds(recordings, lambda r: _any_moves(r, machine))
 
 
-def longest_any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
-    """Seconds in which any axis is commanded, in the recording that has most of it."""
-    return max((_moving(r, machine) for r in recordings), default=0.0)
+def longest(count: Count) -> Count:
+    """The count in the recording with most of it."""
+    return lambda recordings, machine, target: max((count((r,), machine, target) for r in recordings), default=0.0)
 
 
 def together(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
     """Seconds in which at least two axes are commanded beyond a third of their largest command."""
-    total = 0.0
-    for recording in recordings:
+
+    def two_at_large_commands(recording: Recording) -> Rows:
         levels = [np.abs(np.nan_to_num(recording.values(axis_signal(a.name, "command")))) for a in machine.axes]
         high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
-        total += float(np.sum(np.sum(high, axis=0) >= 2)) / recording.rate_hz
-    return total
+        return np.asarray(np.sum(high, axis=0) >= 2)
+
+    return _seconds(recordings, two_at_large_commands)
 
 
 def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """How far the gravity load of the axis changes, 5th to 95th percentile, in percent of its largest."""
+    """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
     i = machine.axis_names.index(axis)
     values = np.concatenate([gravity_load(machine, r)[:, i] for r in recordings])
     values = values[~np.isnan(values)]
@@ -236,26 +225,17 @@ def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) ->
 
 
 def signal_travel(recordings: Sequence[Recording], machine: Machine, signal: str) -> float:
-    """Seconds in which the signal is measured and its machine moves."""
-    total = 0.0
-    for recording in recordings:
-        there = ~np.isnan(recording.values(signal))
-        moving = np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0)
-        total += float(np.sum(there & moving)) / recording.rate_hz
-    return total
-
-
-def _moving(recording: Recording, machine: Machine) -> float:
-    return float(np.sum(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))) / recording.rate_hz
+    """Seconds in which the signal is measured and the machine moves."""
+    return _seconds(recordings, lambda r: ~np.isnan(r.values(signal)) & _any_moves(r, machine))
 
 
 def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds with the command at zero."""
-    return sum(float(np.sum(_level(r, axis) == 0)) / r.rate_hz for r in recordings)
+    return _seconds(recordings, lambda r: _level(r, axis) == 0)
 
 
 def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Share of the joint's range that was visited [%]; for the base, of the axis that visited least."""
+    """Visited share of the joint's range [%]; for the base, the least over all axes."""
     axes = machine.axis_names if axis == "base" else (axis,)
     shares = []
     for name in axes:
@@ -269,13 +249,22 @@ def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str)
 
 def tip_stops(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds in which the boom tip moves."""
-    total = 0.0
-    for recording in recordings:
+
+    def moves(recording: Recording) -> Rows:
         ee = np.column_stack([recording.values(s) for s in point_signals("ee")])
         stride = max(1, round(0.2 * recording.rate_hz))
-        speed = np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2
-        total += float(np.sum(speed > 0.02)) / recording.rate_hz
-    return total
+        return np.asarray(np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2 > 0.02)
+
+    return _seconds(recordings, moves)
+
+
+def _seconds(recordings: Sequence[Recording], rows: Callable[[Recording], Rows]) -> float:
+    """Duration of the rows of a condition, over all recordings [s]."""
+    return sum(float(np.sum(rows(r))) / r.rate_hz for r in recordings)
+
+
+def _any_moves(recording: Recording, machine: Machine) -> Rows:
+    return np.asarray(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))
 
 
 def _level(recording: Recording, axis: str) -> Array:
@@ -283,15 +272,15 @@ def _level(recording: Recording, axis: str) -> Array:
     return level_of(recording.values(axis_signal(axis, "command")))
 
 
-#: What an effect may need (:class:`sysid.effects.Need`): how it is counted, and in what.
+#: Counts that an effect may need (:class:`sysid.effects.Need`): function and unit.
 COUNTS: dict[str, tuple[Count, str]] = {
     "command_changes": (command_changes, "command changes"),
     "force_changes": (command_changes, "force changes"),
     "small_commands": (small_commands, "s of small commands on each side"),
     "motion": (motion, "s of motion"),
-    "longest_motion": (longest_motion, "s of motion in one recording"),
+    "longest_motion": (longest(motion), "s of motion in one recording"),
     "any_motion": (any_motion, "s of motion of any axis"),
-    "longest_any_motion": (longest_any_motion, "s of motion of any axis in one recording"),
+    "longest_any_motion": (longest(any_motion), "s of motion of any axis in one recording"),
     "motion_both_ways": (motion_both_ways, "s of motion in each direction"),
     "force_both_ways": (motion_both_ways, "s of force in each direction"),
     "together": (together, "s of two axes at large commands"),

@@ -1,18 +1,18 @@
-"""Least squares over whole rollouts: every perturbation is a lane, the loss forgives outliers, several starts.
+"""Least squares over whole free runs: every perturbation is a lane, the loss is robust to outliers, several starts.
 
-Residuals are binned and whitened by the drift model of their own fit, so that a wandering of the machine that nothing explains
-neither pulls parameters nor counts as evidence.
+Residuals are binned and whitened by the drift model of their own fit, so that drift of the machine that no effect explains
+neither biases parameters nor counts as evidence.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
+from scipy.stats import qmc
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.data import Data
@@ -21,29 +21,27 @@ from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
-#: Residuals are winsorised softly beyond this many robust standard deviations.
-FORGIVE = 4.0
-#: Half widths of the grids on which stepwise parameters are searched, in what is negligible of each.
+#: Residuals are softly winsorised beyond this many robust standard deviations.
+OUTLIER = 4.0
+#: Half-widths of the grids on which stepwise parameters are searched, in the negligible change of each.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
-#: The same where they have been fitted and other recordings are met as well.
-SETTLING = (7.5, 2.5, 1.0)
-#: Values on such a grid: of one parameter, of each of two on the widest grid and on others, of each of more.
-ALONE, WIDE, NARROW, MANY = 9, 9, 5, 3
-#: Starts from which a fit descends.
-DESCENTS = 2
-#: Relative tolerances of a descent on its way, and where it ends.
+#: Grid points of one parameter, of each of two on the widest grid and on the others, of each of more than two.
+ONE_POINTS, WIDE_POINTS, NARROW_POINTS, MANY_POINTS = 9, 9, 5, 3
+#: Number of start values spread over the ranges of the unknowns, and of start values from which a fit descends.
+STARTS, DESCENTS = 32, 2
+#: Relative tolerances of an intermediate and of the final descent.
 ROUGH, EXACT = 1e-3, 1e-7
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Values of the unknowns of a set of candidates that fit best.
+    """Best values of the unknowns of a set of candidates.
 
     Args:
-        theta: the whole parameter vector with them in place.
+        theta: the whole parameter vector with these values.
         values: (k,) in the order of ``unknowns``.
         drifts: one for each signal of the problem.
-        log_likelihood: of the whitened residuals of the recordings that were fitted.
+        log_likelihood: of the whitened residuals of the fitted recordings.
     """
 
     candidates: tuple[Candidate, ...]
@@ -52,11 +50,6 @@ class Fit:
     theta: Array
     drifts: tuple[DriftStrength, ...]
     log_likelihood: float
-    converged: bool
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(c.label for c in self.candidates)
 
     def values_of(self, candidate: Candidate) -> Array:
         """The part of ``values`` that belongs to one of the fitted candidates."""
@@ -71,21 +64,6 @@ class Fit:
             at += len(known.unknowns)
         raise KeyError(candidate.label)
 
-    def departure(self, candidate: Candidate) -> float:
-        """How far its parameters moved from nominal, in what is negligible of each; of the one that moved furthest."""
-        moved = zip(candidate.unknowns, self.values_of(candidate), strict=True)
-        away = [(abs(float(value) - u.nominal), u.negligible) for u, value in moved]
-        return max((far / least if least > 0.0 else math.inf for far, least in away if far > 0.0), default=0.0)
-
-    def at_bound(self, candidate: Candidate) -> bool:
-        """Whether any parameter of it ends at a bound that does not mean "absent"."""
-        for value, unknown in zip(self.values_of(candidate), candidate.unknowns, strict=True):
-            for bound in unknown.bounds:
-                near = 1e-3 * min(unknown.bounds[1] - unknown.bounds[0], max(abs(bound), unknown.negligible))
-                if abs(value - bound) <= near and abs(bound - unknown.absent) > near:
-                    return True
-        return False
-
 
 def place(theta: Array, unknowns: Sequence[Unknown], lanes: Array) -> Array:
     """Copies of ``theta`` with the unknowns set: lanes (L, k) → (L, N)."""
@@ -97,16 +75,16 @@ def place(theta: Array, unknowns: Sequence[Unknown], lanes: Array) -> Array:
 
 
 def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], starts: Sequence[Array]) -> Fit:
-    """Fit all unknowns of ``candidates`` together, from each of ``starts``; the likeliest end wins.
+    """Fit all unknowns of ``candidates`` together, from each of ``starts``; the likeliest result is returned.
 
     Args:
-        theta: vector of the questioned plant.
+        theta: vector of the plant under test.
         starts: rows of starting values, each (k,).
     """
     unknowns = tuple(u for c in candidates for u in c.unknowns)
     if not unknowns:
         drifts, log_likelihood = data.drifts(theta)
-        return Fit((), (), np.empty(0), theta, drifts, log_likelihood, True)
+        return Fit((), (), np.empty(0), theta, drifts, log_likelihood)
     low, high = _bounds(unknowns)
     best: Fit | None = None
     for start in _promising(data, theta, unknowns, [np.clip(s, low, high) for s in starts]):
@@ -117,36 +95,6 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
     return best
 
 
-def at_common_thresholds(fit: Fit, parts: Sequence[Data]) -> Array:
-    """``fit.theta`` with its stepwise parameters where they suit all of ``parts`` best, (N,).
-
-    Recordings tell no more of a threshold than an interval, between the largest command at which the axis stood and the least
-    at which it moved. Where a fit ends within it is chance, and one stroke elsewhere that falls between would be missed whole.
-    """
-    if not any(u.stepwise for u in fit.unknowns):
-        return fit.theta
-    low, high = _bounds(fit.unknowns)
-    x = fit.values
-    for reach in SETTLING:
-        x = _search_grid(parts, fit.theta, fit.unknowns, x, low, high, reach)
-    theta: Array = place(fit.theta, fit.unknowns, x[None])[0]
-    return theta
-
-
-def least_left(fit: Fit, data: Data) -> Fit:
-    """The fit moved on to where it leaves least of ``data``, whatever wanders.
-
-    Prediction errors tell best what the values are; that they are off by little adds up over a run to much that is left.
-    """
-    if not any(drift.present for drift in fit.drifts):
-        return fit
-    low, high = _bounds(fit.unknowns)
-    scale = np.array([u.negligible for u in fit.unknowns])
-    plain = (DriftStrength(),) * len(data.sigma)
-    x, done = _least_squares(data, fit.theta, fit.unknowns, fit.values, low, high, scale, plain, data.problem, EXACT)
-    return replace(fit, values=x, theta=place(fit.theta, fit.unknowns, x[None])[0], converged=done)
-
-
 def _bounds(unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
     """Least and greatest values, (k,) each."""
     return np.array([u.bounds[0] for u in unknowns]), np.array([u.bounds[1] for u in unknowns])
@@ -155,7 +103,7 @@ def _bounds(unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
     """The best :data:`DESCENTS` starts, evaluated in one batch (distinct ones only).
 
-    Where something is absent in all of them, slopes may say nothing about it: then the best in which all is present as well.
+    Where an effect is absent in all of them its slope may be zero; then the best start with all effects present is added.
     """
     unique: Array = np.unique(np.round(np.array(starts), 12), axis=0)
     if len(unique) <= DESCENTS:
@@ -183,33 +131,32 @@ def _descend(
     scale = np.array([u.negligible for u in unknowns])
     plain = (DriftStrength(),) * len(data.sigma)
     x = start
-    done = False
-    if data.problem.short is not None:  # a drift cannot trap a fit in short runs
-        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short, ROUGH)
-    x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
+    if data.problem.short is not None:  # drift does not lead to a local optimum in short runs
+        x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short, ROUGH)
+    x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
-            found = _search_grid((data,), theta, unknowns, x, low, high, reach)
-            if np.array_equal(found, x):  # the others stand where they suit that best already
+            found = _search_grid(data, theta, unknowns, x, low, high, reach)
+            if np.array_equal(found, x):  # the other parameters are at their optimum already
                 continue
-            x, done = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
+            x = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     if not data.problem.integrates or not any(drift.present for drift in drifts):
-        x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
+        x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
         drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
-        # Where nothing integrates, plain least squares is not misled by wandering, and is what published figures are.
+        # Where the stage does not integrate, drift does not mislead plain least squares, which published figures use.
         if not data.problem.integrates or not any(drift.present for drift in drifts):
             break
-        moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, EXACT)
+        moved = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, EXACT)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
         if better <= log_likelihood:
             break
         gained = better - log_likelihood
-        x, done, drifts, log_likelihood = moved, ended, renewed, better
+        x, drifts, log_likelihood = moved, renewed, better
         if gained < 0.1:
             break
-    return Fit(candidates, unknowns, x, place(theta, unknowns, x[None])[0], drifts, log_likelihood, done)
+    return Fit(candidates, unknowns, x, place(theta, unknowns, x[None])[0], drifts, log_likelihood)
 
 
 def _least_squares(
@@ -223,12 +170,12 @@ def _least_squares(
     drifts: Sequence[DriftStrength],
     problem: Problem,
     tolerance: float,
-) -> tuple[Array, bool]:
+) -> Array:
     smooth = np.array([not u.stepwise for u in unknowns])
     x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     if not smooth.any():
-        return x, True
-    known: dict[bytes, Array] = {}  # residuals of the last point: slopes are asked for where errors were
+        return x
+    known: dict[bytes, Array] = {}  # residuals of the last point, where the solver requests the slopes next
 
     def whole(part: Array) -> Array:
         full = x.copy()
@@ -239,32 +186,32 @@ def _least_squares(
         if part.tobytes() not in known:
             known.clear()
             known[part.tobytes()] = data.whitened(place(theta, unknowns, whole(part)[None]), drifts, problem)[0]
-        return known[part.tobytes()].copy()  # the solver scales what it is given
+        return known[part.tobytes()].copy()  # the solver scales its argument in place
 
     def slopes(part: Array) -> Array:
         return jacobian(data, theta, unknowns, whole(part), drifts, high, problem, errors(part), smooth)[1]
 
     solution = least_squares(
         errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss="soft_l1",
-        f_scale=forgiveness(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,
+        f_scale=outlier_scale(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,
     )  # fmt: skip
-    return whole(solution.x), solution.status > 0
+    return whole(solution.x)
 
 
 def _search_grid(
-    parts: Sequence[Data], theta: Array, unknowns: Sequence[Unknown], x: Array, low: Array, high: Array, reach: float
+    data: Data, theta: Array, unknowns: Sequence[Unknown], x: Array, low: Array, high: Array, reach: float
 ) -> Array:
-    """Parameters whose slopes say nothing, searched together around ``x`` on a grid; the others stay."""
+    """Stepwise parameters, whose slopes are not informative, searched together on a grid around ``x``; the others stay."""
     searched = [k for k, u in enumerate(unknowns) if u.stepwise]
-    pair = WIDE if reach >= GRID[0] else NARROW
-    steps = np.linspace(-reach, reach, {1: ALONE, 2: pair}.get(len(searched), MANY))
+    pair = WIDE_POINTS if reach >= GRID[0] else NARROW_POINTS
+    steps = np.linspace(-reach, reach, {1: ONE_POINTS, 2: pair}.get(len(searched), MANY_POINTS))
     lanes = np.repeat(x[None], len(steps) ** len(searched), axis=0)
     sizes = np.array([unknowns[k].negligible for k in searched])
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
     thetas = place(theta, unknowns, lanes)
-    costs = [np.sum(np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma))), axis=1) for data in parts]
-    best: Array = lanes[int(np.argmin(np.sum(costs, axis=0)))]
+    costs = np.sum(np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma))), axis=1)
+    best: Array = lanes[int(np.argmin(costs))]
     return best
 
 
@@ -282,12 +229,12 @@ def jacobian(
     """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch.
 
     Args:
-        known: the residuals, where they were computed before.
-        of: whether the derivative by each unknown is asked for; all of them otherwise.
+        known: the residuals, if already computed.
+        of: mask of the unknowns whose derivatives are requested; all by default.
     """
     step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
     smooth = np.array([not u.stepwise for u in unknowns])
-    # What may vary widely before it is worth a name still bends within a small part of its value.
+    # The response to a parameter with a large negligible change may still be nonlinear within a fraction of its value.
     step[smooth] = np.minimum(step, np.maximum(0.05 * np.abs(x), 0.01 * step))[smooth]
     if high is not None:
         step = np.where(x + step > high, -step, step)
@@ -299,14 +246,56 @@ def jacobian(
     return known, ((moved - known) / step[asked, None]).T
 
 
-def forgiveness(r: Array) -> float:
-    """Scale beyond which a residual counts as an outlier: a few robust standard deviations, at least of the noise."""
+def outlier_scale(r: Array) -> float:
+    """Magnitude beyond which a residual counts as an outlier: a few robust standard deviations, at least of the noise."""
     used = r[r != 0.0]
-    return FORGIVE * max(1.4826 * float(np.median(np.abs(used))) if len(used) else 1.0, 1.0)
+    return OUTLIER * max(1.4826 * float(np.median(np.abs(used))) if len(used) else 1.0, 1.0)
 
 
 def spread_of(parts: Sequence[Array]) -> float:
-    """Root mean square of everything that is there, over recordings and signals."""
+    """Root mean square over recordings and signals, missing values left out."""
     joined = np.concatenate([part.ravel() for part in parts])
     joined = joined[~np.isnan(joined)]
     return float(np.sqrt(np.mean(joined**2))) if len(joined) else 0.0
+
+
+def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], seed: int) -> list[Array]:
+    """Nominal values, starts of the candidates, a spread over their ranges; optima of ``parents`` with new effects."""
+    if not candidates:
+        return [np.empty(0)]
+    nominal = np.array([u.nominal for c in candidates for u in c.unknowns])
+    low = np.concatenate([_ends(c)[0] for c in candidates])
+    high = np.concatenate([_ends(c)[1] for c in candidates])
+    spread = low + (high - low) * qmc.Sobol(len(nominal), rng=np.random.default_rng(seed)).random(STARTS)
+    rows = range(max(len(c.starts) for c in candidates))
+    spread = np.vstack([spread, *(np.concatenate([c.starts[min(r, len(c.starts) - 1)] for c in candidates]) for r in rows)])
+    starts = [nominal, *spread]
+    for parent in parents:
+        known = np.concatenate([_known(c, parent) for c in candidates])
+        new = np.isnan(known)
+        starts += [np.where(new, row, known) for row in (spread if new.any() else [nominal])]
+        starts.append(np.where(new, nominal, known))
+    return starts
+
+
+def _ends(candidate: Candidate) -> tuple[Array, Array]:
+    """Least and greatest of a candidate's start values and its nominal ones.
+
+    A nominal value far from all start values means "absent": it is moved towards them, so that the spread covers their range.
+    """
+    table = np.array(candidate.starts)
+    low, high = table.min(axis=0), table.max(axis=0)
+    margin = np.maximum(high - low, np.abs(table).max(axis=0))
+    nominal = np.clip([u.nominal for u in candidate.unknowns], low - margin, high + margin)
+    return np.minimum(low, nominal), np.maximum(high, nominal)
+
+
+def _known(candidate: Candidate, parent: Fit) -> Array:
+    """Values of a candidate at a parent's optimum (in another form of the same effect too); NaN where it is new."""
+    for other in parent.candidates:
+        if other is candidate:
+            return parent.values_of(other)
+        if other.key == candidate.key:
+            slots = {at: v for u, v in zip(other.unknowns, parent.values_of(other), strict=True) for at in u.places}
+            return np.array([slots.get(u.places[0], u.nominal) for u in candidate.unknowns])
+    return np.full(len(candidate.unknowns), np.nan)

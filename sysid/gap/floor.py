@@ -1,4 +1,4 @@
-"""The noise floor: what the true model would score in the same run, with sensor noise and start-state error propagated."""
+"""Noise floor: RMSE of the true model in the same run, with sensor noise and errors of the initial state propagated."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from sysid.gap.problem import Problem
 Array = npt.NDArray[np.float64]
 Predict = Callable[[Recording], pd.DataFrame]
 
-#: Noisy copies of the recordings that the propagation averages over.
+#: Noisy copies of the recordings over which the propagation is averaged.
 DRAWS = 3
 
 
 def problem_floor(
     problem: Problem, theta: Array, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int
 ) -> Array:
-    """RMSE of the stage's outputs if ``theta`` were the truth, (d,).
+    """RMSE of the stage's outputs if ``theta`` were true, (d,).
 
-    The residual is taken on the recordings and on copies with fresh noise on every measured signal: their difference is what
-    noise in the output, in the inputs and in the start state does, under whatever filter the stage applies.
+    Residual on copies with additional noise on every measured signal, less the residual on the recordings: the effect of noise
+    in output, inputs and initial state, through the filters of the stage.
     """
     totals, count = np.zeros(len(problem.signals)), 0
     for recording in recordings:
@@ -40,7 +40,7 @@ def problem_floor(
 
 
 def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int) -> dict[str, float]:
-    """The same for every signal of a whole run (free or stage by stage)."""
+    """The noise floor of every signal of a whole run (free or stage by stage)."""
     totals: dict[str, float] = {}
     counts: dict[str, int] = {}
     for recording in recordings:
@@ -58,10 +58,7 @@ def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[
 def floor_spread(
     predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int, draws: int = 16
 ) -> dict[str, float]:
-    """Standard deviation by signal of what the true model would score in one run over all recordings.
-
-    How far the score of a single run is from its root mean square, :func:`run_floor`, by chance.
-    """
+    """Standard deviation by signal of the RMSE of the true model in one run over all recordings, about :func:`run_floor`."""
     totals: dict[str, Array] = {}
     counts: dict[str, int] = {}
     for recording in recordings:
@@ -73,8 +70,8 @@ def floor_spread(
                 if signal == "time":
                     continue
                 moved = run[signal].to_numpy() - clean[signal].to_numpy()
-                said = noisy.values(signal) - recording.values(signal)
-                error = np.where(np.isnan(said), moved, moved - said)
+                noise_added = noisy.values(signal) - recording.values(signal)
+                error = np.where(np.isnan(noise_added), moved, moved - noise_added)
                 error = error[~np.isnan(error)]
                 totals.setdefault(signal, np.zeros(draws))[draw] += float(np.sum(error**2))
                 counts[signal] = counts.get(signal, 0) + (len(error) if draw == 0 else 0)
@@ -84,7 +81,7 @@ def floor_spread(
 def with_noise(recording: Recording, noise: Mapping[str, float], generator: np.random.Generator) -> Recording:
     """A copy with white noise of the given standard deviation on every measured signal.
 
-    A reading that repeats the one before repeats its error as well: that of a sensor that reads in steps lasts at rest.
+    A reading equal to the one before keeps its error, since the error of a coarse sensor is constant at rest.
     """
     table = recording.table.copy()
     for signal in recording.signals:

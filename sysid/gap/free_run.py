@@ -1,8 +1,8 @@
-"""Which sets of effects explain the free run of a stage best, by least squares in noise floors.
+"""Sets of effects fitted to the free run of a stage by least squares in noise floors.
 
-A free run adds up what acts slowly, which the whitened likelihood of a stage hardly sees where fast dynamics are wrong: what
-these leave passes for a random disturbance there, and what acts slowly for its drift. Values of least squares over the output
-are also what a calibration is where formulas differ (Tuo and Wu, Ann. Stat. 43 (2015), 2331–2352).
+A free run accumulates slow errors. The whitened likelihood hardly shows them where fast dynamics are wrong: their remainder
+passes for a random disturbance, and slow errors for its drift. Where formulas differ, calibration is by least squares over the
+output (Tuo and Wu, Ann. Stat. 43 (2015), 2331–2352).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from sysid.gap.proposals import Proposals
 
 Array = npt.NDArray[np.float64]
 
-#: Effects of one set at most; sets of one size that others are added to, and how many of the most promising.
-MOST, KEPT, ADDED = 3, 3, 6
-#: Blocks over which an error of the free run is taken to last.
+#: Largest number of effects of a set; sets of one size that are extended, and candidates that are added to each.
+MAX_EFFECTS, BEST_SETS, ADDITIONS = 3, 3, 6
+#: Number of blocks over which errors of the free run are correlated.
 LAGS = 4
-#: A fit ends where less than this share of what is left is to be gained.
+#: A fit ends where the expected gain is below this share of the cost.
 CONVERGED = 1e-4
-#: Amplitude of a disturbance that is none, in noise floors.
-NONE = 1e-9
+#: Amplitude that stands for no disturbance, in noise floors.
+NO_DISTURBANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,20 @@ class LeastSquares(FreeRun):
     proposals: Proposals
 
     def nearest(self, model: ModelFit) -> ModelFit:
-        """The set of effects with the values that leave least of the output: its own, or those of least squares."""
+        """The set with the values of least error: its own, or those of least squares."""
         return min(model, self.least_squares(model), key=lambda f: f.left)
 
     def least_squares(self, model: ModelFit) -> ModelFit:
         return self.proposals.warm(model.candidates, model)
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
-        """By how many standard errors a set of effects leaves more of the output than another, block by block."""
+        """Difference in error between two sets over blocks, in standard errors; positive where ``model`` leaves more."""
         return self.standard_errors(self._squares(model) - self._squares(other))
 
     def standard_errors(self, blocks: Array) -> float:
-        """The sum of differences between blocks (blocks,) in its standard errors.
+        """The sum of differences of blocks (blocks,) in its standard errors.
 
-        What a free run is off by lasts longer than a block, so that the covariance of neighbours counts (Newey and West,
+        Errors of a free run last longer than a block: the covariance of neighbouring blocks counts (Newey and West,
         Econometrica 55 (1987), 703–708).
         """
         recording = self.proposals.likelihood.rows.recording_of_block
@@ -65,7 +65,7 @@ class LeastSquares(FreeRun):
         return float(blocks.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
 
     def moved(self, model: ModelFit, candidate: Candidate) -> float:
-        """What stays without one of its effects, the others fitted again, beyond what stays with it."""
+        """Error without one of the effects, the others refitted, less the error with it (in quadrature)."""
         less = self.proposals.without(self.nearest(model), candidate)
         return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))
 
@@ -76,23 +76,24 @@ class LeastSquares(FreeRun):
         return np.asarray(np.bincount(rows.block, left**2, minlength=rows.blocks), dtype=np.float64)
 
     def sets(self) -> list[ModelFit]:
-        """Sets of effects, smallest first, each size in the order of what they leave."""
+        """Sets of effects, smallest first, each size in the order of the remaining error."""
         level = [self.proposals.fit(())]
         found = list(level)
-        for _ in range(MOST):
+        for _ in range(MAX_EFFECTS):
             first = not level[0].candidates
-            grown = {f.labels: f for model in level[:KEPT] for f in self.proposals.grown(model, None if first else ADDED)}
+            most = None if first else ADDITIONS
+            grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, most)}
             best = level[0].left
             level = sorted(grown.values(), key=lambda f: f.left)
             found += level
-            for model in level[:KEPT]:
-                self._settle(model)
+            for model in level[:BEST_SETS]:
+                self._refit_subsets(model)
             if not level or level[0].left <= EXPLAINED or level[0].left * EXPLAINED > best:
                 break
         return [self.proposals.fits[f.labels] for f in found]
 
-    def _settle(self, model: ModelFit) -> None:
-        """Fit what a set has without one of its effects from where the set ended: alone it may be caught elsewhere."""
+    def _refit_subsets(self, model: ModelFit) -> None:
+        """Fit each subset without one effect from the optimum of the set: alone it may end at another local optimum."""
         for candidate in model.candidates:
             rest = [c for c in model.candidates if c.key != candidate.key]
             if rest:
@@ -100,7 +101,9 @@ class LeastSquares(FreeRun):
 
 
 def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:
-    white = tuple(Disturbance(float(f), NONE * float(f), NONE * float(f), 1.0, NONE * float(f), 1.0) for f in rows.floor)
+    """Fits of ``candidates`` to the free run of a stage: the likelihood of independent errors of one noise floor."""
+    none = NO_DISTURBANCE
+    white = tuple(Disturbance(float(f), none * float(f), none * float(f), 1.0, none * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(len(discrepancy.groups)), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
     likelihood = StageLikelihood(rows, discrepancy, variances, calm, _clusters(rows), False, CONVERGED)
@@ -108,7 +111,7 @@ def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[
 
 
 def _clusters(rows: StageRows) -> npt.NDArray[np.int64]:
-    """Rows whose errors may depend on one another, (rows,): as many neighbouring blocks of a recording as an error lasts."""
-    first = np.searchsorted(rows.recording_of_block, np.arange(len(rows.recordings)))  # blocks of a recording are neighbours
+    """Cluster of rows with dependent errors, (rows,): neighbouring blocks of a recording over the correlation length."""
+    first = np.searchsorted(rows.recording_of_block, np.arange(len(rows.recordings)))
     within = np.arange(rows.blocks) - first[rows.recording_of_block]
     return np.asarray(rows.recording_of_block * rows.blocks + within // (LAGS + 1), dtype=np.int64)[rows.block]

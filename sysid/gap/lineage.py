@@ -1,4 +1,4 @@
-"""What a repaired plant remembers of how it came about: what it was made from, what speaks for it, what computed it."""
+"""Lineage of a repaired plant: its data and settings, the evidence for its effects, and the software."""
 
 from __future__ import annotations
 
@@ -14,23 +14,16 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap
 from sysid.release import __version__
 
-#: What the figures of the workflow depend on.
+#: Packages that the results of the workflow depend on.
 SOFTWARE = ("numpy", "scipy", "numba", "pandas", "arch")
 
 
 def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain JSON values; the same run gives the same ones, so that repeating it makes no new version."""
+    """Plain JSON values. A repeated run gives the same values, and so no new version."""
     return plain(  # type: ignore[no-any-return]
         {
             "dataset_digest": case.dataset.digest,
-            "recordings": {
-                role: [recording.name for recording in recordings]
-                for role, recordings in (
-                    ("fit", case.split.fit),
-                    ("select", case.split.select),
-                    ("held_out", case.split.held_out),
-                )
-            },
+            "recordings": {role: [r.name for r in getattr(case.split, role)] for role in ("fit", "select", "held_out")},
             "seed": case.seed,
             "settings": {**settings, "noise": dict(case.noise)},
             "named": [f"{e.name}({e.target})" for e in outcome.named],

@@ -1,4 +1,4 @@
-"""Where simulation and machine disagree: each stage driven by its measured input, against its noise floor."""
+"""Localisation of the gap: the error of each stage, driven by its measured input, against its noise floor."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def localise(
         recordings, floors: by the problem's place in ``problems``.
         free: RMSE of the free run by signal.
 
-    The ``share`` is the stage output's part of all disagreement: its excess over the floor, in floors.
+    ``share`` is the excess of the output's error over its floor, in floors, relative to the sum over all outputs.
     """
     rows = []
     for k, problem in enumerate(problems):
@@ -64,7 +64,7 @@ def stage_rmse(problem: Problem, theta: Array, recordings: Sequence[Recording]) 
 
 
 def run_rmse(runs: Sequence[tuple[Recording, pd.DataFrame]]) -> dict[str, float]:
-    """RMSE by signal, pooled over recordings, of predictions against what was measured."""
+    """RMSE by signal, pooled over recordings, of predictions against the measurement."""
     totals: dict[str, float] = {}
     counts: dict[str, int] = {}
     for recording, predicted in runs:

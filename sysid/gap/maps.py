@@ -1,7 +1,4 @@
-"""Maps of the disagreement: over which command, speed, position, load, time and other motion a stage departs from its machine.
-
-A map needs no candidate and names nothing. It answers the first question of whoever knows the machine: when does it happen?
-"""
+"""Maps of the error of a stage over command, speed, position, load, time and other motion; no effect is needed for them."""
 
 from __future__ import annotations
 
@@ -12,17 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.map_variables import MapVariable, Units, joined, variables_of
 from sysid.gap.problem import Problem
 from sysid.gap.result import Map
 from sysid.machine import Machine
-from sysid.signals import split_signal
-from sysid.validate.binning import SPEED_WINDOW, edges_of, explained, per_second, places_in, speed_of
+from sysid.plant import gravity_load
+from sysid.signals import axis_signal, point_signals, split_signal
+from sysid.validate.binning import SPEED_WINDOW, Cut, direction_of, edges_of, explained, per_second, places_in, speed_of
 
 Array = npt.NDArray[np.float64]
 
-#: A bin with fewer rows is left out: its mean says nothing.
-LEAST_ROWS = 10
+#: Least number of rows of a bin.
+MIN_ROWS = 10
 #: Median absolute deviation of a normal distribution → its standard deviation.
 ROBUST = 1.4826
 
@@ -36,27 +33,29 @@ def maps_of(
     units: Mapping[str, str],
     repaired: Array | None = None,
 ) -> tuple[Map, ...]:
-    """Every map of every output of a stage, the most telling one of each output first.
+    """Every map of every output of a stage, for each output in descending order of explained variance.
 
-    The disagreement is measured − simulated. Where the stage integrates its input, an error of speed stays in the position for
-    ever: there speeds are compared (differences over :data:`SPEED_WINDOW`), and positions over what is the axis' own.
+    The error is measured − simulated. A stage that integrates keeps an error of speed in its position; there speeds are
+    compared (differences over :data:`SPEED_WINDOW`), and positions over variables of the same axis only.
 
     Args:
-        theta: (N,) parameters of the simulation in question; ``repaired`` of a better one.
+        theta: (N,) parameters of the simulation under test; ``repaired``: of the repaired one.
         recordings: at least one; static poses have no speed, command or time.
         sigma: noise floor of each output (d,).
         units: SI units of signals, where the description of the machine leaves them open.
     """
     known = Units(machine, units)
-    parts = [_disagreement(problem, theta, repaired, r) for r in recordings]
-    variables = joined([variables_of(problem, r, known) for r in recordings], [len(part.error) for part in parts])
+    parts = [_errors(problem, theta, repaired, r) for r in recordings]
+    variables = joined([variables_of(problem, r, known) for r in recordings], [len(part[0][0]) for part in parts])
     found: list[Map] = []
     for k, signal in enumerate(problem.signals):
         unit = known.of(signal)
-        views = [_View("error", unit, float(sigma[k]), *_stacked(parts, k, _AS_IT_IS))]
-        if problem.integrates:
-            floor = float(sigma[k]) * float(np.sqrt(2.0)) / SPEED_WINDOW
-            views.append(_View("speed error", per_second(unit), floor, *_stacked(parts, k, _AS_SPEED)))
+        floor = float(sigma[k]) * float(np.sqrt(2.0)) / SPEED_WINDOW
+        kinds = (("error", unit, float(sigma[k])), ("speed error", per_second(unit), floor))
+        views = []
+        for kind, of_kind in zip(kinds, zip(*parts, strict=True), strict=False):  # speeds where the stage integrates
+            columns = [np.concatenate([values[:, k] for values in column]) for column in zip(*of_kind, strict=True)]
+            views.append(_View(*kind, *columns))
         of_signal = [
             item
             for view in views
@@ -76,7 +75,7 @@ def _own(over: str, target: str) -> bool:
 def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: _View) -> Map | None:
     """One map; None where the variable does not vary."""
     there = np.isfinite(view.error) & np.isfinite(variable.values)
-    if there.sum() < 2 * LEAST_ROWS:
+    if there.sum() < 2 * MIN_ROWS:
         return None
     x, e = variable.values[there], view.error[there]
     edges = edges_of(x, variable.kind)
@@ -84,7 +83,7 @@ def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: 
         return None
     place = places_in(edges, x)
     count = np.bincount(place, minlength=len(edges) - 1)
-    kept = np.flatnonzero(count >= LEAST_ROWS)
+    kept = np.flatnonzero(count >= MIN_ROWS)
     if len(kept) < 2:
         return None
     order = np.argsort(place, kind="stable")
@@ -108,29 +107,16 @@ def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: 
 
 
 def _rounded(values: Array) -> tuple[float, ...]:
-    """Six digits are more than a mean of noisy rows has, and keep a result with a hundred maps small."""
+    """Rounded to six digits, which keeps a result with a hundred maps small."""
     return tuple(float(f"{value:.6g}") for value in values)
 
 
-# -- the disagreement ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Of one recording, (n, d) each: measured − simulated, and the same after the repair; as speeds too where speeds count."""
-
-    error: Array
-    after: Array
-    speed_error: Array
-    speed_after: Array
-    measured_speed: Array
-    simulated_speed: Array
-    nothing: Array
+# -- errors --------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _View:
-    """One way to look at the disagreement of a signal: (n,) over all recordings."""
+    """Error of a signal, or of its speed, (n,) over all recordings."""
 
     quantity: str
     unit: str
@@ -141,21 +127,130 @@ class _View:
     simulated: Array
 
 
-_AS_IT_IS = ("error", "after", "nothing", "nothing")
-_AS_SPEED = ("speed_error", "speed_after", "measured_speed", "simulated_speed")
-
-
-def _stacked(parts: Sequence[_Part], k: int, names: Sequence[str]) -> list[Array]:
-    return [np.concatenate([getattr(part, name)[:, k] for part in parts]) for name in names]
-
-
-def _disagreement(problem: Problem, theta: Array, repaired: Array | None, recording: Recording) -> _Part:
+def _errors(problem: Problem, theta: Array, repaired: Array | None, recording: Recording) -> list[list[Array]]:
+    """[error, error after the repair, measured, simulated], (n, d) each; where the stage integrates, the same of speeds."""
     lanes = theta[None] if repaired is None else np.vstack([theta, repaired])
     measured, predicted = problem.measured(recording), problem.predict(lanes, recording)
     nothing = np.full(measured.shape, np.nan)
     error, after = measured - predicted[0], measured - predicted[1] if repaired is not None else nothing
     if not problem.integrates:
-        return _Part(error, after, *[nothing] * 5)
+        return [[error, after, nothing, nothing]]
     rate_hz = problem.rate(recording)
-    faster = [speed_of(values, rate_hz) for values in (error, after, measured, predicted[0])]
-    return _Part(error, after, faster[0], faster[1], faster[2], faster[3], nothing)
+    speeds = [speed_of(values, rate_hz) for values in (error, after, measured, predicted[0])]
+    return [[error, after, nothing, nothing], speeds]
+
+
+# -- variables ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the signals of a machine; ``given`` where the machine description leaves them open."""
+
+    machine: Machine
+    given: Mapping[str, str]
+
+    def of(self, signal: str) -> str:
+        return self.given.get(signal) or self.machine.expected_unit(signal) or "1"
+
+
+@dataclass(frozen=True)
+class MapVariable:
+    """Variable of a map: values (n,), their unit, and how they are cut into bins."""
+
+    values: Array
+    unit: str
+    kind: Cut = "range"
+
+
+def joined(parts: Sequence[dict[str, MapVariable]], lengths: Sequence[int]) -> dict[str, MapVariable]:
+    """The variables of all recordings, one after the other; NaN where a recording does not have one."""
+    first: dict[str, MapVariable] = {}
+    for part in parts:
+        first = {**part, **first}
+    return {
+        name: MapVariable(
+            np.concatenate(
+                [part[name].values if name in part else np.full(n, np.nan) for part, n in zip(parts, lengths, strict=True)]
+            ),
+            about.unit,
+            about.kind,
+        )
+        for name, about in first.items()
+    }
+
+
+def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
+    """Name → variable that the error of a stage may depend on, on its measured rows."""
+    rows = problem.rows(recording)
+    if problem.target in known.machine.axis_names:
+        found = _of_axis(problem, recording, known)
+    else:
+        found = _of_point(problem, recording, known)
+    if recording.kind == "motion":
+        found["time"] = MapVariable(recording.values("time"), "s")
+    return {name: MapVariable(v.values[rows], v.unit, v.kind) for name, v in found.items()}
+
+
+def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
+    axis = known.machine.axis(problem.target)
+    found: dict[str, MapVariable] = {}
+    position, unit = recording.values(axis.driven), known.of(axis.driven)
+    found[axis.driven] = MapVariable(position, unit)
+    if recording.kind == "motion":
+        speed = speed_of(position, recording.rate_hz)
+        found[f"speed of {axis.name}"] = MapVariable(speed, per_second(unit), "signed")
+        found[f"direction of {axis.name}"] = MapVariable(direction_of(speed), "1", "sign")
+        if problem.stage != "force":  # the force is the output there
+            signal = axis_signal(axis.name, "command")
+            found[signal] = MapVariable(recording.values(signal), known.of(signal), "signed")
+        found |= _of_others(axis.name, recording, known)
+    return found | _loads(recording, known, (axis.name,))
+
+
+def _of_others(axis: str, recording: Recording, known: Units) -> dict[str, MapVariable]:
+    """The commands of the other axes one by one, and together in shares of the largest of each."""
+    found: dict[str, MapVariable] = {}
+    total = np.zeros(len(recording))
+    for other in known.machine.axes:
+        signal = axis_signal(other.name, "command")
+        command = recording.values(signal)
+        largest = float(np.nanmax(np.abs(command), initial=0.0))
+        if other.name != axis and largest > 0.0:
+            found[signal] = MapVariable(command, known.of(signal), "signed")
+            total += np.abs(command) / largest
+    if len(found) > 1:
+        found["other axes together"] = MapVariable(total, "1")
+    return found
+
+
+def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
+    """For the tip: every joint and load. For the tool: speed and acceleration of its pivot."""
+    found: dict[str, MapVariable] = {}
+    if problem.stage == "tool":
+        for coordinate in point_signals("ee"):
+            speed = speed_of(recording.values(coordinate), recording.rate_hz)
+            found[f"speed of {coordinate}"] = MapVariable(speed, "m/s", "signed")
+            found[f"acceleration of {coordinate}"] = MapVariable(speed_of(speed, recording.rate_hz), "m/s²", "signed")
+        return found
+    for axis in known.machine.axes:
+        joint = axis_signal(axis.name, "joint")
+        found[joint] = MapVariable(recording.values(joint), known.of(joint))
+        if recording.kind == "motion":
+            direction = direction_of(speed_of(recording.values(joint), recording.rate_hz))
+            found[f"direction of {axis.name}"] = MapVariable(direction, "1", "sign")
+    return found | _loads(recording, known, known.machine.axis_names)
+
+
+def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str, MapVariable]:
+    """Gravity loads of axes that have one."""
+    if known.machine.kinematics() is None:
+        return {}
+    loads = gravity_load(known.machine, recording)
+    found = {}
+    for name in axes:
+        values = loads[:, known.machine.axis_names.index(name)]
+        if np.any(values):
+            joint_unit = known.of(axis_signal(name, "joint"))
+            found[f"load of {name}"] = MapVariable(values, "N" if joint_unit == "m" else "N·m")
+    return found

@@ -1,8 +1,8 @@
-"""How noisy each measured signal is: from the data sheet where the machine description has it, else from the data.
+"""Noise of each measured signal: from the data sheet in the machine description, else from the data.
 
-From the data, the noise of a signal is the larger of its white noise (:func:`sysid.datasets.quality.noise.white_noise`) and the
-error of rounding to the steps in which its sensor reads. A figure is believed where it is a plausible share of the signal's
-range of motion; where the motion is too fast for the rate, or only static poses show the signal, the best bound is taken.
+From the data, it is the larger of the white noise (:func:`sysid.datasets.quality.noise.white_noise`) and the error of rounding
+to the steps of the sensor. An estimate is accepted if it is a plausible share of the range of motion; where the motion is too
+fast for the rate, or only static poses contain the signal, the best bound is used.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from sysid.signals import axis_signal, split_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Noise above this share of the range of motion is no noise: what was measured is motion. A range of less than :data:`UNMOVED`
-#: of the axis' own is no motion: noise may be all of it.
+#: Largest plausible noise, as a share of the range of motion (larger values are motion); least range of motion, as a share of
+#: that of the axis (a smaller range may be noise).
 PLAUSIBLE, UNMOVED = 0.01, 0.02
-#: Where nothing tells: share of the range that the noise is taken to be at static poses, and of a signal without any scatter
-#: (a simulation, or an axis that stands still).
-OF_POSES, OF_NOTHING = 1e-3, 1e-6
-#: Static poses repeat where all other signals agree to this share of their range; so many repeats tell the noise.
+#: Assumed noise as a share of the range: at static poses without repeats, and of a signal without scatter (a simulation, or an
+#: axis at rest).
+OF_POSES, OF_NO_SCATTER = 1e-3, 1e-6
+#: Static poses are repeats if all other signals agree to this share of their range; least number of repeats for an estimate.
 SAME_POSE, REPEATS = 1e-3, 5
 
 
@@ -51,11 +51,11 @@ def _from_data(dataset: Dataset, signal: str) -> float:
     if found is None:
         found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span)
     step = reading_step([r.values(signal) for r in moving])
-    return max(found, rounding(step), OF_NOTHING * max(span, limits), 1e-12)
+    return max(found, rounding(step), OF_NO_SCATTER * max(span, limits), 1e-12)
 
 
 def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most: float) -> float | None:
-    """What ingest found in the sensor's own samples, as far as it is plausible; median of the recordings."""
+    """Plausible estimates by ingest from the samples of the sensor; median of the recordings."""
     quality = dataset.quality.get("recordings", {})
     found = [quality.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in recordings]
     levels = [v for v in found if v is not None and math.isfinite(v) and 0.0 < v <= most]
@@ -65,15 +65,15 @@ def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most
 def _of_tables(moving: list[Recording], signal: str, most: float) -> float:
     """White noise in tables of motion, else its bound, at most a plausible share of the range."""
     parts = [(r.values(signal), r.rate_hz) for r in moving if not is_still(r.values(signal))]
-    told = [level for values, rate in parts if math.isfinite(level := white_noise(values, rate)) and level <= most]
-    if told:
-        return float(np.median(told))
+    levels = [level for values, rate in parts if math.isfinite(level := white_noise(values, rate)) and level <= most]
+    if levels:
+        return float(np.median(levels))
     bounds = [bound for values, _ in parts if math.isfinite(bound := noise_bound(values))]
     return min(float(np.median(bounds)), most) if bounds else 0.0
 
 
 def _of_poses(recordings: list[Recording], signal: str, span: float) -> float:
-    """Scatter among static poses that repeat each other in all other signals; an assumed share of the range without such."""
+    """Scatter among static poses that are repeats in all other signals; without repeats an assumed share of the range."""
     differences: list[Array] = []
     for recording in recordings:
         others = [name for name in recording.signals if name != signal and split_signal(name)[1] != "command"]
@@ -96,7 +96,7 @@ def _range(values: Array) -> float:
 
 
 def _limits(machine: Machine, signal: str) -> float:
-    """How far the axis of a signal can move [SI]; zero where the description does not say, and for points."""
+    """Range of the axis of a signal [SI]; zero if unknown, and for points."""
     owner, _ = split_signal(signal)
     if owner not in machine.axis_names:
         return 0.0

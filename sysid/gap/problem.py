@@ -1,4 +1,4 @@
-"""One stage of the chain as a fitting problem: measured output, what a plant predicts for it, and its noise."""
+"""One stage of the chain as a fitting problem: its measured output and the prediction of a plant for it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.effects import gain_error, input_delay
 from sysid.effects.effect import Stage
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
@@ -30,15 +29,14 @@ class Problem:
     """A stage driven by its measured input.
 
     Args:
-        stage, target: where it sits; ``targets`` are the effect targets that belong to it.
+        stage, target: its place in the chain; ``targets``: targets of the effects that belong to it.
         signals: names of the d outputs.
         predict: (lanes, N) parameters and a recording → (lanes, n, d).
         measured: recording → (n, d), NaN where missing.
-        rows: recording → its row of each of the n measured ones.
-        nuisances: effects whose parameters are free in every fit, since others would absorb them otherwise.
-        integrates: the output is an integral of the input, so that every disturbance stays in it.
-        short: the same problem restarted from the measurement every few seconds, where a drift could trap a fit.
-        poses: static poses show it too, each a measurement of its own.
+        rows: recording → indices of the n measured rows.
+        integrates: the output is an integral of the input, so that it accumulates every disturbance.
+        short: the same problem restarted from the measurement every few seconds, where drift could lead to a local optimum.
+        poses: static poses excite it too, each an independent measurement.
     """
 
     stage: Stage
@@ -48,13 +46,12 @@ class Problem:
     predict: Callable[[Array, Recording], Array]
     measured: Callable[[Recording], Array]
     rows: Callable[[Recording], Rows]
-    nuisances: tuple[str, ...] = ()
     integrates: bool = False
     short: Problem | None = None
     poses: bool = False
 
     def rate(self, recording: Recording) -> float:
-        """Measured rows a second; static poses are independent, so that each gets a bin of its own."""
+        """Measured rows per second; each static pose has its own bin."""
         if recording.kind == "poses":
             return 1.0 / BIN
         rows = self.rows(recording)
@@ -62,7 +59,7 @@ class Problem:
 
 
 def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) -> Problem:
-    """Command → what it drives, free-running over whole recordings."""
+    """Command → driven signal, in free runs over whole recordings."""
 
     def predict(thetas: Array, recording: Recording) -> Array:
         return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]
@@ -72,12 +69,11 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
     return Problem(
         "command",
         axis.name,
-        targets if moves else (*targets, axis.driven),  # a servo stands where it is told to, but for its sensor's zero
+        targets if moves else (*targets, axis.driven),  # the position of a servo is its setpoint plus the bias of its sensor
         (axis.driven,),
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
-        nuisances=(gain_error.EFFECT.name, input_delay.EFFECT.name) if moves else (input_delay.EFFECT.name,),
         integrates=moves,
         short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )
@@ -88,7 +84,7 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hol
     known = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in recordings}
 
     def inputs_of(recording: Recording) -> ForceInputs:
-        """A changed copy of a known recording (with noise added) is filtered afresh on the same rows."""
+        """A changed copy of a known recording (with noise added) is filtered on the same rows."""
         original, inputs = known[recording.name]
         return inputs if recording is original else force_inputs(recording, axis, rows=inputs.rows, hold=hold)
 
@@ -137,7 +133,7 @@ def tip_problem(model: Model) -> Problem:
 
 
 def tool_problem(model: Model) -> Problem:
-    """End effector → hanging tool; a plant that knows nothing of how it hangs predicts tool = ee (contract)."""
+    """End effector → hanging tool; a plant without sway predicts tool = ee (contract)."""
     return Problem(
         "tool",
         "tool",
@@ -150,19 +146,19 @@ def tool_problem(model: Model) -> Problem:
 
 
 def _shares_pump(model: Model, axis: Axis) -> bool:
-    """Whether another axis takes from the same pump."""
+    """Whether another axis is fed by the same pump."""
     return axis.actuation == "velocity" and sum(a.actuation == "velocity" for a in model.machine.axes) > 1
 
 
 def other_clocks(model: Model, *signals: str) -> tuple[str, ...]:
-    """Streams that carry some of these signals and not all: with one clock for all of them its error would not show.
+    """Streams that contain some but not all of these signals: an error of one clock for all of them is not observable.
 
-    The stream of the commands is what the others are compared with.
+    The stream of the commands is the reference.
     """
     found = []
-    for stream, carried in model.streams.items():
-        commands = any(split_signal(signal)[1] == "command" for signal in carried)
-        if not commands and 0 < sum(signal in carried for signal in signals) < len(signals):
+    for stream, contained in model.streams.items():
+        commands = any(split_signal(signal)[1] == "command" for signal in contained)
+        if not commands and 0 < sum(signal in contained for signal in signals) < len(signals):
             found.append(stream)
     return tuple(found)
 
@@ -181,12 +177,12 @@ class Split:
 
     @property
     def seen(self) -> tuple[Recording, ...]:
-        """What the last fit may use: all but the held-out ones."""
+        """Fit and selection recordings: all but the held-out ones."""
         return (*self.fit, *self.select)
 
 
 def split_of(dataset: Dataset) -> Split:
-    """Motion recordings by the roles that the dataset version froze."""
+    """Motion recordings by the roles of the dataset version."""
     return Split(*(dataset.with_role(role) for role in _ROLES))
 
 
@@ -194,7 +190,7 @@ _ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 
 
 def pose_split(dataset: Dataset) -> Split:
-    """Static poses by role: as frozen in the dataset; a set with one role only is cut into contiguous blocks (60/20/20 %)."""
+    """Static poses by role: as in the dataset; a set with one role only is cut into contiguous blocks (60/20/20 %)."""
     by_role = [dataset.with_role(role, kind="poses") for role in _ROLES]
     if sum(bool(part) for part in by_role) > 1:
         return Split(*by_role)
@@ -232,7 +228,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
 
 
 def _measured(recordings: Sequence[Recording], *signals: str) -> bool:
-    """Whether some recording has all signals at the same time for at least fifty samples."""
+    """Whether some recording contains all signals simultaneously for at least fifty samples."""
     for recording in recordings:
         there = np.ones(len(recording), dtype=bool)
         for name in signals:

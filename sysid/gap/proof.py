@@ -1,4 +1,4 @@
-"""The proof: what was found at each stage is tested once, on recordings that nothing has touched."""
+"""The proof: the result of each stage is evaluated once, on held-out recordings."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, SHARE, Z, pays, unnoticed
-from sysid.gap.fit import Fit, spread_of
+from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, SHARE, Z, equivalent_change, pays
+from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
-from sysid.gap.result import Alternative, EffectEvidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.result import Alternative, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
@@ -28,15 +28,15 @@ from sysid.plant import Plant, PlantNumber, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
-#: Steps of a sensor are its explanation where they account for this share of what its stage leaves above its noise.
-MOST = 0.5
-#: A secondary parameter is given where its 95 % interval reaches no further than this share of its value to each side.
+#: Sensor steps are named if they account for this share of the error of the stage above its noise.
+MIN_SHARE_OF_STEPS = 0.5
+#: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
 DETERMINED = 0.25
 
 
 @dataclass
 class ProofOutcome:
-    """What the stages together come to."""
+    """Result of all stages together."""
 
     repaired: Plant
     named: list[NamedEffect] = field(default_factory=list)
@@ -47,182 +47,180 @@ class ProofOutcome:
 
 
 def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
-    """Put what was found and proven into the plant, and say of the rest what it is."""
+    """Put proven effects into the plant, and describe what remains unexplained."""
     outcome = ProofOutcome(case.plant)
     for coarse in case.coarse:
-        _read_off(case, stages, coarse, outcome)
+        _add_sensor_steps(case, stages, coarse, outcome)
     for searched in stages:
-        stage = _paying(_holding(case, searched))
-        finding = stage.found
-        proven = bool(finding.fit.candidates) and _better(stage)
+        stage = _without_cheap_names(_with_proven_model(case, searched))
+        result = stage.found
+        proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
         if proven:
             refused = _accept(stage, outcome)
-        elif finding.named:
-            outcome.notes.append(f"{stage.label}: what was found does not lower the error on held-out recordings")
+        elif result.named:
+            outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
-        if proven and all(kept.candidate.label in refused for kept in finding.named):
+        if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
-        if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
+        if (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
 
 
-def _holding(case: Case, searched: Stage) -> Stage:
-    """The stage with its intervals; with its named effects alone, where these hold on held-out recordings and all do not."""
-    stage = _known(case, searched)
+def _with_proven_model(case: Case, searched: Stage) -> Stage:
+    """The stage with its intervals; with its named effects alone, if these pass on held-out recordings and all do not."""
+    stage = _with_intervals(case, searched)
     names = searched.found.names_alone
-    holds = _better(stage)
-    if names is None or (holds and not _adds_up(searched.found)):
+    passes = _better(stage)
+    if names is None or (passes and not _accumulates(searched.found)):
         return stage
-    alone = _known(case, replace(searched, finding=names))
-    if not holds and _better(alone):
+    alone = _with_intervals(case, replace(searched, result=names))
+    if not passes and _better(alone):
         return alone
-    return as_certain_as_alone(stage, alone) if _adds_up(searched.found) else stage
+    return with_intervals_of(stage, alone) if _accumulates(searched.found) else stage
 
 
-def as_certain_as_alone(stage: Stage, alone: Stage) -> Stage:
-    """The stage, its names as certain as they are alone: what is adjusted beside them repairs the formulas."""
-    finding, names = stage.found, alone.found
-    assert finding.limits is not None
+def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
+    """The stage with the intervals of its names alone: the effects adjusted beside them compensate for the formulas."""
+    result, names = stage.found, alone.found
+    assert result.limits is not None
     assert names.limits is not None
-    limits = finding.limits.copy()
+    limits = result.limits.copy()
     for kept in names.named:  # an effect that ties with others is not among them
-        here, there = finding.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
-        limits[here, 0] = np.minimum(names.limits[there, 0], finding.fit.values[here])
-        limits[here, 1] = np.maximum(names.limits[there, 1], finding.fit.values[here])
-    return replace(stage, finding=replace(finding, limits=limits))
+        here, there = result.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
+        limits[here, 0] = np.minimum(names.limits[there, 0], result.fit.values[here])
+        limits[here, 1] = np.maximum(names.limits[there, 1], result.fit.values[here])
+    return replace(stage, result=replace(result, limits=limits))
 
 
-def _paying(stage: Stage) -> Stage:
-    """The stage; where formulas are wrong, without names that held-out recordings show and that are not worth their price."""
-    finding, fitted = stage.found, stage.found.stage_fit
-    if not finding.named or fitted is None or fitted.decision.exact:
+def _without_cheap_names(stage: Stage) -> Stage:
+    """The stage; where formulas are wrong, without names that held-out recordings excite and that are not worth their price."""
+    result, fitted = stage.found, stage.found.stage_fit
+    if not result.named or fitted is None or fitted.decision.exact:
         return stage
-    after = held_out_score(stage, finding.fit.theta)
+    after = held_out_score(stage, result.fit.theta)
     lost = []
-    for kept in finding.named:
-        less = fitted.dropped[kept.candidate.label].theta if fitted.decision.adds_up else stage.theta
-        if _shown(stage, less) and not pays(held_out_score(stage, less), after):
+    for kept in result.named:
+        less = fitted.dropped[kept.candidate.label].theta if fitted.decision.accumulates else stage.theta
+        if _excited(stage, less) and not pays(held_out_score(stage, less), after):
             lost.append(kept)
     if not lost:
         return stage
-    named = tuple(kept for kept in finding.named if kept not in lost)
-    adjusted = (*finding.adjusted, *(kept.candidate for kept in lost))
+    named = tuple(kept for kept in result.named if kept not in lost)
+    adjusted = (*result.adjusted, *(kept.candidate for kept in lost))
     unsure = replace(fitted, decision=fitted.decision.without_names([kept.candidate.label for kept in lost], LOST))
-    return replace(stage, finding=replace(finding, named=named, adjusted=adjusted, stage_fit=unsure))
+    return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
 
 
-def _known(case: Case, stage: Stage) -> Stage:
-    """The stage with the intervals of its unknowns, where it has names: what both likelihoods leave open.
+def _with_intervals(case: Case, stage: Stage) -> Stage:
+    """The stage with the intervals of its unknowns, where it has names: the hull of those of both likelihoods.
 
-    The posterior of the decision's model knows systematic discrepancy, the profile of :mod:`sysid.gap.intervals` bounds,
-    thresholds and noise of the input. Its values replace those of the model where they leave a tenth less of the free runs.
+    The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
+    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs.
     """
-    finding = stage.found
-    if not finding.named or finding.stage_fit is None:
+    result = stage.found
+    if not result.named or result.stage_fit is None:
         return stage
-    limits = _limits(finding)
+    limits = _limits(result)
     if case.adapter is not None:
-        return replace(stage, finding=replace(finding, limits=limits))
+        return replace(stage, result=replace(result, limits=limits))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    known = known_of(seen, stage.theta, finding.fit, case.noise, case.seed)
+    known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
-    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (finding.fit, known.fit))
-    fit = known.fit if EXPLAINED * after < before else finding.fit
-    return replace(stage, finding=replace(finding, fit=fit, limits=limits))
+    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
+    fit = known.fit if EXPLAINED * after < before else result.fit
+    return replace(stage, result=replace(result, fit=fit, limits=limits))
 
 
-def _adds_up(finding: StageResult) -> bool:
-    """Whether the formulas of a stage are wrong and their errors add up."""
-    return finding.stage_fit is not None and finding.stage_fit.decision.adds_up
+def _accumulates(result: StageResult) -> bool:
+    """Whether the formulas of a stage are wrong and their errors accumulate."""
+    return result.stage_fit is not None and result.stage_fit.decision.accumulates
 
 
 def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
-    """A stage whose gap is closed by effects that are excited and yet not certain enough for a name.
+    """Add to ``unnamed`` a stage whose gap is closed by effects that are excited but not certain enough for a name.
 
-    ``refused``: by label, why a name that the decision gave is not kept.
+    ``refused``: by label, why a name of the decision is not kept.
     """
-    finding = stage.found
-    assert finding.stage_fit is not None
-    decision = finding.stage_fit.decision
+    result = stage.found
+    assert result.stage_fit is not None
+    decision = result.stage_fit.decision
     here = {c.label for c in decision.model.candidates}
     lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
     if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
         return
     form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
-    depends = next(iter(finding.stage_fit.remainder.groups), "nothing that was measured")
+    depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
     outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
-    """What is left of a stage: a systematic remainder without a name, or a random disturbance, which is no gap."""
-    finding = stage.found
-    assert finding.stage_fit is not None
-    remainder = finding.stage_fit.remainder
-    if proven or not finding.fit.candidates:
+    """Describe the remaining error of a stage: a systematic residual, or a random disturbance, which is no gap."""
+    result = stage.found
+    assert result.stage_fit is not None
+    remainder = result.stage_fit.remainder
+    if proven or not result.fit.candidates:
         if remainder.before <= EXPLAINED * max(remainder.after, 1.0):
             outcome.notes.append(
-                f"{stage.label}: what is left ({remainder.before:.2g} noise floors) is a random disturbance: "
-                f"no smooth function of what was measured explains a tenth of it"
+                f"{stage.label}: the remaining error ({remainder.before:.2g} noise floors) is a random disturbance: "
+                f"no smooth function of the measured signals explains a tenth of it"
             )
             return
-        fit = finding.fit
+        theta = result.fit.theta
     else:
-        fit = Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
-    outcome.notes.append(f"{stage.label}: what is left depends most on: {next(iter(remainder.groups), 'nothing')}")
-    outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
+        theta = stage.theta
+    outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")
+    outcome.unnamed += describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
 
 
 def _better(stage: Stage) -> bool:
-    """Whether no held-out signal of the stage gets worse by a tenth, and the stage as a whole gets better if they show it."""
+    """Whether no held-out signal of the stage gets worse by a tenth, and the whole stage gets better where it is excited."""
     before = stage_rmse(stage.problem, stage.theta, stage.split.held_out)
     after = stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)
     there = ~np.isnan(before) & ~np.isnan(after)
     limit = EXPLAINED * np.maximum(before, stage.sigma)[there]
     whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
-    return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage, stage.theta)))
+    return bool(there.any() and (after[there] <= limit).all() and (whole or not _excited(stage, stage.theta)))
 
 
-def _read_off(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
-    """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
+def _add_sensor_steps(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
+    """Add the steps of a sensor; they are named if they explain the error of its stage above the specified noise."""
     outcome.repaired = outcome.repaired.with_effect(coarse.effect)
     share = max((_explained(case, stage, coarse) for stage in stages if coarse.signal in stage.problem.signals), default=0.0)
-    if share >= MOST:
+    if share >= MIN_SHARE_OF_STEPS:
         found = {"step": coarse.step}, {"step": coarse.interval95}
         outcome.named.append(NamedEffect(coarse.effect.name, coarse.signal, *found, share))
     else:
-        outcome.notes.append(
-            f"{coarse.signal} reads in steps of {coarse.step:.4g}, more than the noise that it is said to have"
-        )
+        outcome.notes.append(f"{coarse.signal} has steps of {coarse.step:.4g}, which exceed its specified noise")
 
 
 def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
-    """Share of what the sensor's stage leaves above the noise that it is said to have which its steps account for."""
+    """Share of the error of the sensor's stage above its specified noise that its steps explain."""
     k = stage.problem.signals.index(coarse.signal)
-    said = {**case.noise, coarse.signal: coarse.noise}
-    floor = float(problem_floor(stage.problem, stage.theta, stage.split.fit, said, case.seed)[k])
-    off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
+    specified = {**case.noise, coarse.signal: coarse.noise}
+    floor = float(problem_floor(stage.problem, stage.theta, stage.split.fit, specified, case.seed)[k])
+    error = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
     stepped = float(stage.sigma[k])
-    return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > EXPLAINED * floor else 0.0
+    return (min(error, stepped) - floor) / (error - floor) if min(error, stepped) > EXPLAINED * floor else 0.0
 
 
 def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
-    """Name what matters on held-out recordings; the whole model goes into the plant. By label, why effects lose their name."""
-    finding = stage.found
+    """Name the significant effects and put the whole model into the plant; returns by label why effects lose their name."""
+    result = stage.found
     refused = dict[str, str]()
-    assert finding.stage_fit is not None
-    limits = finding.limits if finding.limits is not None else _limits(finding)
-    adjusted = list(finding.adjusted)
-    for kept in finding.named:
+    assert result.stage_fit is not None
+    limits = result.limits if result.limits is not None else _limits(result)
+    adjusted = list(result.adjusted)
+    for kept in result.named:
         candidate = kept.candidate
-        instance = candidate.instance(finding.fit.values_of(candidate))
+        instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
         if share < SHARE:
             refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
-        elif _may_be_absent(finding, candidate, limits):
+        elif _may_be_absent(result, candidate, limits):
             refused[candidate.label] = "its interval contains its absence"
         if candidate.label in refused:
             why = refused[candidate.label]
@@ -233,41 +231,43 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         if others & {(e.name, e.target) for e in outcome.named if e.side == candidate.side}:  # a pump shows at several stages
             outcome.notes.append(f"{instance.name} on {instance.target} shows at the {stage.label} as well: {shown}")
             if not kept.ties:
-                _know_better(outcome, _named(stage, kept, limits, share), instance)
+                _use_narrower(outcome, _named(stage, kept, limits, share), instance)
             continue
         outcome.repaired = outcome.repaired.with_effect(instance)
         if kept.ties:
             tie = tuple((c.effect.name, c.target) for c in (candidate, *kept.ties))
             outcome.ties.append(tie)
-            outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
+            outcome.notes.append(
+                f"{instance.name} on {instance.target} represents {len(tie)} non-identifiable effects in the plant: {shown}"
+            )
         else:
             outcome.named.append(_named(stage, kept, limits, share))
     for candidate in adjusted:
-        values = finding.fit.values_of(candidate)
+        values = result.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
-    known = _uncertainty(finding.stage_fit.decision.model, outcome.repaired)
+    known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
 
 
-def _know_better(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:
-    """Take the values of the stage that knows an effect best, where several show it."""
+def _use_narrower(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:
+    """Use the values with the narrowest interval of an effect that several stages show."""
     for k, known in enumerate(outcome.named):
         same = (known.name, known.target, known.side) == (found.name, found.target, found.side)
-        if same and _widest(found) < _widest(known):
+        if same and _width(found) < _width(known):
             outcome.named[k] = found
             outcome.repaired = outcome.repaired.with_effect(instance)
 
 
-def _widest(effect: NamedEffect) -> float:
+def _width(effect: NamedEffect) -> float:
     """Width of the widest interval of its parameters."""
     return max(float(np.max(np.abs(np.subtract(*ends)))) for ends in effect.interval95.values())
 
 
 def _near_misses(stage: Stage) -> list[str]:
-    """What was in a surviving model and is not named, with its values and what it lacks."""
+    """Notes on the near misses, with their values and the condition that each fails."""
     fitted = stage.found.stage_fit
     if fitted is None:
         return []
@@ -281,31 +281,30 @@ def _near_misses(stage: Stage) -> list[str]:
     return found
 
 
-def _limits(finding: StageResult) -> Array:
+def _limits(result: StageResult) -> Array:
     """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds.
 
-    The hull of what the stage's likelihood leaves open and of what the free run does, the named effects alone: where formulas
-    are not those of the machine the two answer different questions. Where these errors add up, a value is what fits the output
-    best, and the likelihood gives no more than its estimate.
+    The hull of the interval of the stage's likelihood and that of the free run with the named effects alone, which differ where
+    the formulas are wrong. Where their errors accumulate, of the likelihood only the estimate counts.
     """
-    fitted = finding.stage_fit
+    fitted = result.stage_fit
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
     limits = _interval(model)
-    adds_up = _adds_up(finding)
+    accumulates = _accumulates(result)
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]
-            kept = np.repeat(model.values[here, None], 2, axis=1) if adds_up else limits[here]
+            kept = np.repeat(model.values[here, None], 2, axis=1) if accumulates else limits[here]
             limits[here, 0], limits[here, 1] = np.minimum(kept[:, 0], there[:, 0]), np.maximum(kept[:, 1], there[:, 1])
     low = np.array([u.bounds[0] for u in model.unknowns])
     high = np.array([u.bounds[1] for u in model.unknowns])
     return np.clip(limits, low[:, None], high[:, None])
 
 
-def _may_be_absent(finding: StageResult, candidate: Candidate, limits: Array) -> bool:
+def _may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> bool:
     """Whether the intervals of all its parameters contain the known value."""
-    here = limits[finding.fit.rows_of(candidate)]
+    here = limits[result.fit.rows_of(candidate)]
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool(((here[:, 0] <= nominal) & (nominal <= here[:, 1])).all())
 
@@ -316,7 +315,7 @@ def _interval(model: ModelFit) -> Array:
 
 
 def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
-    """What the fit of a stage says of the plant's parameters: of those effects that it has (some are known as an alias)."""
+    """Covariance of those parameters of a stage's fit that the plant has (others are represented by an alias)."""
     places, kept = list[PlantNumber](), list[int]()
     for candidate in model.candidates:
         name, target, side = candidate.key
@@ -329,7 +328,7 @@ def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
 
 
 def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> NamedEffect:
-    candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
+    candidate, fit = kept.candidate, stage.found.fit
     begin = fit.rows_of(candidate).start
     parameters: dict[str, Value] = {}
     interval: dict[str, tuple[Any, Any]] = {}
@@ -352,7 +351,7 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
         candidate.aliases,
         side=candidate.side,
-        evidence=EffectEvidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
+        evidence=kept.evidence,
         undetermined=tuple(undetermined),
     )
 
@@ -362,22 +361,22 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     fitted = stage.found.stage_fit
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
-    recordings = stage.split.held_out if _shown(stage, dropped.theta) else stage.split.seen
+    recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
     before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 
-def _shown(stage: Stage, without: Array) -> bool:
-    """Whether held-out recordings show what the chosen model does beside ``without``; otherwise the fitted ones have to tell.
+def _excited(stage: Stage, without: Array) -> bool:
+    """Whether held-out recordings excite the difference between the chosen model and ``without``.
 
-    They do where it moves the output by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
+    The output has to change by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
     """
     score = held_out_score(stage, stage.found.fit.theta)
     moved = [
         np.diff(stage.problem.predict(np.array([without, stage.found.fit.theta]), r), axis=0)[0] for r in stage.split.held_out
     ]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
-    return held_out_score(stage, stage.theta) > EXPLAINED and size > unnoticed(score)
+    return held_out_score(stage, stage.theta) > EXPLAINED and size > equivalent_change(score)
 
 
 def held_out_score(stage: Stage, theta: Array) -> float:
@@ -390,7 +389,7 @@ def _score(stage: Stage, theta: Array, recordings: Sequence[Recording]) -> float
 
 
 def with_carried(gap: Gap, outcome: ProofOutcome) -> Gap:
-    """The gap by stage, after the residual networks where they were accepted."""
+    """The gap by stage, with the accepted residual networks in ``after``."""
     accepted = [item for item in outcome.carried if item.accepted]
     after = {**gap.after, **{item.signal: item.after for item in accepted}}
     return replace(gap, after=after, noise_floor={**gap.noise_floor, **{item.signal: item.noise_floor for item in accepted}})

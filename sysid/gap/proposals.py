@@ -1,7 +1,7 @@
-"""Which models of a stage are worth comparing: forward by screening, then drops, swaps and richer forms around the best.
+"""Models of a stage to compare: forward selection by screening, then drops, swaps and richer forms around the best.
 
-A search only proposes; :mod:`sysid.gap.decision` decides. The screening is a score test with long steps beside the short ones
-(Rao, 1948), since many effects are flat where they are absent.
+The search proposes; :mod:`sysid.gap.decision` decides. The screening is a score test (Rao, 1948) with long steps beside the
+short ones, since the slope of many effects is zero where they are absent.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model, pri
 
 Array = npt.NDArray[np.float64]
 
-#: Effects of one stage at most; candidates that are fitted at a forward step, and in the place of one that is there.
-MOST, TRIED, SWAPPED = 6, 4, 3
-#: A forward step may lose so much evidence [nats]: a second effect may need the third.
-LIBERAL = 3.0
-#: Models further below the best than this [nats] are not compared.
-NEAR = 60.0
-#: Starting values spread around those of an added effect: of one unknown that is absent near them, and of others.
-FEW, MANY = 4, 16
-#: Short steps of the screening, in what is negligible of each parameter.
+#: Largest number of effects of a stage; candidates fitted at a forward step, and in exchange for an effect.
+MAX_EFFECTS, FORWARD, SWAPPED = 6, 4, 3
+#: Evidence that a forward step may lose [nats]: a second effect may need the third.
+MAX_LOSS = 3.0
+#: Largest distance of a compared model from the best [nats].
+MAX_DISTANCE = 60.0
+#: Additional start values of an added effect: of one unknown whose nominal value is within their range, and of others.
+FEW_STARTS, MANY_STARTS = 4, 16
+#: Short steps of the screening, in the negligible change of each parameter.
 STEP = 2.0
 
 
 @dataclass(frozen=True)
 class ExpectedGain:
-    """What a candidate may gain beside a model [nats], and from where its fit should start."""
+    """Expected gain of a candidate beside a model [nats], and the start values of its fit."""
 
     candidate: Candidate
     gain: float
@@ -46,7 +46,7 @@ class Proposals:
     """Models of one stage under shared variances, each fitted once.
 
     Args:
-        earlier: fits of the same sets under other variances; a fit of them starts there.
+        earlier: fits of the same sets under other variances, as start values.
     """
 
     likelihood: StageLikelihood
@@ -54,12 +54,12 @@ class Proposals:
     on_fit: Callable[[str], None] = lambda text: None
     earlier: Mapping[frozenset[str], ModelFit] = field(default_factory=dict)
     fits: dict[frozenset[str], ModelFit] = field(default_factory=dict)
-    _promises: dict[frozenset[str], list[ExpectedGain]] = field(default_factory=dict)
+    _screened: dict[frozenset[str], list[ExpectedGain]] = field(default_factory=dict)
 
     # -- single models -----------------------------------------------------------------------------------------------
 
     def fit(self, candidates: Sequence[Candidate], starts: Array | None = None) -> ModelFit:
-        """The fit of a set from the best of ``starts`` (s, k); others may make it better."""
+        """The fit of a set from the best of ``starts`` (s, k); a later call with other starts may improve it."""
         key = frozenset(c.label for c in candidates)
         known = self.fits.get(key)
         if known is not None and starts is None:
@@ -74,7 +74,7 @@ class Proposals:
         return self.fits[key]
 
     def warm(self, candidates: Sequence[Candidate], parent: ModelFit) -> ModelFit:
-        """The fit of a set, started where ``parent`` ended for what both have."""
+        """The fit of a set, started at the values of ``parent`` for the effects that both have."""
         known = self.fits.get(frozenset(c.label for c in candidates))
         if known is not None:
             return known
@@ -90,16 +90,16 @@ class Proposals:
     # -- sets of models ----------------------------------------------------------------------------------------------
 
     def forward(self, model: ModelFit) -> ModelFit:
-        """Add what promises most for as long as the evidence does not fall clearly; returns the likeliest on the way."""
+        """Add the most promising candidates until the evidence falls clearly; returns the likeliest model."""
         best = model
-        while len(model.candidates) < MOST:
-            trials = [self._added(model, promise) for promise in self.promises(model)[:TRIED]]
+        while len(model.candidates) < MAX_EFFECTS:
+            trials = [self._added(model, promise) for promise in self.promises(model)[:FORWARD]]
             if not trials:
                 break
             model = max(trials, key=lambda f: f.evidence)
             if model.evidence > best.evidence:
                 best = model
-            elif model.evidence < best.evidence - LIBERAL:
+            elif model.evidence < best.evidence - MAX_LOSS:
                 break
         return best
 
@@ -111,8 +111,8 @@ class Proposals:
                 smaller = self.without(best, candidate)
                 lost = best.evidence - smaller.evidence
                 for promise in self.promises(smaller)[:SWAPPED]:
-                    # A screened gain is a guess; what promises far less than was lost cannot take the place.
-                    if promise.candidate.key != candidate.key and promise.gain > 0.3 * lost - LIBERAL:
+                    # A candidate whose expected gain is far below the loss cannot replace the effect.
+                    if promise.candidate.key != candidate.key and promise.gain > 0.3 * lost - MAX_LOSS:
                         self._added(smaller, promise)
             for promise in self.promises(best)[:SWAPPED]:
                 self._added(best, promise)
@@ -120,22 +120,22 @@ class Proposals:
                 break
 
     def grown(self, model: ModelFit, most: int | None = None) -> list[ModelFit]:
-        """A model with each of the candidates that are not in it yet, or of so many that promise most."""
+        """A model with each of the candidates that are not in it yet, or with the ``most`` most promising."""
         return [self._added(model, promise) for promise in self.promises(model)[:most]]
 
     def near(self) -> list[ModelFit]:
         """Models close to the best, likeliest first, the one without effects among them."""
         empty = self.fit(())
         ordered = sorted(self.fits.values(), key=lambda f: -f.evidence)
-        found = [f for f in ordered if f.evidence > ordered[0].evidence - NEAR]
+        found = [f for f in ordered if f.evidence > ordered[0].evidence - MAX_DISTANCE]
         return found if any(f is empty for f in found) else [*found, empty]
 
     def promises(self, model: ModelFit) -> list[ExpectedGain]:
-        """What may be added to a model, most promising first."""
-        if model.labels not in self._promises:
+        """Candidates that may be added to a model, largest expected gain first."""
+        if model.labels not in self._screened:
             found = screened(self.likelihood, model, self._open(model))
-            self._promises[model.labels] = sorted(found, key=lambda p: -p.gain)
-        return self._promises[model.labels]
+            self._screened[model.labels] = sorted(found, key=lambda p: -p.gain)
+        return self._screened[model.labels]
 
     def _added(self, model: ModelFit, promise: ExpectedGain) -> ModelFit:
         new = promise.candidate
@@ -168,7 +168,7 @@ class Proposals:
 
 
 def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[Candidate]) -> list[ExpectedGain]:
-    """What each candidate may gain beside ``model`` if the stage answered linearly to it."""
+    """Expected gain of each candidate beside ``model`` for a linear response."""
     lanes, owners, starts, whole = _lanes(model.theta, candidates)
     if not len(lanes):
         return []
@@ -213,7 +213,7 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
 def _lanes(
     theta: Array, candidates: Sequence[Candidate]
 ) -> tuple[Array, npt.NDArray[np.int64], list[Array], npt.NDArray[np.bool_]]:
-    """Parameter vectors, whose candidate each is, its values, and whether it is a whole starting value or a short step."""
+    """Parameter vectors, index of the candidate of each, its values, and whether it is a start value (or a short step)."""
     lanes, owners, values, whole = [], [], [], []
     for k, candidate in enumerate(candidates):
         nominal = np.array([theta[u.places[0]] for u in candidate.unknowns])
@@ -232,16 +232,16 @@ def _lanes(
 
 
 def _spread(candidate: Candidate) -> Array:
-    """Starting values between and around a candidate's own, (s, k): a frequency or a length has to be met closely."""
+    """Start values between and around those of a candidate, (s, k): a frequency or a length needs a close one."""
     table = np.array(candidate.starts)
     low, high = table.min(axis=0), table.max(axis=0)
-    room = np.maximum(high - low, 0.5 * np.abs(high))
+    margin = np.maximum(high - low, 0.5 * np.abs(high))
     bounds = np.array([u.bounds for u in candidate.unknowns])
     nominal = candidate.unknowns[0].nominal
-    low = np.maximum(np.where(low > 0.0, 0.3 * low, low - 0.5 * room), bounds[:, 0])
-    high = np.minimum(high + 0.5 * room, bounds[:, 1])
+    low = np.maximum(np.where(low > 0.0, 0.3 * low, low - 0.5 * margin), bounds[:, 0])
+    high = np.minimum(high + 0.5 * margin, bounds[:, 1])
     draws = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(
-        FEW if len(low) == 1 and low[0] <= nominal <= high[0] else MANY
+        FEW_STARTS if len(low) == 1 and low[0] <= nominal <= high[0] else MANY_STARTS
     )
     logarithmic = low > 0.0
     floor = np.where(logarithmic, low, 1.0)
@@ -262,7 +262,7 @@ def _reordered(given: Sequence[Candidate], ordered: Sequence[Candidate], values:
 
 
 def _known(candidate: Candidate, parent: ModelFit) -> Array:
-    """Values of a candidate where ``parent`` ended, in another form of the effect too; else nominal."""
+    """Values of a candidate in ``parent``; those of its parameter vector where it is not in the model."""
     for other in parent.candidates:
         if other.label == candidate.label:
             return parent.values_of(other)

@@ -66,7 +66,7 @@ def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> Repeate
     shown, named = [], []
     values: dict[str, list[float]] = {}
     for run, result in results.items():
-        if any((name, target) in tie for tie in result.ambiguous):  # not identifiable in this run: it does not count
+        if any((name, target) in tie for tie in result.ambiguous):  # not identifiable: the run does not count
             continue
         effect = next((e for e in result.effects if (e.name, e.target) == (name, target)), None)
         excited = any(x.sufficient for x in result.excitation if (x.name, x.target) == (name, target))

@@ -1,4 +1,4 @@
-"""The answer of the gap workflow, as frozen values and as the JSON of the contract (``docs/result.md``)."""
+"""Result of the gap workflow, as frozen values and as JSON (``docs/result.md``)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Value = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect that was considered for the same disagreement and lost; ``rejected_by`` says to what."""
+    """Another effect that was compared for the same error and rejected, and why."""
 
     name: str
     target: str
@@ -33,13 +33,13 @@ class Alternative:
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """What speaks for an effect, compared with the best fit without it.
+    """Evidence for an effect: the model with it against the model without it, the rest refitted.
 
     Args:
-        delta_bic: on the recordings that were fitted; above 10 is strong.
-        nats: log predictive density gained on the recordings to select on.
-        p_value: share of block-bootstrap samples of those in which it does not predict better.
-        ratio: RMSE on those recordings, without to with it.
+        delta_bic: twice the difference in log evidence; above 10 is very strong evidence for the effect.
+        nats: log predictive density gained, each block predicted from all others.
+        p_value: probability of such a gain by chance.
+        ratio: standard deviation of what neither effects nor discrepancy explain, without to with the effect.
     """
 
     delta_bic: float
@@ -53,7 +53,7 @@ class NamedEffect:
     """A missing effect with its parameters (absolute values in the repaired plant).
 
     Args:
-        undetermined: parameters that the repaired plant has and no recording determines; the answer gives their intervals.
+        undetermined: secondary parameters of the repaired plant that no recording determines.
     """
 
     name: str
@@ -77,7 +77,7 @@ class NamedEffect:
 class Probe:
     """Cross-correlation of a residual with a measured variable ``lag`` seconds earlier.
 
-    ``bound``: of an independent residual, 1 % of the cases exceed it, all variables and lags together.
+    ``bound``: exceeded by an independent residual in 1 % of cases, over all variables and lags together.
     """
 
     name: str
@@ -115,11 +115,11 @@ class Unnamed:
 class ResidualModelResult:
     """Residual network of a stage that no effect explains (``unnamed_residual``), or the reason why there is none.
 
-    It is learned from the recordings and is no physics; it is not listed among the effects.
+    It is trained on the recordings, is not physics, and is not listed among the effects.
 
     Args:
         signal: the output that it acts on.
-        before, after, noise_floor: held-out RMSE of the stage without and with it, and what the true model would score.
+        before, after, noise_floor: held-out RMSE of the stage without it, with it, and of the true model.
         accepted: whether the repaired plant contains it.
         text: its effect, or why it was rejected.
         bound: of its output: a share of the speed (velocity axis), or the position (servo), the joint, or the force.
@@ -140,7 +140,7 @@ class ResidualModelResult:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Whether the data contain what an effect needs: ``have`` of ``need`` (``unit`` says of what)."""
+    """Whether the recordings excite an effect: ``have`` of ``need``, in ``unit``."""
 
     name: str
     target: str
@@ -152,28 +152,28 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Gap:
-    """RMSE per signal before and after the repair, and what the true model would score."""
+    """RMSE per signal before and after the repair, and of the true model (noise floor)."""
 
     before: Mapping[str, float]
     after: Mapping[str, float]
     noise_floor: Mapping[str, float]
 
     def closed(self, signal: str) -> float:
-        """(before − after) / (before − noise_floor); NaN where there was nothing to close."""
+        """(before − after) / (before − noise_floor); NaN where there is no gap."""
         closable = self.before[signal] - self.noise_floor[signal]
         return (self.before[signal] - self.after[signal]) / closable if closable > 0 else float("nan")
 
 
 @dataclass(frozen=True)
 class WorldGap:
-    """The same gap in the PyBullet world: the held-out commands run there, before and after the repair.
+    """The gap in the PyBullet world, with the held-out commands, before and after the repair.
 
     Args:
         world: RMSE by signal in the world; ``noise_floor`` as of the compiled plant.
         compiled: RMSE of the compiled plant on the same rows.
         recordings: those that were run.
-        seconds: how long it took.
-        skipped: why nothing, or not every recording, was run there; else empty.
+        seconds: duration [s].
+        skipped: why recordings were not run; else empty.
     """
 
     world: Gap
@@ -185,7 +185,7 @@ class WorldGap:
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """One row of the evidence table: a set of effects that was fitted, and how it did."""
+    """One row of the evidence table: a fitted set of effects; errors in whitened standard deviations."""
 
     stage: str
     target: str
@@ -199,11 +199,11 @@ class ComparedModel:
 
 @dataclass(frozen=True)
 class StageGap:
-    """Disagreement of one stage output: driven by its measured input (``stage``) and free-running (``free_run``).
+    """Error of one stage output: driven by its measured input (``stage``) and in the free run (``free_run``).
 
     Args:
-        share: its part of all disagreement, counted in noise floors.
-        frequency: of a disagreement that swings [Hz]; zero where it does not.
+        share: of the total error over all outputs, in noise floors.
+        frequency: of an oscillating error [Hz], else zero.
     """
 
     stage: str
@@ -218,12 +218,12 @@ class StageGap:
 
 @dataclass(frozen=True)
 class Share:
-    """What one stage owns of the free-running error at the end of a chain (``tool``, ``ee`` or a joint).
+    """Contribution of one stage to the free-run error at the end of a chain (``tool``, ``ee`` or a joint).
 
     Args:
-        share: of the mean square; the shares of an end add up to one, one below zero makes up for others.
-        moved: RMS of what simulating this stage instead of measuring it moves [m or rad].
-        rmse: the whole error at that end [m or rad].
+        share: of the mean square; the shares of an end add up to one, a negative one compensates for others.
+        moved: RMS change of the prediction when this stage is simulated instead of measured [m or rad].
+        rmse: total error at that end [m or rad].
     """
 
     end: str
@@ -236,16 +236,16 @@ class Share:
 
 @dataclass(frozen=True)
 class Map:
-    """Disagreement of a stage output over something that may matter for it, in bins.
+    """Error of a stage output over a variable, in bins.
 
     Args:
-        over, unit: what it is drawn over: a signal, ``speed of boom``, ``direction of boom``, ``load of boom``, ``time``, ….
+        over, unit: the variable: a signal, ``speed of boom``, ``direction of boom``, ``load of boom``, ``time``, ….
         quantity: ``error`` or ``speed error`` (measured − simulated), in ``error_unit``.
         noise_floor: standard deviation that sensor noise gives it.
-        explains: share of the variance that the means of the bins take away (0 … 1).
-        at: median of the variable in each bin; ``count`` rows, ``mean`` and robust standard deviation ``spread`` of the
-            disagreement there.
-        after: the mean with the repair; empty where there is none.
+        explains: share of the variance that the bin means explain (0 … 1).
+        at: median of the variable in each bin; ``count`` rows, ``mean`` and robust standard deviation ``spread`` of the error
+            there.
+        after: the mean with the repair; empty without one.
         measured, simulated: mean speeds, where speeds are compared; else empty.
     """
 
@@ -269,7 +269,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Traces:
-    """Held-out recording: measured, simulated before and after (columns = signals, same rows)."""
+    """A held-out recording: measured, and simulated before and after the repair (columns = signals, same rows)."""
 
     recording: str
     measured: pd.DataFrame
@@ -279,11 +279,11 @@ class Traces:
 
 @dataclass(frozen=True)
 class GapResult:
-    """Everything the workflow found; :meth:`to_json` gives the contract's part of it.
+    """Result of the workflow (``docs/result.md``).
 
-    ``experiments`` are recordings planned to answer what is left open; ``next_experiment`` says in words what to record.
-    ``machine_diff`` is what the repair changes in ``machine.toml``, as a unified diff; one that is stored has a ``promotion``.
-    ``carried`` are residual networks; they are no effects.
+    ``experiments`` are recordings planned to resolve open hypotheses; ``next_experiment`` lists recordings to make as text.
+    ``machine_diff`` is the change of ``machine.toml`` by the repair, as a unified diff; a stored repair has a ``promotion``.
+    ``carried`` are residual networks, which are not effects.
     """
 
     dataset: str
@@ -314,18 +314,18 @@ class GapResult:
 
     @property
     def repaired(self) -> bool:
-        """Whether the plant after is another one: it has effects with a name, or a residual network."""
+        """Whether the repaired plant differs: it has named effects or a residual network."""
         return bool(self.effects) or any(item.accepted for item in self.carried)
 
     def names_on(self, target: str) -> frozenset[str]:
-        """Names of the effects that were found on one target."""
+        """Names of the effects found on one target."""
         return frozenset(effect.name for effect in self.effects if effect.target == target)
 
     def to_json(self, folder: Path | None = None) -> dict[str, Any]:
-        """The result in the shape of the contract (plus where they disagree, the candidates, the notes and the experiments).
+        """The result as JSON values.
 
         Args:
-            folder: where the result is kept; paths of experiments lead there. By default they are relative to it.
+            folder: of the result, for the paths of experiments; by default they are relative to it.
         """
         return {
             "schema": 1,
@@ -378,13 +378,13 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
 
 
 def _world_json(found: WorldGap) -> dict[str, Any]:
-    """The gap in the world in the shape of ``gap``, with that of the compiled plant beside it."""
+    """The gap in the world as in ``gap``, with that of the compiled plant."""
     return {**asdict(found.world), "compiled": asdict(found.compiled), "recordings": list(found.recordings),
             "seconds": found.seconds, "skipped": found.skipped}  # fmt: skip
 
 
 def _experiment_json(experiment: Experiment, folder: Path) -> dict[str, Any]:
-    """Where an experiment is and what it is for."""
+    """File, duration and purposes of an experiment."""
     return {
         "name": experiment.name,
         "file": (folder / EXPERIMENTS / f"{experiment.name}.toml").as_posix(),

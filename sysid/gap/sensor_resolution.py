@@ -1,8 +1,8 @@
-"""The steps in which a sensor reads, seen in its readings alone.
+"""Resolution of a sensor: the steps between its readings, estimated from the readings without a fit.
 
-They are no matter of fitting: readings lie on a lattice, or they do not. What they cost is noise, of a twelfth of the squared
-step (Widrow & Kollár, Quantization Noise, 2008, ch. 1). They are a finding where that is more than the data sheet promises, or
-without a data sheet more than the noise that the readings show beside it. A signal that does not move has no steps.
+Rounding to steps adds noise with a variance of a twelfth of the squared step (Widrow & Kollár, Quantization Noise, 2008, ch.
+1). The steps are an effect where this exceeds the noise of the data sheet, or without a data sheet the other noise of the
+readings. A signal that does not move shows no steps.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from sysid.plant import Plant
 Array = npt.NDArray[np.float64]
 QUANTISATION = sensor_quantisation.EFFECT.name
 
-#: Share of readings at whole multiples of a step, and how close to them [steps].
-NEARLY_ALL, CLOSE = 0.95, 0.02
+#: Least share of readings at whole multiples of a step, and largest distance from them [steps].
+MIN_ON_LATTICE, MAX_DISTANCE = 0.95, 0.02
 #: Least resultant of the readings' phases within a step: noise of a fifth of the step leaves 0.45.
 RESULTANT = 0.4
-#: Fewer levels than these are no lattice; with noise behind them, fewer steps than these over the whole range.
-LEVELS, FEWEST = 4, 60
-#: Quantiles of the changes between neighbouring readings that are tried as the step.
+#: Least number of levels of a lattice; least number of steps over the range for readings with noise after rounding.
+MIN_LEVELS, MIN_STEPS = 4, 60
+#: Quantiles of the changes between neighbouring readings that are tested as the step.
 CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
-#: Share of the changes that are single or double steps of a sensor; tables made by interpolation have finer lattices.
-SINGLE = 0.01
-#: Most steps over the range that are looked for: a power of two.
-MOST = 2**15
+#: Least share of the changes that are single or double steps; interpolated tables have finer lattices.
+MIN_SINGLE_STEPS = 0.01
+#: Largest number of steps over the range, a power of two.
+MAX_STEPS = 2**15
 
 
 @dataclass(frozen=True)
 class CoarseSensor:
-    """A sensor whose steps exceed the noise that it is said to have, or shows beside them.
+    """A sensor whose steps exceed its noise.
 
     Args:
         step, interval95: between two readings [SI unit of the signal].
-        noise: standard deviation that the data sheet promises; without one, of what the readings show beside the rounding.
+        noise: standard deviation of the data sheet; without one, of the noise beside the rounding.
     """
 
     signal: str
@@ -53,28 +53,29 @@ class CoarseSensor:
 
     @property
     def effect(self) -> KnownEffect:
-        """The effect as a plant takes it."""
+        """The effect, for a plant."""
         return KnownEffect(QUANTISATION, self.signal, {"step": self.step})
 
 
 def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping[str, float]) -> tuple[CoarseSensor, ...]:
-    """Sensors of drives and joints that read in steps which their noise does not explain and the plant does not know.
+    """Sensors of drives and joints with steps that exceed their noise and that the plant does not have.
 
     Args:
-        noise: by signal; believed where it is that of the data sheet. Else it holds the error of the steps themselves, and
-            what the readings show beside them counts (:func:`noise_beside`).
+        noise: by signal; used where it is that of the data sheet. Otherwise it includes the rounding, and the noise beside it
+        is
+            used instead (:func:`noise_beside`).
     """
     found = []
-    for signal, said in noise.items():
+    for signal, specified in noise.items():
         runs = [r for r in recordings if r.kind == "motion" and signal in r.signals]
         parts = [r.values(signal) for r in runs]
         if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect(QUANTISATION, signal) is not None:
             continue
         if not identifiable_targets((signal,), recordings, plant.machine):
             continue
-        step, level = reading_step(parts), said
+        step, level = reading_step(parts), specified
         if step > 0.0 and signal not in plant.machine.noise:
-            if not _goes_in_steps(parts, step):
+            if not _has_single_steps(parts, step):
                 continue
             level = noise_beside([(r.values(signal), r.rate_hz) for r in runs], step)
         if rounding(step) > level:
@@ -82,32 +83,32 @@ def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping
     return tuple(found)
 
 
-def _goes_in_steps(parts: Sequence[Array], step: float) -> bool:
-    """Whether a sensor goes through its steps one by one, as at every slow start and stop."""
+def _has_single_steps(parts: Sequence[Array], step: float) -> bool:
+    """Whether readings change by single steps, as at every slow start and stop."""
     changes = np.concatenate([np.abs(np.diff(part[~np.isnan(part)])) for part in parts])
     changes = changes[changes > 0.5 * step]
-    return len(changes) > 0 and float(np.mean(changes < 2.5 * step)) >= SINGLE
+    return len(changes) > 0 and float(np.mean(changes < 2.5 * step)) >= MIN_SINGLE_STEPS
 
 
 def noise_beside(runs: Sequence[tuple[Array, float]], step: float) -> float:
     """Standard deviation of the noise of a sensor beside the rounding to its steps.
 
-    The larger of what lies off the lattice (noise behind the rounding) and of what white noise exceeds the error of rounding by
-    (noise ahead of it).
+    The larger of the deviation from the lattice (noise after rounding) and of the excess of the white noise over the error of
+    rounding (noise before it).
 
     Args:
         runs: readings (n,) and their rate [Hz], one pair a recording.
     """
     moving = [(values, rate) for values, rate in runs if not is_still(values)]
-    told = [white_noise(values, rate) for values, rate in moving]
-    levels = [noise_bound(values) if np.isnan(level) else level for (values, _), level in zip(moving, told, strict=True)]
+    white = [white_noise(values, rate) for values, rate in moving]
+    levels = [noise_bound(values) if np.isnan(level) else level for (values, _), level in zip(moving, white, strict=True)]
     levels = [level for level in levels if np.isfinite(level)]
     ahead = max(float(np.median(levels)) ** 2 - rounding(step) ** 2, 0.0) if levels else 0.0
     return max(_off_lattice([values for values, _ in moving], step), float(np.sqrt(ahead)))
 
 
 def with_steps(plant: Plant, coarse: Sequence[CoarseSensor], noise: Mapping[str, float]) -> dict[str, float]:
-    """Noise of every signal with that of rounding, where it is the larger one; an estimate from data holds it already."""
+    """Noise of every signal including rounding, where rounding is larger; an estimate from data includes it already."""
     steps = {item.signal: item.step for item in coarse}
     for signal in noise:
         known = plant.effect(QUANTISATION, signal)
@@ -116,8 +117,8 @@ def with_steps(plant: Plant, coarse: Sequence[CoarseSensor], noise: Mapping[str,
     levels = dict(noise)
     for signal, step in steps.items():
         if signal in levels and rounding(step) > levels[signal]:
-            told = signal in plant.machine.noise
-            levels[signal] = float(np.hypot(levels[signal], rounding(step))) if told else rounding(step)
+            specified = signal in plant.machine.noise
+            levels[signal] = float(np.hypot(levels[signal], rounding(step))) if specified else rounding(step)
     return levels
 
 
@@ -127,7 +128,7 @@ def rounding(step: float) -> float:
 
 
 def _interval(parts: Sequence[Array], step: float) -> tuple[float, float]:
-    """95 % interval of the slope of readings over their number of steps."""
+    """95 % interval of the step: the slope of readings over their number of steps."""
     values = _readings(parts)
     whole = np.round((values - values[0]) / step)
     spread = _off_lattice(parts, step) / max(float(np.sqrt(np.sum((whole - whole.mean()) ** 2))), 1.0)
@@ -136,7 +137,7 @@ def _interval(parts: Sequence[Array], step: float) -> tuple[float, float]:
 
 
 def _off_lattice(parts: Sequence[Array], step: float) -> float:
-    """Standard deviation of the readings about the nearest points of a lattice, wherever its origin is."""
+    """Standard deviation of the readings about the nearest points of a lattice of any origin."""
     turns = np.exp(2j * np.pi * _readings(parts) / step)
     phase = float(np.angle(turns.mean())) if len(turns) else 0.0
     away = np.angle(turns * np.exp(-1j * phase))
@@ -144,21 +145,21 @@ def _off_lattice(parts: Sequence[Array], step: float) -> float:
 
 
 def reading_step(parts: Sequence[Array]) -> float:
-    """The step between the readings of a sensor, but for noise that came after it; zero where there is none.
+    """The step between the readings of a sensor, apart from noise added after it; zero where there is none.
 
     Args:
-        parts: readings of one sensor, one array a recording, NaN where missing. Recordings in which it does not move say
-            nothing: all that is there may be one reading, and rounding of floating-point numbers.
+        parts: readings of one sensor, one array a recording, NaN where missing; recordings in which it does not move are left
+            out.
     """
     moving = [part for part in parts if not is_still(part)]
     return _exact_step(moving) or _noisy_step(moving)
 
 
 def _exact_step(parts: Sequence[Array]) -> float:
-    """The least change between neighbouring readings is a first guess, all of them together make it exact.
+    """Step of readings without noise after rounding: from the least changes between neighbours, refined over all readings.
 
-    Each reading counts once for every time that it is reached: where a sensor rests, one level is on every lattice. A few
-    readings off the lattice leave changes of their own, so that the least ones are tried too.
+    A reading counts each time that it is reached, since any lattice contains the single level of a sensor at rest. Several low
+    quantiles of the changes are tested, since a few readings may lie off the lattice.
     """
     values = _readings(parts)
     least = ROUNDING * max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
@@ -181,8 +182,8 @@ def _exact_step(parts: Sequence[Array]) -> float:
                 break
             step = float(levels @ whole / (whole @ whole))
         whole = levels / step
-        on_lattice = np.mean(np.abs(whole - np.round(whole)) < CLOSE) > NEARLY_ALL
-        if on_lattice and len(np.unique(np.round(whole))) >= LEVELS:
+        on_lattice = np.mean(np.abs(whole - np.round(whole)) < MAX_DISTANCE) > MIN_ON_LATTICE
+        if on_lattice and len(np.unique(np.round(whole))) >= MIN_LEVELS:
             found = max(found, step)
     return found
 
@@ -195,19 +196,19 @@ def _readings(parts: Sequence[Array]) -> Array:
 def _noisy_step(parts: Sequence[Array]) -> float:
     """The peak of the characteristic function of the readings in motion (Widrow & Kollár, Quantization Noise, 2008, ch. 4).
 
-    Readings of a sensor without steps are spread smoothly over what was travelled, so that their phases within any small step
-    cancel. Where the machine stands all readings are alike, whatever the sensor: rest does not count.
+    Readings of a sensor without steps are spread smoothly over the travel, so that their phases within a small step cancel. At
+    rest all readings are alike for any sensor, so that rest does not count.
     """
     values = _in_motion(parts)
-    if len(values) < 5 * FEWEST:
+    if len(values) < 5 * MIN_STEPS:
         return 0.0
     low, span = float(values.min()), float(np.ptp(values))
     if span <= 0.0:
         return 0.0
     # Cells of an eighth of the finest step, and four times the range, for a frequency axis that is finer than the peaks.
-    cells = np.bincount(((values - low) / span * (8 * MOST - 1)).astype(np.int64), minlength=8 * MOST)
-    resultants = np.abs(np.fft.rfft(cells, 32 * MOST))[: 4 * MOST] / len(values)
-    resultants[: 4 * FEWEST] = 0.0
+    cells = np.bincount(((values - low) / span * (8 * MAX_STEPS - 1)).astype(np.int64), minlength=8 * MAX_STEPS)
+    resultants = np.abs(np.fft.rfft(cells, 32 * MAX_STEPS))[: 4 * MAX_STEPS] / len(values)
+    resultants[: 4 * MIN_STEPS] = 0.0
     if float(resultants.max()) < RESULTANT:
         return 0.0
     frequency = int(np.argmax(resultants)) / 4.0 / span
@@ -219,7 +220,7 @@ def _noisy_step(parts: Sequence[Array]) -> float:
 
 
 def _in_motion(parts: Sequence[Array]) -> Array:
-    """Readings around which the sensor moved at more than a twentieth of its top speed in any of the recordings."""
+    """Readings at more than a twentieth of the top speed of the signal in any of the recordings."""
     ways = [np.abs(part[10:] - part[:-10]) for part in parts]
     most = max((float(np.nanmax(way)) for way in ways if len(way) and not np.isnan(way).all()), default=0.0)
     readings = [part[5:-5][way > 0.05 * most] for part, way in zip(parts, ways, strict=True) if len(way)]

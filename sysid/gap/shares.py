@@ -1,8 +1,8 @@
-"""Who owns the whole gap: what each stage and axis contributes to the error of a free run.
+"""Contribution of each stage and axis to the error of a free run.
 
-The error of a free run is taken apart along the chain. Begin with everything measured, then put one stage after the other into
-simulation, the last of the chain first: the prediction moves by dₖ each time, and Σ dₖ is the whole error e. The share of a
-stage is ⟨e·dₖ⟩ / ⟨e·e⟩. Shares add up to one; one below zero belongs to a stage whose error makes up for another's.
+Starting from measured signals, one stage after the other is simulated, the last of the chain first. The prediction moves by dₖ
+each time, and Σ dₖ is the total error e. The share of a stage is ⟨e·dₖ⟩ / ⟨e·e⟩. Shares add up to one; a negative share belongs
+to a stage whose error compensates for another's.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from sysid.plant.model import measured_point
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
-#: (stage, target) → how far the prediction moves (n, d) when that stage is simulated too.
+#: (stage, target) → change of the prediction (n, d) when that stage is simulated too.
 Moves = dict[tuple[str, str], Array]
 
 
 def shares_of(model: Model, recordings: Sequence[Recording]) -> tuple[Share, ...]:
     """Shares in the errors of the tool, the tip, and every joint behind a cylinder, where they are measured.
 
-    Rows in which anything along the chain is missing are left out.
+    Rows with a missing value along the chain are left out.
     """
     parts: dict[str, list[Moves]] = {}
     for recording in recordings:
@@ -60,7 +60,7 @@ def shares_of(model: Model, recordings: Sequence[Recording]) -> tuple[Share, ...
 
 
 def _moves(model: Model, recording: Recording) -> dict[str, Moves]:
-    """By the end of the chain that is looked at: ``tool``, ``ee``, or the joint of an axis."""
+    """End of the chain (``tool``, ``ee``, or the joint of an axis) → moves of its stages."""
     run = free_run(model, recording)
     ends: dict[str, Moves] = {}
     for axis in model.machine.axes:

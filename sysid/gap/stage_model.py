@@ -13,11 +13,10 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, Key, decide, smallest_sets
 from sysid.gap.free_run import LeastSquares, free_run_of
-from sysid.gap.likelihood.averaged import SPANS, averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
-from sysid.gap.likelihood.rows import StageRows, averaged_out
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
+from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
@@ -27,37 +26,31 @@ Array = npt.NDArray[np.float64]
 
 #: A typical disturbance, as a share of the root-mean-square speed (or of the range, where nothing integrates).
 TYPICAL = 0.01
-#: First sizes of the discrepancy's coefficients, as a share of what a stage does: effects with a name come first, or smooth
-#: functions do. Where errors add up, beside the effects that explain the free run.
-FIRST, BESIDE = (1e-5, 1e-3), 1e-3
-#: Where errors add up and a discrepancy gains this much beside the likeliest model [nats], the free run decides, and models
-#: around that one are not looked for.
-CERTAIN = 30.0
-#: Transient of an unknown start state: over this time [s], and this share of the distance that it may come to.
-TRANSIENT, UNKNOWN = 0.4, 0.1
+#: First standard deviations of the discrepancy's coefficients, as shares of what a stage does: with a small one the effects of
+#: the catalogue enter first. One value where errors accumulate, beside the effects that explain the free run.
+FIRST_TAUS, FREE_RUN_TAU = (1e-5, 1e-3), 1e-3
+#: Where errors accumulate and a discrepancy gains this much beside the likeliest model [nats], the free run decides, and the
+#: search around that model is left out.
+MISSPECIFIED = 30.0
+#: Transient of an unknown initial state: duration [s], and standard deviation as a share of the distance in that time.
+TRANSIENT, INITIAL_SHARE = 0.4, 0.1
 
 
 @dataclass(frozen=True)
 class StageFit:
-    """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
+    """A stage after its search: the models and the decision.
 
-    ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: what the discrepancy explains
-    beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
+    ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: error that the discrepancy
+    explains beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
     ``names_alone``: the same with the named effects alone, where the chosen model has others.
     """
 
-    rows: StageRows
-    likelihood: StageLikelihood
     models: tuple[ModelFit, ...]
     decision: Decision
     dropped: Mapping[str, ModelFit]
     remainder: Explained
     least_squares: ModelFit
     names_alone: StageFit | None = None
-
-    @property
-    def variances(self) -> Variances:
-        return self.likelihood.variances
 
 
 def fit_stage(
@@ -68,18 +61,20 @@ def fit_stage(
     sigma: Array,
     candidates: Sequence[Candidate],
     nameable: Sequence[str],
-    rope: Mapping[Key, float] | None = None,
-    on_fit: Callable[[str], None] = lambda text: None,
-    shared: Sequence[str] = (),
+    rope: Mapping[Key, float],
+    on_fit: Callable[[str], None],
+    shared: Sequence[str],
 ) -> StageFit:
     """Search and decide one stage.
 
     Args:
         sigma: noise floor of each output, (d,).
-        nameable: labels of candidates that the recordings excite enough; the others only compete.
+        nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
+        rope, shared: as in :func:`sysid.gap.decision.decide`.
+        on_fit: called with the labels of each fitted set.
     """
     full = recordings[0].rate_hz
-    # Means over 0.1 s shifted by a clock's error are off by several noise floors at every start and stop.
+    # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
     span = 0.0 if any(c.effect.target == "stream" for c in candidates) else SPANS.get(problem.stage, 0.0)
     hidden = averaged_out(problem, recordings, theta, sigma, span)
     if span > 0.0:
@@ -89,14 +84,14 @@ def fit_stage(
     samples = max(1, round(1.0 / sample)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
-    # What the recordings do not excite would take what others leave; it competes at the end alone.
+    # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
     discrepancy = _discrepancy(model, rows, theta, sample)
     free = free_run_of(rows, discrepancy, excited)
     sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
-    taus = (BESIDE,) if problem.integrates else FIRST
+    taus = (FREE_RUN_TAU,) if problem.integrates else FIRST_TAUS
     known = dict(free.proposals.fits)
-    found = [_settled(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
+    found = [_converged(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
@@ -115,12 +110,12 @@ def fit_stage(
         return fit.evidence - fit_model(bare, fit.candidates, fit.values[None]).evidence
 
     proposals.forward(proposals.best)
-    if not problem.integrates or needed(proposals.best) < CERTAIN:
+    if not problem.integrates or needed(proposals.best) < MISSPECIFIED:
         proposals.around()
-    rivals = [proposals.warm(f.candidates, f) for f in sets]
+    acceptable = [proposals.warm(f.candidates, f) for f in sets]
 
     def decided() -> Decision:
-        models = {f.labels: f for f in (*proposals.near(), *rivals)}
+        models = {f.labels: f for f in (*proposals.near(), *acceptable)}
         return decide(
             tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, free, proposals.without
         )
@@ -128,7 +123,7 @@ def fit_stage(
     decision = decided()
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives
         before = len(proposals.fits)
-        for survivor in (decision.model, *decision.rivals):
+        for survivor in (decision.model, *decision.acceptable):
             for candidate in survivor.candidates:
                 proposals.without(survivor, candidate)
         if len(proposals.fits) == before:
@@ -142,19 +137,19 @@ def fit_stage(
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:
-    likelihood, model, smallest = proposals.likelihood, decision.model, decision.rivals[0]
+    model, smallest = decision.model, decision.acceptable[0]
     dropped = {c.label: _valued(proposals.without(model, c), decision, free) for c in model.candidates}
-    remainder = explained(likelihood, model)
+    remainder = explained(proposals.likelihood, model)
     squares = free.proposals.warm(smallest.candidates, smallest)
-    return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, remainder, squares)
+    return StageFit(tuple(proposals.near()), decision, dropped, remainder, squares)
 
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
-    """A model with the values that the decision goes by."""
-    return model.with_values(free.least_squares(model)) if decision.adds_up else model
+    """A model with the values that the decision uses."""
+    return model.with_values(free.least_squares(model)) if decision.accumulates else model
 
 
-def _settled(
+def _converged(
     model: Model,
     rows: StageRows,
     discrepancy: Discrepancy,
@@ -167,9 +162,9 @@ def _settled(
     known: dict[frozenset[str], ModelFit],
     on_fit: Callable[[str], None],
 ) -> tuple[StageLikelihood, ModelFit]:
-    """Effects and variances found in turn, from the effects ``first``: the likelihood, and its likeliest model.
+    """Effects and variances estimated alternately, from the effects ``first``: the likelihood, and its likeliest model.
 
-    ``known``: fits under other variances, to start from; those of this one are added.
+    ``known``: fits under other variances, as start values; those of this one are added.
     """
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
@@ -192,7 +187,7 @@ def _settled(
 
 
 def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:
-    """The columns of a stage; timing is open by half a sample of the log, not by half of what it was averaged over."""
+    """The columns of a stage; timing is uncertain by half a sample of the log, not by half an averaging interval."""
     found = discrepancy_of(model, rows, theta)
     return replace(found, timing=sample * found.timing)
 
@@ -214,7 +209,7 @@ def _start(rows: StageRows, sigma: Array, samples: int) -> Start:
 
 
 def _transients(rows: StageRows) -> list[Array]:
-    """Variance that the level of an integrating stage gains while an unknown start state dies out."""
+    """Variance added to the level of an integrating stage during the transient of an unknown initial state."""
     found = []
     fast = [float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95)) for s in rows.series]
     for k, s in enumerate(rows.series):
@@ -222,6 +217,6 @@ def _transients(rows: StageRows) -> list[Array]:
         if rows.problem.integrates:
             for begin in np.flatnonzero(s.restart):
                 count = max(1, round(TRANSIENT / max(float(np.median(s.step)), 1e-6)))
-                extra[begin : begin + count] = (UNKNOWN * TRANSIENT * fast[k]) ** 2 / count
+                extra[begin : begin + count] = (INITIAL_SHARE * TRANSIENT * fast[k]) ** 2 / count
         found.append(extra)
     return found

@@ -1,4 +1,4 @@
-"""The search at every stage of a case: side by side where stages know nothing of each other."""
+"""The search at every stage of a case, in parallel where stages are independent."""
 
 from __future__ import annotations
 
@@ -18,56 +18,56 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, Decision, Key, difference
-from sysid.gap.evidence import Comparison
+from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import Problem
+from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit, fit_stage
-from sysid.gap.stage_result import AcceptedEffect, StageResult, TestedModel
+from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
-#: A play narrower than this many standard deviations of the noise of the signal that drives it acts as a filter of that noise.
-PLAY_OVER_NOISE = 4.0
-#: What a stage behind a drive says of the sensor that the drive is read by, and the stages that say it.
+#: Backlash narrower than this many standard deviations of the noise of its input acts as a filter of that noise.
+BACKLASH_OVER_NOISE = 4.0
+#: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
 SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
 
 Forms = Literal["all", "simple"]
 
 
 def search_stages(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """The stages with what was found at each."""
+    """The stages with the result of each."""
     if case.adapter is None:
-        return _side_by_side(case, stages, forms, progress)
+        return _in_parallel(case, stages, forms, progress)
     return _one_by_one(case, case.adapter, stages, forms, progress)
 
 
-def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Stages driven by their measured inputs know nothing of each other: as many at a time as there are cores."""
+def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Stages driven by their measured inputs are independent: as many at a time as there are cores."""
     done = [0.0] * len(stages)
 
     def one(k: int) -> Stage:
-        def tell(share: float, text: str) -> None:
+        def stage_progress(share: float, text: str) -> None:
             done[k] = share
             progress(sum(done) / len(stages), text)
 
-        return replace(stages[k], finding=_found(case, stages[k], forms, tell))
+        return replace(stages[k], result=_found(case, stages[k], forms, stage_progress))
 
     workers = min(WORKERS, max(len(stages), 1))
-    with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:  # a core a stage
+    with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:
         found = tuple(pool.map(one, range(len(stages))))
-        return _as_read(case, found, forms, progress)
+        return _with_sensor_scales(case, found, forms, progress)
 
 
-def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Drives read by a sensor whose scale was found behind them are searched again with that scale: it looks like a gain.
+def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Search drives again whose sensor has a scale error according to the stages behind them: it looks like a gain.
 
-    Where the scale ties with another effect it stands in the repaired plant all the same, and must not be counted twice.
+    A scale that ties with another effect is in the repaired plant too, and must not be counted twice.
     """
     scales = [
         (stage.found.fit, kept.candidate)
@@ -84,7 +84,7 @@ def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Prog
                 for unknown, value in zip(scale.unknowns, fit.values_of(scale), strict=True):
                     theta[list(unknown.places)] = value
             again = replace(stage, theta=theta)
-            stage = replace(again, finding=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
+            stage = replace(again, result=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
         found.append(stage)
     return tuple(found)
 
@@ -92,60 +92,60 @@ def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Prog
 def _one_by_one(
     case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], forms: Forms, progress: Progress
 ) -> tuple[Stage, ...]:
-    """With a simulator of one's own, the input of a stage depends on the effects found before it."""
+    """With a user's simulator, the input of a stage depends on the effects found before it."""
     found, theta = list[Stage](), case.theta
     for k, stage in enumerate(stages):
-        tell = part(progress, k / len(stages), (k + 1) / len(stages))
-        settled = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
-        found.append(replace(settled, finding=_found(case, settled, forms, tell)))
+        stage_progress = part(progress, k / len(stages), (k + 1) / len(stages))
+        prepared = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
+        found.append(replace(prepared, result=_found(case, prepared, forms, stage_progress)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
     return tuple(found)
 
 
-def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResult:
-    tell(0.0, stage.label)
+def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageResult:
+    progress(0.0, stage.label)
     machine = case.plant.machine
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
     if nominal <= EXPLAINED:
-        tell(1.0, stage.label)
+        progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
-    offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
-    nameable = [c.label for c in offered if excitation_of(c, stage.split.seen, machine).sufficient]
+    candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
+    nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     fitted = fit_stage(
-        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
-        _equivalence(case, problem.stage, offered),
-        on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
-        shared=[c.label for c in offered if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
+        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
+        _equivalence(case, problem.stage, candidates),
+        on_fit=lambda text: progress(0.0, f"{stage.label}: {text}"),
+        shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
     )  # fmt: skip
-    finding = _result(problem, seen, fitted, nominal)
-    tell(1.0, stage.label)
-    return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)
+    result = _result(problem, seen, fitted, nominal)
+    progress(1.0, stage.label)
+    return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 
 
 def _scales_of_drives(case: Case) -> set[Key]:
-    """Scales of the sensors that read what a command drives: behind it they would change what the drive's stage says."""
+    """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
     return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
-def _equivalence(case: Case, stage: str, offered: Sequence[Candidate]) -> dict[Key, float]:
-    """What is open about clocks and about plays that a noisy measurement drives: least half-widths of equivalence."""
+def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[Key, float]:
+    """Least half-widths of regions of equivalence: of clock offsets, and of backlash with a noisy measured input."""
     found: dict[Key, float] = {}
-    for candidate in offered:
+    for candidate in candidates:
         if candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
         elif candidate.effect is backlash.EFFECT and stage == "end_effector":
-            found[candidate.key] = PLAY_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
+            found[candidate.key] = BACKLASH_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
         elif candidate.effect is backlash.EFFECT and stage == "joint":
-            found[candidate.key] = PLAY_OVER_NOISE * _cylinder_noise(case, candidate.target)
+            found[candidate.key] = BACKLASH_OVER_NOISE * _cylinder_noise(case, candidate.target)
     return found
 
 
 def _cylinder_noise(case: Case, axis: str) -> float:
-    """Noise of a measured cylinder as its linkage passes it on to the joint [rad]."""
+    """Noise of a measured cylinder, converted to the joint by its linkage [rad]."""
     linkage = case.plant.linkages[axis]
     stroke = case.plant.machine.axis(axis).stroke
     ends = stroke if stroke is not None else (0.0, 1.0)
@@ -158,31 +158,33 @@ def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> S
     decision = fitted.decision
     fit = _fit(seen, decision.model.candidates, decision.model.theta, decision.model)
     final = spread_of(seen.residuals(fit.theta[None]))
-    kept = [AcceptedEffect(c, _comparison(c, fitted), _rejected(c, fitted)) for c in decision.named]
-    kept += [AcceptedEffect(tie[0], _comparison(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
+    kept = [AcceptedEffect(c, _evidence(c, fitted), _rejected(c, fitted)) for c in decision.named]
+    kept += [AcceptedEffect(tie[0], _evidence(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
     taken = {k.candidate.label for k in kept}
     adjusted = tuple(c for c in decision.model.candidates if c.label not in taken)
     alone = _result(problem, seen, fitted.names_alone, nominal) if fitted.names_alone is not None else None
-    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _trials(fitted, seen), fitted, alone)
+    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _compared(problem, fitted), fitted, alone)
 
 
 def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:
     drifts, log_likelihood = seen.drifts(theta)
     values = model.values if model is not None else np.empty(0)
     unknowns = model.unknowns if model is not None else ()
-    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood, True)
+    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood)
 
 
-def _comparison(candidate: Candidate, fitted: StageFit) -> Comparison:
+def _evidence(candidate: Candidate, fitted: StageFit) -> EffectEvidence:
     model, less = fitted.decision.model, fitted.dropped[candidate.label]
     total, error = difference(model, less)
     ratio = less.rms / max(model.rms, 1e-12)
-    chance = max(float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive))  # no less than all blocks by chance
-    return Comparison(2.0 * (model.evidence - less.evidence), total, chance, ratio)
+    p_value = max(
+        float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive)
+    )  # at least the probability that all blocks agree by chance
+    return EffectEvidence(2.0 * (model.evidence - less.evidence), total, p_value, ratio)
 
 
 def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:
-    """Other effects in its place, and by how much they predict worse."""
+    """Other effects in its place, and the predictive density that they lose."""
     model = fitted.decision.model
     rest = {c.key for c in model.candidates} - {candidate.key}
     found: dict[tuple[str, str, str | None], tuple[Candidate, str]] = {}
@@ -194,15 +196,15 @@ def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, 
     return tuple(found.values())
 
 
-def _trials(fitted: StageFit, seen: Data) -> tuple[TestedModel, ...]:
-    decision: Decision = fitted.decision
-    rows = []
+def _compared(problem: Problem, fitted: StageFit) -> tuple[ComparedModel, ...]:
+    """The forty likeliest models against the chosen one."""
+    decision, rows = fitted.decision, []
     for f in fitted.models[:40]:
-        names = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
+        keys = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
         total, error = difference(decision.model, f)
         verdict = "survives" if any(f is s for s in decision.survivors) else f"{total:.0f} ± {error:.0f} nats worse"
-        values = dict(zip(names, map(float, f.values), strict=True))
-        rows.append(
-            TestedModel(tuple(sorted(f.labels)), values, f.rms, f.rms, 2.0 * (f.evidence - decision.model.evidence), verdict)
-        )
+        values = dict(zip(keys, map(float, f.values), strict=True))
+        delta_bic = 2.0 * (f.evidence - decision.model.evidence)
+        labels = tuple(sorted(f.labels))
+        rows.append(ComparedModel(problem.stage, problem.target, labels, values, f.rms, f.rms, delta_bic, verdict))
     return tuple(rows)

@@ -1,12 +1,12 @@
-"""The gap workflow in steps, for a plant or for a simulator of one's own; :func:`sysid.gap.find_gap` takes them all at once.
+"""The gap workflow in steps, for a plant or for a user's simulator; :func:`sysid.gap.find_gap` runs them all.
 
 >>> study = steps.open_study(dataset, simulator)
->>> steps.localise(study)            # where they disagree
->>> steps.candidates(study)          # what may be missing there, and whether the recordings could show it
->>> study = steps.search(study)      # which of it explains the disagreement
->>> proof = steps.prove(study)       # on recordings that no fit has seen; world=True: in the PyBullet world as well
+>>> steps.localise(study)            # error of each stage
+>>> steps.candidates(study)          # effects that may be missing, and whether the recordings excite them
+>>> study = steps.search(study)      # effects that explain the error
+>>> proof = steps.prove(study)       # on held-out recordings; world=True: in the PyBullet world as well
 >>> better = steps.add(study, proof)
->>> steps.promote(study, proof, registry, better.reference)  # once it is stored: whether the proof is good enough
+>>> steps.promote(study, proof, registry, better.reference)  # of a stored repair, if the proof passes
 >>> steps.next_experiment(study, proof)
 """
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
     from sysid.registry import ModelVersion, Registry
 
-#: File of a repaired plant's version: what the repair changes in ``machine.toml``.
+#: File in the version of a repaired plant: the change of ``machine.toml`` by the repair.
 MACHINE_DIFF = "machine.diff"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A dataset against a simulation: the stages that are measured at both ends, with what was found once they are searched.
+    """A dataset against a simulation: the stages that are measured at both ends, with their results after the search.
 
     ``settings`` are those of the search.
     """
@@ -66,14 +66,14 @@ class ProposedEffect:
 
 @dataclass(frozen=True)
 class Proof:
-    """What was found, and what it does on recordings that nothing has touched.
+    """Result of the search and its evaluation on held-out recordings.
 
     Args:
-        outcome: effects with a name, ties, what is left unnamed, notes; ``outcome.repaired`` holds the effects.
-        gap: RMSE of free runs by signal, before and after, and what the true model would score.
+        outcome: named effects, ties, unnamed residuals, notes; ``outcome.repaired`` contains the effects.
+        gap: RMSE of free runs by signal, before and after, and the noise floor.
         stage_gap: the same with each stage driven by its measured input.
         traces: measured, before and after for each held-out recording.
-        world: the gap in the PyBullet world, where it was asked for.
+        world: the gap in the PyBullet world, if requested.
     """
 
     outcome: ProofOutcome
@@ -84,18 +84,18 @@ class Proof:
 
 
 def open_study(dataset: Dataset, simulation: Plant | Simulator, seed: int = 0) -> Study:
-    """Take a dataset and a simulation apart into stages.
+    """Split a dataset and a simulation into stages.
 
     Raises:
-        ExcitationError: no stage is measured at both ends, or there is nothing to fit, to select or to hold out.
-        InputError: a simulator of one's own failed, returned no table of signals, or does not repeat itself.
+        ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
+        InputError: a user's simulator failed, returned no table of signals, or is not deterministic.
     """
     case, stages = open_case(dataset, simulation, seed)
     return Study(case, tuple(stages))
 
 
 def localise(study: Study) -> tuple[StageGap, ...]:
-    """How far every signal is from its measurement: its stage driven by measured input, and free-running, beside the floor."""
+    """Error of every signal with its stage driven by measured input, and in the free run, with its noise floor."""
     case, stages = study.case, study.stages
     nominal = case.runner(case.plant)
     free = disagreement.run_rmse([(r, nominal(r)) for r in case.split.seen])
@@ -105,7 +105,7 @@ def localise(study: Study) -> tuple[StageGap, ...]:
 
 
 def candidates(study: Study) -> tuple[ProposedEffect, ...]:
-    """What may be missing at each stage; what the recordings cannot show is not tried."""
+    """Effects that may be missing at each stage; those that the recordings do not excite are not named."""
     machine = study.case.plant.machine
     return tuple(
         ProposedEffect(stage.label, c.label, excitation_of(c, stage.split.seen, machine))
@@ -115,30 +115,30 @@ def candidates(study: Study) -> tuple[ProposedEffect, ...]:
 
 
 def search(study: Study, forms: Forms = "all", progress: Progress = silent) -> Study:
-    """Find out stage by stage which effects are missing.
+    """Determine the missing effects stage by stage.
 
     Args:
-        forms: "simple" tries every effect in its simplest form only.
+        forms: "simple" tests every effect in its simplest form only.
     """
     found = search_stages(study.case, study.stages, forms, progress)
     return replace(study, stages=found, settings={"forms": forms})
 
 
 def prove(study: Study, world: bool = False, progress: Progress = silent, *, carry: bool = False) -> Proof:
-    """Evaluate what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
+    """Evaluate the result on held-out recordings; only the first evaluation is a proof.
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
-        carry: fit residual networks to what keeps no name, where they help (:mod:`sysid.gap.unnamed.residual_model`).
+        carry: fit residual networks to unnamed residuals, where they help (:mod:`sysid.gap.unnamed.residual_model`).
 
     Raises:
-        SettingsError: the study was not searched; residual networks were asked for with a simulator of one's own.
+        SettingsError: the study was not searched; residual networks were requested with a user's simulator.
     """
-    if any(stage.finding is None for stage in study.stages):
+    if any(stage.result is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
     outcome = evaluate(study.case, study.stages)
     if carry:
-        from sysid.gap.unnamed import residual_model  # torch is loaded only where something is trained
+        from sysid.gap.unnamed import residual_model  # loads torch
 
         outcome = residual_model.fit_residual_models(study.case, study.stages, outcome, progress=progress)
     return measure(study, outcome, world, progress)
@@ -163,14 +163,14 @@ def measure(study: Study, outcome: ProofOutcome, world: bool = False, progress: 
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:
-    """The repaired simulation: a plant, or the simulator of one's own with input and output effects, again a simulator.
+    """The repaired simulation: a plant, or the user's simulator with input and output effects, again a simulator.
 
     Args:
-        registry: where a repaired plant becomes a new version, with the questioned one in its lineage; it then carries its
-            reference. A simulator of one's own cannot be stored.
+        registry: stores a repaired plant as a new version, with the plant under test in its lineage and the reference set. A
+            user's simulator cannot be stored.
 
     Raises:
-        SettingsError: a simulator of one's own is to be stored.
+        SettingsError: a user's simulator is to be stored.
     """
     case, repaired = study.case, proof.outcome.repaired
     if case.adapter is not None:
@@ -188,23 +188,23 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
 
 
 def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
-    """What to record so that ties come apart and effects that the recordings cannot show are shown."""
+    """Recordings that would distinguish ties and excite effects that are not excited."""
     ties = (advice_on_tie(tie) for tie in proof.outcome.ties)
     lacking = (advice(e) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
-    return tuple(dict.fromkeys((*ties, *lacking)))  # all effects of an axis that did not move need the same
+    return tuple(dict.fromkeys((*ties, *lacking)))  # the same for all effects of an axis that did not move
 
 
 def store(study: Study, proof: Proof, registry: Registry) -> str:
-    """The repaired plant as a version that remembers how it came about: ``name@version``.
+    """Store the repaired plant as a version with its lineage: ``name@version``.
 
-    It is not promoted yet. Where nothing of its name is, the questioned plant is from now on: the name alone never means a
-    repair that was not evaluated.
+    It is not promoted yet. If no version of its name is, the plant under test is promoted, so that the name alone never refers
+    to a repair that was not evaluated.
     """
     case, repaired = study.case, proof.outcome.repaired
-    questioned = register(case, case.plant, registry, {})
-    if questioned.partition("@")[0] == repaired.machine.name:
-        first_promotion(registry, questioned)
-    evidence = {"plant": questioned, **lineage_of(case, proof.outcome, proof.gap, proof.stage_gap, study.settings)}
+    tested = register(case, case.plant, registry, {})
+    if tested.partition("@")[0] == repaired.machine.name:
+        first_promotion(registry, tested)
+    evidence = {"plant": tested, **lineage_of(case, proof.outcome, proof.gap, proof.stage_gap, study.settings)}
     accepted = [asdict(item) for item in proof.outcome.carried if item.accepted]
     if accepted:
         evidence["carried"] = plain(accepted)
@@ -212,7 +212,7 @@ def store(study: Study, proof: Proof, registry: Registry) -> str:
 
 
 def machine_diff(study: Study, proof: Proof) -> str:
-    """What the repair changes in the machine's own ``machine.toml``, as a unified diff; empty where nothing."""
+    """The change of ``machine.toml`` by the repair, as a unified diff; empty without one."""
     repaired = proof.outcome.repaired
     if repaired is study.case.plant or study.case.adapter is not None:
         return ""
@@ -220,7 +220,7 @@ def machine_diff(study: Study, proof: Proof) -> str:
 
 
 def promote(study: Study, proof: Proof, registry: Registry, version: str) -> Promotion:
-    """Let the name of a stored repair mean it from now on, if the proof is good enough (:mod:`sysid.gap.promotion`)."""
+    """Promote a stored repair if the proof passes (:mod:`sysid.gap.promotion`)."""
     until_now = registry.promoted(version.partition("@")[0])
     checks = _checks(study, proof, registry, version, until_now)
     return decide(registry, version, until_now, checks, {"by": "sysid gap", "dataset": study.case.dataset.reference})
@@ -246,10 +246,10 @@ def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_
         free_run_check(proof.gap, spread, units),
     ]
     if until_now is not None and until_now.reference != version:
-        rival = plant_from_files(registry.load(until_now.reference).files, until_now.reference)
-        comparable = rival.machine.axis_names == case.plant.machine.axis_names
-        if comparable and rival.to_files() != case.plant.to_files():
-            run = case.runner(rival)
+        promoted = plant_from_files(registry.load(until_now.reference).files, until_now.reference)
+        comparable = promoted.machine.axis_names == case.plant.machine.axis_names
+        if comparable and promoted.to_files() != case.plant.to_files():
+            run = case.runner(promoted)
             score = disagreement.run_rmse([(r, run(r)) for r in case.split.held_out])
             shared = {signal: value for signal, value in score.items() if signal in proof.gap.after}
             against = Gap(shared, proof.gap.after, proof.gap.noise_floor)
@@ -258,7 +258,7 @@ def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_
 
 
 def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, Any], difference: str = "") -> str:
-    """The plant as a version named after its machine; the same content is the same version."""
+    """Register the plant as a version named after its machine; the same content is the same version."""
     if plant.reference:
         return plant.reference
     lineage = {"dataset": case.dataset.reference, "machine": plant.machine.name, **plant.origin, **evidence}
@@ -268,7 +268,7 @@ def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, A
 
 
 def _with_forces(gap: Gap, by_stage: Gap) -> Gap:
-    """The force of a force axis has no free run: what the model needs at measured motion stands in the gap as well."""
+    """The gap with the forces of force axes, which have no free run: those of the stage at measured motion."""
     forces = [signal for signal in by_stage.before if signal.endswith(".command")]
     parts = ((getattr(gap, name), getattr(by_stage, name)) for name in ("before", "after", "noise_floor"))
     return Gap(*({**free, **{s: stage[s] for s in forces}} for free, stage in parts))

@@ -1,4 +1,4 @@
-"""The gap workflow: localise → candidates → select → prove. One call on a dataset version and a plant version."""
+"""The gap workflow in one call: localise → candidates → select → prove."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.result import ComparedModel, Excitation, GapResult, Map, StageGap, Verdict
+from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.stage_result import StageResult
 from sysid.gap.stages import Forms
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
@@ -45,40 +44,41 @@ def find_gap(
     planning: Planning | None = None,
     seed: int = 0,
 ) -> GapResult:
-    """Find where ``plant`` and the recordings disagree, name the missing effects, and prove it on held-out recordings.
+    """Find where ``plant`` and the recordings disagree, name the missing effects, and prove them on held-out recordings.
 
     Args:
-        plant: a plant, or a simulator of one's own, for which input and output effects are named.
-        registry: where plant versions live; without it none is written.
-        add: write the repaired plant as a new version, and promote it if the proof is good enough.
-        world: prove it in the PyBullet world as well; by default where it is added.
-        localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
-        carry: fit bounded residual networks to what keeps no name, where they lower held-out errors. They are learned from the
-            recordings, are no physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
-        forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
-        planning: plan the recordings that would answer what these leave open (not for a simulator of one's own); by default
-            they are only described.
+        plant: a plant, or a user's simulator, for which input and output effects are named.
+        registry: stores plant versions; without it none is written.
+        add: write the repaired plant as a new version, and promote it if the proof passes.
+        world: prove it in the PyBullet world as well; by default if it is added.
+        localise_only: stop after localising; the verdict is then ``unnamed`` if a stage is above its noise floor.
+        carry: fit bounded residual networks to unnamed residuals, accepted where they lower held-out errors. They are trained
+        on
+            the recordings, are not physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
+        forms: "simple" tests every effect in its simplest form only, e.g. one friction for both directions.
+        planning: plan recordings that would resolve open hypotheses (not for a user's simulator); by default they are only
+            described.
         progress: called with (share done, text).
 
     Raises:
-        ExcitationError: no stage is measured at both ends, or there is nothing to hold out.
-        InputError: a simulator of one's own failed, or returned no table of signals.
-        SettingsError: a repaired simulator of one's own is to be added to the registry, or to hold a residual network.
+        ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
+        InputError: a user's simulator failed, or returned no table of signals.
+        SettingsError: a repaired user's simulator is to be added to the registry, or to contain a residual network.
     """
     begin = time.perf_counter()
-    tell: Progress = progress or silent
+    report: Progress = progress or silent
     if add and not isinstance(plant, Plant):
         raise SettingsError(
-            f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
+            f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Get the repaired simulator from sysid.gap.steps.add."
         )
     if carry and not isinstance(plant, Plant):
         raise SettingsError(f"simulator {name_of(plant)}", "cannot hold a residual network", "a plant")
     if carry and localise_only:
         raise SettingsError(
-            "find_gap", "carry and localise_only", "one of them", "A residual network is fitted to what a search leaves."
+            "find_gap", "carry and localise_only", "one of them", "A residual network needs the residual of a search."
         )
     study = steps.open_study(dataset, plant, seed)
-    tell(0.02, "localising")
+    report(0.02, "localising")
     located = steps.localise(study)
     case, proposal, after_reference, promotion = study.case, ExperimentProposal(), "", None
     own = registry is not None and case.adapter is None
@@ -86,21 +86,21 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, ProofOutcome(case.plant))
     else:
-        study = steps.search(study, forms, part(tell, 0.05, 0.85))
-        tell(0.87, "proving on held-out recordings")
-        proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92), carry=carry)
+        study = steps.search(study, forms, part(report, 0.05, 0.85))
+        report(0.87, "proving on held-out recordings")
+        proof = steps.prove(study, add if world is None else world, part(report, 0.88, 0.92), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.adapter is None and not localise_only:
-        tell(0.93, "planning the next experiment")
+        report(0.93, "planning the next experiment")
         hypotheses = open_hypotheses(case, stages, outcome)
-        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: tell(0.93, f"planning: {text}"))
+        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: report(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
-    tell(1.0, "done")
+    report(1.0, "done")
     return GapResult(
         dataset=dataset.reference,
         plant_before=reference,
@@ -119,7 +119,7 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
-        candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
+        candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(
             *outcome.notes,
@@ -135,18 +135,10 @@ def find_gap(
 
 
 def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[Map, ...]:
-    """Over the recordings that may be seen, stage by stage."""
+    """Maps over the fit and selection recordings, stage by stage."""
     machine, units = case.plant.machine, case.dataset.units
     of_stages = (maps_of(s.problem, case.theta, s.split.seen, s.sigma, machine, units, repaired) for s in stages)
     return tuple(item for maps in of_stages for item in maps)
-
-
-def _rows(stage: Stage, finding: StageResult) -> list[ComparedModel]:
-    where = stage.problem.stage, stage.problem.target
-    return [
-        ComparedModel(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict)
-        for t in finding.trials
-    ]
 
 
 def _verdict(outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool) -> Verdict:

@@ -1,8 +1,8 @@
-"""The proof once more in the PyBullet world: the held-out commands move rigid bodies, before and after the repair.
+"""The proof in the PyBullet world: the held-out commands move rigid bodies, before and after the repair.
 
-The driven joints of the world follow the compiled chain, its tip and tool come from the bodies: what the repair closes there is
-closed for whatever is trained in it. The gripper is a point there, as the equation of ``gripper_sway`` has it (by how much a
-rigid one differs: ``docs/world.md``), and the ground lies deep, since a compiled plant knows none.
+The driven joints of the world follow the compiled chain; tip and tool come from the bodies, as in training. The gripper is a
+point mass, as in the equation of ``gripper_sway`` (difference to a rigid one: ``docs/world.md``), and the ground lies deep,
+since a compiled plant has none.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from sysid.progress import Progress, silent
 
 Array = npt.NDArray[np.float64]
 
-#: Recordings are run in the world until this much is reached [s]: a minute takes it one and a half seconds.
-MOST = 600.0
-#: Height of a ground that nothing reaches [m].
-DEEP = -100.0
+#: Total duration of the recordings that are run [s]; a minute takes one and a half seconds.
+MAX_SECONDS = 600.0
+#: Height of the ground, out of reach [m].
+GROUND = -100.0
 
 
 def world_gap(
@@ -34,11 +34,11 @@ def world_gap(
 ) -> WorldGap:
     """RMSE of every measured signal in the world and of the compiled plant, on the same rows.
 
-    What cannot be run there is left out, and ``skipped`` says why.
+    Recordings that cannot be run are left out; ``skipped`` gives the reason.
 
     Args:
         recordings: held out; with the measured signals.
-        floor: what the true model would score, by signal.
+        floor: noise floor by signal.
     """
     begin = time.perf_counter()
     chosen, runs, reasons = _within(recordings), list[tuple[Recording, list[pd.DataFrame]]](), list[str]()
@@ -53,7 +53,7 @@ def world_gap(
         compiled = [free_run(compile_plant(plant), recording) for plant in (before, after)]
         runs.append((recording, _on_same_rows([*there, *compiled])))
     if len(chosen) < len(recordings):
-        reasons.append(f"{len(recordings) - len(chosen)} more recordings than {MOST:.0f} s")
+        reasons.append(f"{len(recordings) - len(chosen)} more recordings than {MAX_SECONDS:.0f} s")
     scores = [run_rmse([(recording, tables[k]) for recording, tables in runs]) for k in range(4)]
     shared = [signal for signal in scores[0] if all(signal in score for score in (*scores, floor))]
     world_before, world_after, plain_before, plain_after = ({s: score[s] for s in shared} for score in scores)
@@ -68,20 +68,20 @@ def world_gap(
 
 
 def _within(recordings: Sequence[Recording]) -> list[Recording]:
-    """The first recordings up to :data:`MOST` seconds, at least one."""
+    """The first recordings up to :data:`MAX_SECONDS`, at least one."""
     seconds = np.cumsum([len(r) / r.rate_hz for r in recordings])
-    return [r for k, r in enumerate(recordings) if k == 0 or seconds[k] <= MOST]
+    return [r for k, r in enumerate(recordings) if k == 0 or seconds[k] <= MAX_SECONDS]
 
 
 def _in_world(plant: Plant, recording: Recording) -> pd.DataFrame:
     from sysid.world import World
 
-    with World(plant, recording.rate_hz, gripper="point", ground=DEEP) as world:
+    with World(plant, recording.rate_hz, gripper="point", ground=GROUND) as world:
         return world.rollout(recording)
 
 
 def _on_same_rows(tables: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
-    """The signals that all tables have, NaN wherever one of them says nothing."""
+    """The signals that all tables contain, NaN wherever one of them has no value."""
     shared = [name for name in tables[0].columns if all(name in table for table in tables)]
     values = np.array([table[shared].to_numpy(dtype=np.float64) for table in tables])
     there = np.isfinite(values).all(axis=0)

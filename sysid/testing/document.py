@@ -26,7 +26,7 @@ _STAGES = {
     "joint": "cylinder (or drive) → joint",
     "end_effector": "joints → end effector",
     "tool": "end effector → hanging tool",
-    "sensor": "true signal → what its sensor says",
+    "sensor": "true signal → reading of the sensor",
 }
 _NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
 
@@ -35,7 +35,7 @@ def documents() -> dict[str, str]:
     """File name → text, for the whole catalogue."""
     files = {"README.md": _index()}
     for effect in CATALOGUE:
-        files[f"{effect.name}.md"] = _page(effect)
+        files[f"{effect.name}.md"] = page(effect)
         files[f"{effect.name}.svg"] = _picture(effect)
     return files
 
@@ -53,11 +53,11 @@ def _index() -> str:
         [
             _NOTICE,
             "# Effects\n",
-            "What a machine can do that its simulation does not know, in the order in which the chain applies it.",
-            "Every effect keeps the promises that `sysid.testing.check_effect` checks: absent at its neutral value, causal,",
-            'repeatable, finite on any input, without memory of earlier runs. Where a source says "machine facts", it means',
+            "The effects that `sysid gap` can name and a plant can have, in the order in which the chain applies them.",
+            "`sysid.testing.check_effect` checks that each effect is absent at its neutral value, causal, repeatable, finite",
+            'on any input and independent of earlier runs. In a source, "machine facts" means',
             "[magnitudes of real effects](../machine-facts.md).\n",
-            "| effect | of | computes | shows in |",
+            "| effect | target | equation | shows in |",
             "| --- | --- | --- | --- |",
             *rows,
             "",
@@ -65,7 +65,7 @@ def _index() -> str:
     )
 
 
-def _page(effect: Effect) -> str:
+def page(effect: Effect) -> str:
     neutral = {slot.name: slot.neutral for slot in effect.slots}
     rows = []
     for form in effect.forms:
@@ -97,8 +97,8 @@ def _page(effect: Effect) -> str:
     ]
     if len(effect.forms) > 1:
         forms = " or ".join("{" + ", ".join(f"`{name}`" for name in form.names) + "}" for form in effect.forms)
-        lines.append(f"Written as {forms}, the first being the simplest.\n")
-    lines += ["## What looks like it\n", "| effect | what separates them |", "| --- | --- |"]
+        lines.append(f"Written as {forms}, the simplest first.\n")
+    lines += ["## Similar effects\n", "| effect | what separates them |", "| --- | --- |"]
     lines += [f"| {_link(other)} | {what} |" for other, what in confusions(effect).items()]
     return "\n".join([*lines, ""])
 

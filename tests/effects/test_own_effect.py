@@ -19,13 +19,13 @@ WORDS = """
 from sysid.effects import effect_named
 from sysid.effects.catalogue import confusions
 from sysid.reports.words import effect_sentence, effect_title
-from sysid.testing.document import _page
+from sysid.testing.document import page
 
 assert effect_title("command_offset") == "Valve null bias"
 assert effect_sentence("command_offset", "boom", {"offset": "0.05"}).startswith("A constant of 0.05 is added to every command")
 assert "command_offset" in confusions(effect_named("valve_deadband"))
-assert "shifts both edges" in _page(effect_named("valve_deadband"))
-assert "added to the command" in _page(effect_named("command_offset"))
+assert "shifts both edges" in page(effect_named("valve_deadband"))
+assert "added to the command" in page(effect_named("command_offset"))
 """
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,7 @@ def test_an_effect_without_which_nothing_predicts_as_well_is_named() -> None:
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND,)
     assert found.tied == ()
-    assert found.rivals == (found.model,)
+    assert found.acceptable == (found.model,)
 
 
 def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
@@ -124,7 +125,7 @@ def test_an_effect_has_to_divide_what_is_left_by_its_price(without: float, named
     found = decide([model(worse=4.0, left=without), model(DELAY, away=0.5, left=2.0)], ALL)
     assert (found.named == (DELAY,)) == named
     if not named:
-        assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
+        assert found.near_misses[0].lacks == "it reduces the error by too little compared with what remains"
 
 
 def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
@@ -133,7 +134,7 @@ def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
     found = decide([*models, model(BAND, LAG, DELAY, GAIN, left=2.5)], ALL)
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND, LAG, DELAY, GAIN), "their values go into the plant all the same"
-    assert {n.lacks for n in found.near_misses} == {"what it takes of the error away is little beside what stays"}
+    assert {n.lacks for n in found.near_misses} == {"it reduces the error by too little compared with what remains"}
 
 
 def test_two_effects_that_help_together_alone_are_both_named() -> None:
@@ -231,7 +232,7 @@ def test_effects_in_each_other_s_place_tie() -> None:
     found = decide([NOTHING, model(DELAY), model(LAG, worse=0.02, left=1.05)], ALL)
     assert found.named == ()
     assert found.tied == ((DELAY, LAG),)
-    assert len(found.rivals) == 2
+    assert len(found.acceptable) == 2
     assert found.near_misses[0].lacks == "another model without it predicts as well"
 
 
@@ -249,7 +250,7 @@ def test_what_may_repair_the_formula_of_an_effect_that_it_looks_like_has_no_name
     found = decide(models, ALL, free=Compared(moved={LAG: 10.0, DELAY: moves}))
     assert (DELAY in found.named) == named
     assert (LAG in found.named) != named
-    assert found.near_misses[0].lacks == "it may repair the formula of an effect that it looks like"
+    assert found.near_misses[0].lacks == "it may compensate for the formula of a similar effect"
     apart = decide([models[0], model(BAND, GAIN)], ALL, free=Compared(moved={BAND: 10.0, GAIN: moves}))
     assert set(apart.named) == {BAND, GAIN}
 
@@ -302,7 +303,7 @@ def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float
     found = decide([nothing, model(BAND, left=2.0)], ALL, integrates=False)
     assert (found.named == (BAND,)) == named
     if not named:
-        assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
+        assert found.near_misses[0].lacks == "it reduces the error by too little compared with what remains"
 
 
 def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> None:
@@ -311,7 +312,7 @@ def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> No
     rest = model(LAG, GAIN, worse=4.0, left=10.0)
     found = decide([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
     assert found.named == (BAND,)
-    assert {n.lacks for n in found.near_misses} == {"what it takes of the error away is little beside what stays"}
+    assert {n.lacks for n in found.near_misses} == {"it reduces the error by too little compared with what remains"}
 
 
 def test_what_brings_an_output_to_its_noise_floor_needs_no_price() -> None:
@@ -423,8 +424,9 @@ def test_what_an_effect_generalises_is_simpler() -> None:
     assert simpler(model(special), model(general))
 
 
-def test_the_rule_has_five_numbers_and_its_table_says_them() -> None:
-    table = re.findall(r"^``(\w+)``\s+([\d.]+)\s*(%?)", decision.__doc__ or "", re.MULTILINE)
+def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "decisions" / "decision-rule.md").read_text("utf-8")
+    table = re.findall(r"^\| `(\w+)` \| ([\d.]+)\s*(%?)", page, re.MULTILINE)
     said = {name: float(value) / (100.0 if percent else 1.0) for name, value, percent in table}
     numbers = {
         name: value

@@ -1,4 +1,4 @@
-"""The drift model: what wanders is made white, its strength is found, and wandering alone is no evidence."""
+"""The drift model: drifting residuals are made white, the strength of the drift is found, and drift alone is no evidence."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.gap.drift import BIN, DriftStrength, estimate_drift, log_density, robust_scale, to_bins, whiten
+from sysid.gap.drift import BIN, DriftStrength, estimate_drift, robust_scale, to_bins, whiten_lanes
 
 Array = npt.NDArray[np.float64]
 
 
-def wandering(count: int, calm: float, moving: float, seed: int, noise: float = 1.0) -> tuple[Array, Array]:
+def drifting(count: int, calm: float, moving: float, seed: int, noise: float = 1.0) -> tuple[Array, Array]:
     """A series of the local level model, and its activity (rests and motion, mean 1)."""
     rng = np.random.default_rng(seed)
     activity = np.repeat(rng.choice([0.0, 0.5, 2.5], count // 20 + 1), 20)[:count]
@@ -29,8 +29,8 @@ def autocorrelation(values: Array, lag: int) -> float:
 
 @pytest.mark.parametrize(("calm", "moving"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.3), (5.0, 0.0), (0.2, 2.0)])
 def test_whitened_residuals_are_white(calm: float, moving: float) -> None:
-    series, activity = wandering(4000, calm, moving, 1, noise=0.7)
-    white, _ = whiten(series, activity, DriftStrength(calm, moving))
+    series, activity = drifting(4000, calm, moving, 1, noise=0.7)
+    (white,) = whiten_lanes(series[None], activity, DriftStrength(calm, moving))
     bound = 3.0 / np.sqrt(len(white))
     assert all(abs(autocorrelation(white[10:], lag)) < bound for lag in (1, 2, 5, 20))
     assert np.std(white) == pytest.approx(0.7, rel=0.05)
@@ -40,7 +40,7 @@ def test_whitened_residuals_are_white(calm: float, moving: float) -> None:
 
 @pytest.mark.parametrize(("calm", "moving"), [(0.1, 0.0), (0.0, 0.3), (5.0, 0.0)])
 def test_strengths_are_found(calm: float, moving: float) -> None:
-    parts = [wandering(3000, calm, moving, seed, noise=1.3) for seed in range(2)]
+    parts = [drifting(3000, calm, moving, seed, noise=1.3) for seed in range(2)]
     drift, _ = estimate_drift([series for series, _ in parts], [activity for _, activity in parts])
     assert drift.calm + drift.moving == pytest.approx(calm + moving, rel=0.5)
     assert (drift.moving > drift.calm) == (moving > calm)
@@ -48,22 +48,16 @@ def test_strengths_are_found(calm: float, moving: float) -> None:
 
 
 def test_white_noise_has_no_drift() -> None:
-    series, activity = wandering(3000, 0.0, 0.0, 5)
+    series, activity = drifting(3000, 0.0, 0.0, 5)
     drift, _ = estimate_drift([series], [activity])
     assert not drift.present
     assert drift.noise == pytest.approx(1.0, rel=0.05)
 
 
-def test_the_true_strength_is_the_likeliest() -> None:
-    series, activity = wandering(3000, 0.3, 0.0, 7)
-    totals = {calm: np.nansum(log_density(series, activity, DriftStrength(calm))) for calm in (0.0, 0.03, 0.3, 3.0, 30.0)}
-    assert max(totals, key=totals.__getitem__) == 0.3
-
-
-def test_missing_bins_stay_missing_and_the_level_wanders_on() -> None:
-    series, activity = wandering(200, 0.5, 0.0, 3)
+def test_missing_bins_stay_missing_and_the_level_drifts_on() -> None:
+    series, activity = drifting(200, 0.5, 0.0, 3)
     series[50:80] = np.nan
-    white, _ = whiten(series, activity, DriftStrength(0.5))
+    (white,) = whiten_lanes(series[None], activity, DriftStrength(0.5))
     assert (np.isnan(white) == np.isnan(series)).all()
     assert abs(white[80]) < 5.0, "thirty unseen bins make the next one uncertain, not surprising"
 

@@ -9,8 +9,8 @@ from plant_data import arm_inputs, dataset_of, measured, nominal
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.drift import DriftStrength, estimate_drift, log_density
-from sysid.gap.evidence import gain_p_value
+from sysid.gap.drift import estimate_drift
+from sysid.gap.unnamed.residual_series import gain_p_value
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]
@@ -63,12 +63,6 @@ def test_no_gain_at_all_is_no_evidence() -> None:
 def test_p_values_repeat_with_their_seed() -> None:
     gain = autoregressive(200, 0.6, np.random.default_rng(1))
     assert gain_p_value(gain, 7) == gain_p_value(gain, 7)
-
-
-def test_density_of_a_better_prediction_is_higher() -> None:
-    rng = np.random.default_rng(2)
-    noise, activity = rng.standard_normal(300), np.ones(300)
-    assert log_density(noise, activity, DriftStrength()).sum() > log_density(noise + 0.5, activity, DriftStrength()).sum()
 
 
 def disturbed(seed: int, *hidden: KnownEffect) -> Dataset:

@@ -155,7 +155,8 @@ def test_no_effect_of_an_axis_that_stands_still_is_excited() -> None:
             item = excitation_at(effect, target, [made], arm())
             assert not item.sufficient, effect.name
             assert advice(item) == (
-                "boom did not move (0 % of its range, at least 0.1 needed): no effect on it or on its sensors can be told. "
+                "boom did not move (0 % of its range, at least 0.1 needed), so that no effect on it or on its "
+                "sensors is identifiable. "
                 "Record boom moving over its range in both directions."
             )
     assert excitation_at(effect_named("gain_error"), "slew", [made], arm()).sufficient

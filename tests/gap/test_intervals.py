@@ -117,19 +117,10 @@ def test_play_is_as_wide_as_it_is_although_its_input_is_noisy() -> None:
     )
 
 
-def test_covariance_has_the_widths_of_the_intervals() -> None:
-    """A plant that is drawn from it spreads as the intervals say."""
-    found = known(TRUTH, 0)
-    halves = np.abs(found.limits - found.fit.values[:, None]).max(axis=1)
-    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(halves / 1.96, rel=1e-3)
-    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
-
-
 def test_no_unknowns_no_intervals() -> None:
-    nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0, True)
+    nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0)
     data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))
     found = known_of(data, nominal().vector(), nothing, {})
-    assert found.covariance.shape == (0, 0)
     assert found.limits.shape == (0, 2)
 
 

@@ -1,4 +1,4 @@
-"""The half-width within which a clock offset is no finding."""
+"""The half-width within which a clock offset is not an effect."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def test_what_is_worse_than_the_promoted_one_is_not_promoted(searched: Study, pr
     assert not found.promoted
     assert status_of(found.checks)["free run"] == "passed", "it is better than what was questioned"
     assert status_of(found.checks)["promoted until now"] == "failed"
-    assert "further off than arm@2: boom.cylinder 1.98e-05 → " in found.reason
+    assert "larger error than arm@2: boom.cylinder 1.98e-05 → " in found.reason
     assert (found.version, found.current, found.previous) == ("arm@3", "arm@2", "arm@2")
     assert registry.find("arm").reference == "arm@2"
 
@@ -132,7 +132,7 @@ def test_a_signal_that_grows_stops_a_promotion(searched: Study, proof: Proof, re
     grown = steps.measure(searched, ProofOutcome(bent, proof.outcome.named))
     found = steps.promote(searched, grown, registry, steps.store(searched, grown, registry))
     assert not found.promoted
-    assert "further off than before: wrist.joint 0.000303 → 0.02 (at most 0.0003" in found.reason
+    assert "larger error than before: wrist.joint 0.000303 → 0.02 (at most 0.0003" in found.reason
     assert registry.find("arm").reference == "arm@1", "the name does not mean the newest one"
 
 
@@ -249,7 +249,7 @@ def test_growth_in_the_world_that_the_plant_does_not_account_for(
     found = world_check(WorldGap(gap(*world), gap(*compiled), ("run-4",)), {"tool.x": 1e-5}, UNITS)
     assert found.status == status
     if status == "failed":
-        assert "further off in the PyBullet world only: tool.x" in found.text
+        assert "larger error in the PyBullet world only: tool.x" in found.text
         assert " m (compiled plant " in found.text
 
 
@@ -257,6 +257,6 @@ def test_stages_have_to_fall_and_names_have_to_be_there() -> None:
     assert stages_check({"command stage of boom": (229.0, 0.96)}).text == "command stage of boom 229 → 0.96 noise floors"
     failed = stages_check({"command stage of boom": (229.0, 0.96), "joint stage of boom": (3.0, 2.99)})
     assert (failed.status, failed.text) == ("failed", "does not fall: joint stage of boom 3 → 2.99 noise floors")
-    assert names_check([], []).text == "no effect was named: it only adjusts parameters too little for a name"
+    assert names_check([], []).text == "no effect was named: it only adjusts parameters"
     carried = names_check([], [], ["command of boom"])
     assert (carried.status, carried.text) == ("passed", "unnamed_residual at the command of boom")

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import as_certain_as_alone
+from sysid.gap.proof import with_intervals_of
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
 
@@ -118,12 +118,12 @@ def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone(
     leak, oil, lag = (SimpleNamespace(label=label, unknowns=(0,)) for label in ("leak", "oil", "lag"))
 
     def stage(candidates: list[Any], values: list[float], limits: list[list[float]]) -> Stage:
-        fit = Fit(tuple(candidates), (), np.array(values), np.empty(0), (), 0.0, True)
+        fit = Fit(tuple(candidates), (), np.array(values), np.empty(0), (), 0.0)
         named = tuple(SimpleNamespace(candidate=c) for c in candidates if c is not lag)
         result = StageResult(None, named, (), fit, 2.0, 1.0, limits=np.array(limits))  # type: ignore[arg-type]
         return Stage(None, None, np.ones(1), np.empty(0), result)  # type: ignore[arg-type]
 
     whole = stage([leak, lag, oil], [1.0, 2.0, 3.0], [[0.0, 2.0], [1.0, 3.0], [1.0, 9.0]])
-    found = as_certain_as_alone(whole, stage([oil], [3.2], [[3.1, 3.3]]))
+    found = with_intervals_of(whole, stage([oil], [3.2], [[3.1, 3.3]]))
     assert found.found.limits is not None
     assert found.found.limits.tolist() == [[0.0, 2.0], [1.0, 3.0], [3.0, 3.3]]

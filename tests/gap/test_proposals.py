@@ -9,7 +9,7 @@ import pytest
 from regression_stage import candidate, likelihood, rows_of
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.proposals import MOST, NEAR, Proposals, screened
+from sysid.gap.proposals import MAX_DISTANCE, MAX_EFFECTS, Proposals, screened
 
 F, G, TWIN = candidate(0), candidate(1), candidate(2)
 
@@ -59,7 +59,7 @@ def test_forward_steps_end_at_nothing_where_nothing_is_there() -> None:
     for seed in range(3):
         search = proposals((0.0, 0.0, 0.0), F, G, TWIN, seed=seed)
         assert search.forward(search.fit(())).candidates == ()
-        assert all(len(f.candidates) <= MOST for f in search.fits.values())
+        assert all(len(f.candidates) <= MAX_EFFECTS for f in search.fits.values())
 
 
 def test_a_wrong_first_step_is_swapped() -> None:
@@ -78,7 +78,7 @@ def test_models_near_the_best_are_compared_and_the_one_without_effects_always() 
     assert found[0] is search.best
     assert [f.evidence for f in found[:-1]] == sorted((f.evidence for f in found[:-1]), reverse=True)
     assert found[-1].candidates == ()
-    assert all(f.evidence > found[0].evidence - NEAR for f in found[:-1])
+    assert all(f.evidence > found[0].evidence - MAX_DISTANCE for f in found[:-1])
 
 
 def test_a_smaller_model_starts_where_the_larger_one_ended() -> None:

@@ -38,7 +38,7 @@ def functions(time: Array) -> Array:
 def candidate(k: int) -> Candidate:
     """An effect whose only parameter is the k-th of θ."""
     effect = effect_named(NAMES[k])
-    unknown = Unknown(effect.forms[0].names[0], (k,), (-5.0, 5.0), 0.0, 0.0, 0.01)
+    unknown = Unknown(effect.forms[0].names[0], (k,), (-5.0, 5.0), 0.0, 0.01)
     return Candidate(effect, effect.forms[0], SIGNAL, None, (unknown,), ((-1.0,), (1.0,)))
 
 

@@ -11,12 +11,11 @@ from plant_data import _ARM, ROLES, URDF, arm_inputs, measured, slide_inputs
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
-from sysid.gap.evidence import Comparison
 from sysid.gap.experiment import Experiment, OpenHypothesis, dry_run
 from sysid.gap.experiment.open_hypothesis import non_identifiable_set
-from sysid.gap.fit import fit_candidates
+from sysid.gap.fit import fit_candidates, starting_values
+from sysid.gap.result import EffectEvidence
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.starts import starting_values
 from sysid.machine import Machine, machine_from_files
 from sysid.plant import Plant
 
@@ -73,8 +72,8 @@ def tie(
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     fit = fit_candidates(seen, case.theta, (one,), starting_values((one,), (), 0))
     repaired = plant.with_effect(one.instance(fit.values))
-    finding = StageResult(
-        stage.problem, (AcceptedEffect(one, Comparison(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
+    result = StageResult(
+        stage.problem, (AcceptedEffect(one, EffectEvidence(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
     )
-    searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, finding)
+    searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, result)
     return case, repaired, non_identifiable_set(case, searched, repaired.vector(), one, (other,), seen)

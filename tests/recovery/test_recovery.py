@@ -12,8 +12,7 @@ from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates
-from sysid.gap.starts import starting_values
+from sysid.gap.fit import fit_candidates, starting_values
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

@@ -75,4 +75,4 @@ def test_a_gain_beside_a_dead_band_is_told_as_the_slope_that_it_is() -> None:
     alone = effect_sentence("gain_error", "stick", {"ratio": "9.21"})
     beside = effect_sentence("gain_error", "stick", {"ratio": "9.21"}, {"gain_error", "valve_deadband"})
     assert alone == "The stick moves at 9.21 times the speed that the simulation assumes."
-    assert beside == "Beyond its dead-band the stick answers 9.21 times as steeply as the simulation assumes."
+    assert beside == "Beyond its dead-band the stick responds 9.21 times as strongly as the simulation assumes."

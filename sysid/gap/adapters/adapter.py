@@ -1,4 +1,4 @@
-"""Adapter for a simulator of one's own: input effects act on its commands, output effects on the signals that it returns.
+"""Adapter for a user's simulator: input effects act on its commands, output effects on the signals that it returns.
 
 The simulator is a black box. The command stage of an axis therefore runs through the simulator itself, one whole recording at
 a time. The later stages are those of the plant, driven by measured signals, plus the discrepancy of the simulator from them:
@@ -74,10 +74,7 @@ class SimulatorAdapter:
         for item in effects:
             if self._forced(item.target):
                 raise SettingsError(
-                    f"simulator {self.name}",
-                    f"{item.name} acts inside",
-                    "an input or output effect",
-                    "Build it in.",
+                    f"simulator {self.name}", f"{item.name} acts inside", "an input or output effect", "Build it in."
                 )
             plant = plant.with_effect(item)
         return replace(self, plant=plant)

@@ -87,8 +87,7 @@ def apply_output_effects(
     """Simulated drive (lanes, n) → the signal that the command drives, before its sensor, (lanes, n).
 
     Every stretch of a velocity axis is shifted as a whole, so that the median of (measured − simulated) over its first 0.2 s is
-    zero (what happened before the recording is the simulator's own). With backlash, the initial side is the one that fits the
-    first seconds best.
+    zero (the simulator starts from its own state). With backlash, the initial side is the one that fits the first seconds best.
     """
     i, about = model.axis_index(axis), model.machine.axis(axis)
     backlash_at, compliance_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
@@ -114,14 +113,14 @@ def apply_output_effects(
             x = x + _median((seen - drive_to_joint(x, np.nan, rows))[:window], 0.0)
             middle = _median(x[:1])
             if half > 0.0:
-                x = x + half * _side(
+                x = x + half * _initial_side(
                     [_squares(seen[:settle] - drive_to_joint(x[:settle] + side * half, middle, rows)) for side in (-1, 0, 1)]
                 )
             out[k, rows] = drive_to_joint(x, middle, rows)
     return out
 
 
-def _side(costs: list[float]) -> float:
+def _initial_side(costs: list[float]) -> float:
     """Minimum within [−1, 1] of the parabola through the costs at −1, 0 and 1."""
     low, middle, high = costs
     bend = low - 2.0 * middle + high

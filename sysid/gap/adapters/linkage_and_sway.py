@@ -13,10 +13,9 @@ from sysid.effects import gripper_sway
 from sysid.gap.adapters.simulator import Signals
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates, spread_of
+from sysid.gap.fit import fit_candidates, spread_of, starting_values
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import tool_problem
-from sysid.gap.starts import starting_values
 from sysid.machine import KnownEffect, Machine, TabulatedLinkage
 from sysid.plant import Plant, compile_plant
 from sysid.signals import axis_signal, point_signals

@@ -1,4 +1,4 @@
-"""Interface of a simulator of one's own, which maps commands to signals, and a cache of its runs."""
+"""Interface of a user's simulator, which maps commands to signals, and a cache of its runs."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Simulator(Protocol):
 
     :meth:`simulate` takes a recording of n rows, ``time`` [s] even at ``recording.rate_hz``, with ``<axis>.command`` in each
     row of every axis that was commanded (never NaN; in the units of ``machine.toml``, and not clipped: with a gain above
-    one at the input of a simulator, a command exceeds 1). The table also holds the measured signals, NaN where nothing was
-    measured: take the initial state from them (:func:`starting_value`) and nothing else.
+    one at the input of a simulator, a command exceeds 1). The table also contains the measured signals, NaN where not measured,
+    for the initial state only (:func:`starting_value`).
 
     It returns a table of n rows, row k at ``time`` k, whose columns have canonical signal names
     (``boom.cylinder`` [m], ``boom.joint`` [rad or m], ``ee.x`` … and ``tool.x`` … [m, base frame]); NaN where it returns no
@@ -59,7 +59,7 @@ class BatchSimulator(Simulator, Protocol):
 
 
 def starting_value(recording: Recording, signal: str, default: float = 0.0) -> float:
-    """Median of what was measured in the first 0.2 s [unit of the signal]; ``default`` where nothing was."""
+    """Median of the measurement in the first 0.2 s [unit of the signal]; ``default`` without one."""
     values = recording.values(signal)[: max(3, round(START_WINDOW * recording.rate_hz))]
     values = values[~np.isnan(values)]
     return float(np.median(values)) if len(values) else default
@@ -139,7 +139,7 @@ class RunCache:
                 f"simulator {self.name}, recording {recording.name}",
                 f"{', '.join(differ)}: two runs of the same commands differ",
                 "the same output every time",
-                "Fix its random seed, and let it keep no state from one call to the next.",
+                "Fix its random seed, and keep no state between calls.",
             )
 
     def _run(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> list[Signals]:

@@ -18,9 +18,8 @@ from sysid.datasets.recording import Recording
 from sysid.gap.adapters.input_output_effects import apply_input_effects
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates, place, spread_of
+from sysid.gap.fit import fit_candidates, place, spread_of, starting_values
 from sysid.gap.problem import SHORT_RUN, Problem, drive_problem
-from sysid.gap.starts import starting_values
 from sysid.machine import Axis
 from sysid.plant import Model, Plant, axis_run, layout
 from sysid.plant.layout import AT, AXIS_WIDTH
@@ -65,13 +64,12 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
         return None
     candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.surrogate_test is not None]
     candidates = [c for c in candidates if c.form is c.effect.forms[0]]
-    data = Data(replace(drive_problem(model, axis), nuisances=()), runs, np.array([sigma]))
+    data = Data(drive_problem(model, axis), runs, np.array([sigma]))
     fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta
     short = replace(problem, predict=_predict(model, axis, fitted, SHORT_RUN), short=None)
     left = sigma * spread_of(data.residuals(fitted[None], data.problem.short))
-    if not left < MAX_SHORT_RUN_SHARE * float(
-        np.sqrt(np.nanmean(np.concatenate([_within(r, axis.driven) for r in runs]) ** 2))
-    ):
+    motion = np.concatenate([_short_motion(r, axis.driven) for r in runs])
+    if not left < MAX_SHORT_RUN_SHARE * float(np.sqrt(np.nanmean(motion**2))):
         return None
     whole = replace(problem, predict=_predict(model, axis, fitted), short=short)
     tested = _test_effects(candidates, model.theta)
@@ -85,7 +83,7 @@ def _test_effects(candidates: Sequence[Candidate], theta: Array) -> Array:
     return place(theta, unknowns, np.array([[c.effect.surrogate_test for c in candidates for _ in c.unknowns]]))
 
 
-def _within(recording: Recording, signal: str) -> Array:
+def _short_motion(recording: Recording, signal: str) -> Array:
     """Motion within short runs: deviation from the mean of each, (n,)."""
     values, length = recording.values(signal), max(2, round(SHORT_RUN * recording.rate_hz))
     parts = [values[k : k + length] for k in range(0, len(values), length)]

@@ -1,7 +1,6 @@
-"""Excitation verdicts before any fit: for each effect that the machine admits, whether the recordings excite it sufficiently.
+"""Excitation verdicts before any fit: for each effect that the machine admits, whether the recordings excite it.
 
-The verdicts use the functions of the gap workflow (:mod:`sysid.gap.excitation`), on the same recordings and candidates, and
-equal the excitation that :func:`sysid.gap.find_gap` reports.
+They equal the excitation that :func:`sysid.gap.find_gap` reports: same counts, recordings and candidates.
 """
 
 from __future__ import annotations
@@ -13,10 +12,11 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import CATALOGUE, Effect, sensor_quantisation
+from sysid.effects import CATALOGUE, Effect, effect_named, sensor_quantisation
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
+from sysid.gap.experiment.experiment import listed
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
@@ -89,12 +89,12 @@ class ExcitationReport:
         """Recording requests by number of effects, the largest first; axes that need the same recording are merged."""
         targets: dict[tuple[str, str], list[str]] = {}
         for verdict in self.of("lacking"):
-            targets.setdefault((verdict.name, _advice(verdict.name)), []).append(verdict.target)
+            targets.setdefault((verdict.name, effect_named(verdict.name).need.advice), []).append(verdict.target)
         wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
         for (name, words), places in targets.items():
             wanted.setdefault((words, tuple(dict.fromkeys(places))), []).append(name)
         requests = [
-            RecordingRequest(words.format(axis=_listed(places)), tuple((name, place) for name in names for place in places))
+            RecordingRequest(words.format(axis=listed(places)), tuple((name, place) for name in names for place in places))
             for (words, places), names in wanted.items()
         ]
         return tuple(sorted(requests, key=lambda request: -len(request.effects)))
@@ -138,7 +138,7 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
     for stage in stages:
         for candidate in stage_candidates(case, stage):
             aliases |= dict.fromkeys(candidate.aliases, (candidate.effect.name, candidate.target))
-            if candidate.key not in found:  # the forms of an effect need the same
+            if candidate.key not in found:  # the same for all forms of an effect
                 found[candidate.key] = _verdict_of(candidate, stage, plant.machine)
     seen = split.seen
     verdicts = [*found.values(), *(_quantisation(signal, seen, plant.machine) for signal in _sensors(plant.machine, seen))]
@@ -215,7 +215,7 @@ class _Reasons:
         return effect.stage
 
     def _missing(self, stage: str, target: str) -> str:
-        """What the stage needs and is missing; empty where nothing is."""
+        """Signals or descriptions that the stage lacks; empty if none."""
         machine = self.machine
         if stage in ("command", "force"):
             axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
@@ -242,7 +242,7 @@ class _Reasons:
         for point in ("ee", "tool"):
             if set(point_signals(point)) <= set(missing):
                 missing = [point, *(s for s in missing if s not in point_signals(point))]
-        return f"{_listed(missing)} {'is' if len(missing) == 1 else 'are'} not measured" if missing else ""
+        return f"{listed(missing)} {'is' if len(missing) == 1 else 'are'} not measured" if missing else ""
 
     def _reason(self, effect: Effect, target: str, side: str | None) -> str:
         if (effect.name, target) in self.aliases:
@@ -257,11 +257,3 @@ class _Reasons:
         if effect.target == "stream":
             return "no stage compares its signals with those of another clock"
         return "its stage is not measured at both ends at the same time"
-
-
-def _advice(name: str) -> str:
-    return next(effect.need.advice for effect in CATALOGUE if effect.name == name)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -36,7 +36,7 @@ class Purpose:
         kind: ``tie`` (effects that are not identifiable), or ``excitation`` (an effect that is not excited so far).
         text: what is expected, in words.
         effects: those of the hypothesis.
-        nats: expected log-likelihood ratio of the least separated pair, natural logarithm, with the rejected model refitted.
+        nats: expected log-likelihood ratio of the least separated pair, with the rejected model refitted.
         needed: nats from which the hypothesis counts as resolved.
     """
 
@@ -47,11 +47,6 @@ class Purpose:
     effects: tuple[EffectAt, ...]
     nats: float
     needed: float
-
-    @property
-    def resolves(self) -> bool:
-        """Whether one such recording is expected to resolve the hypothesis."""
-        return self.nats >= self.needed
 
 
 @dataclass(frozen=True)
@@ -108,6 +103,11 @@ def outside(table: pd.DataFrame, limits: Limits) -> list[str]:
             if len(values) and (values.min() < low or values.max() > high):
                 left.append(signal)
     return left
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def command_columns(machine: Machine) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.experiment.experiment import Limits
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.machine import Axis
 from sysid.plant import Plant
 from sysid.signals import axis_signal
@@ -114,11 +115,10 @@ def _speed_limits(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, f
         values = recording.values(axis.driven)
         if np.isnan(values).all():
             values = recording.values(axis_signal(axis.name, "command"))
-        there = np.flatnonzero(~np.isnan(values))
         width = max(1, round(0.05 * recording.rate_hz))
-        if len(there) > 4 * width:
-            filled = np.interp(np.arange(len(values)), there, values[there])
-            speed = (filled[width:] - filled[:-width]) * recording.rate_hz / width
+        if int((~np.isnan(values)).sum()) > 4 * width:
+            path = filled(values)
+            speed = (path[width:] - path[:-width]) * recording.rate_hz / width
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
     max_speed, max_acceleration = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))

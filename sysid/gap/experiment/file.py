@@ -1,4 +1,4 @@
-"""An experiment as two files: ``NAME.toml`` says what it is, ``NAME.csv`` beside it holds the commands.
+"""An experiment as two files: its specification in ``NAME.toml``, its commands in ``NAME.csv``.
 
 The CSV has canonical column names, so that spreadsheets and ``sysid`` can read it; its sha256 is in the TOML file, so
 that the two are not mixed with files of another experiment.
@@ -9,10 +9,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -87,20 +86,9 @@ def read_experiment(path: Path, machine: Machine | None = None) -> Experiment:
     if machine is not None:
         _check_machine(commands, file, machine, path)
     return Experiment(
-        file.name,
-        file.machine,
-        file.motion,
-        file.about,
-        file.axes,
-        file.rate_hz,
-        file.repeats,
-        file.start,
-        file.limits,
-        file.predicted,
-        file.purposes,
-        file.provenance,
-        commands,
-    )
+        file.name, file.machine, file.motion, file.about, file.axes, file.rate_hz, file.repeats, file.start, file.limits,
+        file.predicted, file.purposes, file.provenance, commands,
+    )  # fmt: skip
 
 
 def _check_commands(commands: pd.DataFrame, file: _File, where: Path) -> None:
@@ -132,19 +120,9 @@ def _check_machine(commands: pd.DataFrame, file: _File, machine: Machine, path: 
 
 def _toml(experiment: Experiment, digest: str) -> str:
     lines = ["# A recording to make; docs/guide/next-experiment.md says how. SI units."]
-    top: Mapping[str, Any] = {
-        "schema": 1,
-        "name": experiment.name,
-        "machine": experiment.machine,
-        "motion": experiment.motion,
-        "about": experiment.about,
-        "axes": experiment.axes,
-        "seconds": experiment.seconds,
-        "rate_hz": experiment.rate_hz,
-        "repeats": experiment.repeats,
-        "commands": f"{experiment.name}.csv",
-        "commands_sha256": digest,
-    }
+    keys = ("name", "machine", "motion", "about", "axes", "seconds", "rate_hz", "repeats")
+    top = {"schema": 1, **{key: getattr(experiment, key) for key in keys}}
+    top |= {"commands": f"{experiment.name}.csv", "commands_sha256": digest}
     lines += [f"{key} = {_value(value)}" for key, value in top.items()]
     for key in ("start", "limits", "predicted", "provenance"):
         lines += ["", f"[{key}]"]

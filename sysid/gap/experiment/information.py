@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.data import FORGETS, Data
+from sysid.gap.data import MEMORY, Data
 from sysid.gap.drift import BIN, CLIP, DriftStrength, estimate_drift
 from sysid.gap.fit import jacobian, place
 
@@ -113,7 +113,7 @@ def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[DriftStr
 
 def _log_likelihood(data: Data, theta: Array, seed: int) -> float:
     """Log-likelihood of the residuals with noise on every bin, under the drift estimated from them."""
-    memory = 1.0 if data.problem.integrates else FORGETS
+    memory = 1.0 if data.problem.integrates else MEMORY
     rng = np.random.default_rng(seed)
     parts = [bins[0] for bins in data.bins(theta[None])]
     levels = [noise_of_bin(data.problem.rate(recording)) for recording in data.recordings]

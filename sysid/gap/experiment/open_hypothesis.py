@@ -17,9 +17,8 @@ from sysid.gap.drift import DriftStrength
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
-from sysid.gap.fit import Fit, fit_candidates
+from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.starts import starting_values
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]
@@ -67,15 +66,15 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) 
     base = compile_plant(outcome.repaired).theta
     found = []
     for stage in stages:
-        if stage.finding is None:
+        if stage.result is None:
             continue
         seen = Data(stage.problem, stage.split.seen, stage.sigma)
-        for kept in stage.finding.named:
+        for kept in stage.result.named:
             tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
             if kept.ties and tie in outcome.ties:
                 found.append(non_identifiable_set(case, stage, base, kept.candidate, kept.ties[: MAX_ALTERNATIVES - 1], seen))
     for stage in stages:
-        if stage.finding is not None and stage.finding.nominal_rmse > EXPLAINED:
+        if stage.result is not None and stage.result.nominal_rmse > EXPLAINED:
             found += _unexcited(case, stage, base)
     return found
 

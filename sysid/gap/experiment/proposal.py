@@ -21,7 +21,7 @@ from sysid.gap.experiment.excitation_signal import (
     simulate_recording,
     start_of,
 )
-from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
+from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, listed, outside
 from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limits_of
 from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
@@ -71,13 +71,13 @@ def propose(
     repaired: Plant,
     hypotheses: Sequence[OpenHypothesis],
     settings: Planning | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    on_hypothesis: Callable[[str], None] = lambda text: None,
 ) -> ExperimentProposal:
     """The shortest experiment for each hypothesis; one that resolves several is proposed once.
 
     Args:
         repaired: the best plant so far, with which motions are designed and limits checked.
-        tell: called with the label of each hypothesis.
+        on_hypothesis: called with the label of each hypothesis.
     """
     if not hypotheses:
         return ExperimentProposal()
@@ -85,7 +85,7 @@ def propose(
     chosen: list[_Selected] = []
     notes = []
     for hypothesis in hypotheses:
-        tell(hypothesis.label)
+        on_hypothesis(hypothesis.label)
         if any(planner.serves(item, hypothesis) for item in chosen):
             continue
         found = planner.best(hypothesis)
@@ -93,9 +93,7 @@ def propose(
             notes.append(f"{hypothesis.label}: no tested motion within the limits resolves it")
         else:
             chosen.append(_Selected(found[0], [(hypothesis, found[1])]))
-    for item in sorted(
-        chosen, key=lambda item: item.excitation.seconds
-    ):  # drop those whose hypotheses longer ones resolve as well
+    for item in sorted(chosen, key=lambda item: item.excitation.seconds):  # drop those whose hypotheses longer ones resolve
         others = [other for other in chosen if other is not item]
         if all(any(planner.serves(other, hypothesis) for other in others) for hypothesis, _ in item.served):
             chosen = others
@@ -294,7 +292,7 @@ class Planner:
             name=f"{moved}-{excitation.motion.name}",
             machine=self.machine.name,
             motion=excitation.motion.name,
-            about=excitation.motion.about.format(axes=_listed(names)),
+            about=excitation.motion.about.format(axes=listed(names)),
             axes=tuple(names),
             rate_hz=self.rate_hz,
             repeats=repeats,
@@ -312,7 +310,7 @@ def _text(hypothesis: OpenHypothesis, forecast: Forecast, needed: float) -> str:
     often = f" in each of {forecast.repeats} recordings" if forecast.repeats > 1 else ""
     if hypothesis.kind == "tie":
         names = [f"{effect.name} on {effect.target}" for effect in hypothesis.effects]
-        return f"{_listed(names)}: expected log-likelihood ratio {forecast.nats:.0f} nats{often}, {needed:.0f} required."
+        return f"{listed(names)}: expected log-likelihood ratio {forecast.nats:.0f} nats{often}, {needed:.0f} required."
     model = hypothesis.models[0]
     assert model.candidate is not None
     own = len(model.unknowns) - len(model.candidate.unknowns)
@@ -323,7 +321,3 @@ def _text(hypothesis: OpenHypothesis, forecast: Forecast, needed: float) -> str:
     return (
         f"{hypothesis.label} with {sizes}: expected log-likelihood gain {forecast.nats:.0f} nats{often}, {needed:.0f} required."
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

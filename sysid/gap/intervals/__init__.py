@@ -1,9 +1,8 @@
-"""How well a fit knows its parameters: values at the exact optimum, 95 % intervals, and the covariance that goes with them.
+"""Uncertainty of a fit: values at the exact optimum and 95 % intervals; their coverage is in ``docs/intervals.md``.
 
-Reading order: ``criterion`` (what a parameter vector costs), ``curvature`` (slopes, and how correlated residuals widen),
-``settle`` (the exact optimum), ``input_noise`` (what noise in a measured input does), ``shared`` (what zeros and mounts do that
-are off), ``profile`` (how far each parameter may go), ``known`` (all of it for a fit). How often the intervals hold the truth:
-``docs/intervals.md``.
+Reading order: ``criterion`` (cost of a parameter vector), ``curvature`` (slopes, correlated residuals), ``settle`` (exact
+optimum), ``input_noise`` (noise in a measured input), ``shared`` (errors of zeros and mounts), ``profile`` (profile
+likelihood), ``known`` (all of it for a fit).
 """
 
 from sysid.gap.intervals.known import Known, known_of

@@ -1,8 +1,8 @@
-"""What a parameter vector costs, in nats: the sum of softly winsorised squares of standardised residuals.
+"""Cost of a parameter vector in nats: the sum of softly winsorised squares of standardised residuals.
 
-Where the stage integrates, residuals are the prediction errors of the fit's drift model; the model is always applied, since at
-the least it forgives that a run starts from a noisy sample. Elsewhere they are the residuals themselves, as in the fit, and
-what wanders in them widens the intervals.
+Where the stage integrates, residuals are the prediction errors of the fit's drift model; the model is always applied, since it
+also accounts for the noise of the sample from which a run starts. Elsewhere they are the residuals themselves, as in the fit,
+and their drift widens the intervals.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Unknown
 from sysid.gap.data import Data
 from sysid.gap.drift import DriftStrength, robust_scale, to_bins, whiten_lanes
-from sysid.gap.fit import forgiveness, place
+from sysid.gap.fit import outlier_scale, place
 
 Array = npt.NDArray[np.float64]
 
@@ -27,10 +27,10 @@ class Criterion:
     """The cost around one fit.
 
     Args:
-        theta: vector of the questioned plant.
+        theta: vector of the plant under test.
         drifts: of every signal, where the stage integrates.
         scales: standard deviation of every signal's residuals in units of noise (d,).
-        forgiven: beyond so many standard deviations a residual is an outlier.
+        outlier: number of standard deviations beyond which a residual is an outlier.
     """
 
     data: Data
@@ -38,7 +38,7 @@ class Criterion:
     unknowns: tuple[Unknown, ...]
     drifts: tuple[DriftStrength, ...]
     scales: Array
-    forgiven: float
+    outlier: float
 
     @property
     def low(self) -> Array:
@@ -69,7 +69,7 @@ class Criterion:
         return [self.data.problem.predict(thetas, recording) for recording in recordings]
 
     def between(self, made: Sequence[Array], predicted: Sequence[Array]) -> Array:
-        """Standardised residuals (n,) of outputs that were ``made`` without noise, where they are measured."""
+        """Standardised residuals (n,) of outputs ``made`` without noise, where the outputs are measured."""
         data, bins = self.data, []
         for recording, one, other in zip(data.recordings, made, predicted, strict=True):
             missing = np.isnan(data.problem.measured(recording))
@@ -80,21 +80,21 @@ class Criterion:
 
     def weights(self, errors: Array) -> Array:
         """Below one for outliers."""
-        return np.asarray(1.0 / np.sqrt(1.0 + (errors / self.forgiven) ** 2))
+        return np.asarray(1.0 / np.sqrt(1.0 + (errors / self.outlier) ** 2))
 
     def costs(self, errors: Array) -> Array:
         """(…, n) → (…), half the squares where there are no outliers."""
-        squared = self.forgiven**2
+        squared = self.outlier**2
         return np.asarray(squared * (np.sqrt(1.0 + errors**2 / squared) - 1.0).sum(axis=-1))
 
     def lengths(self) -> list[int]:
-        """How many of the n residuals belong to each recording and signal, in order."""
+        """Number of residuals of each recording and signal, in order."""
         rows = [len(activity) for activity in self.data.activities]
         return [count for count in rows for _ in self.scales]
 
 
 def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values: Array) -> Criterion:
-    """The cost with the noise and the drift that are left at ``values`` (k,)."""
+    """The cost with noise and drift as estimated at ``values`` (k,)."""
     at = place(theta, unknowns, values[None])
     if data.problem.integrates:
         drifts, _ = data.drifts(at[0])
@@ -105,4 +105,4 @@ def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values
         series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
         scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])
     rough = Criterion(data, theta, unknowns, drifts, np.maximum(scales, 1e-9), np.inf)
-    return Criterion(data, theta, unknowns, drifts, rough.scales, forgiveness(rough.errors(values[None])[0]))
+    return Criterion(data, theta, unknowns, drifts, rough.scales, outlier_scale(rough.errors(values[None])[0]))

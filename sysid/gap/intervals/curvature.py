@@ -1,8 +1,8 @@
-"""Slopes of the standardised residuals at the scale of the uncertainty itself, and what correlated residuals add.
+"""Slopes of the standardised residuals at the scale of the uncertainty, and the effect of correlated residuals.
 
-Slopes are differences over about one standard error, to both sides: a threshold between two samples of a command has none at a
-smaller scale, and a play has kinks. The sandwich covariance (White, Econometrica 50 (1982)) sums scores in blocks of several
-lengths and believes the widest: a whitened residual that is not white, or one that is not whitened, is known by that.
+Slopes are central differences over about one standard error: a threshold between two samples of a command has no slope at a
+smaller scale, and backlash has kinks. The sandwich covariance (White, Econometrica 50 (1982)) sums scores in blocks of several
+lengths, of which the widest result counts: it accounts for residuals that are not white.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from sysid.gap.intervals.criterion import Criterion
 
 Array = npt.NDArray[np.float64]
 
-#: Lengths of blocks of scores [s]; the longer ones only where that leaves so many blocks.
-BLOCKS, LEAST = (1.0, 4.0, 12.0), 10
-#: A step of a difference in standard errors, and how often it is renewed.
+#: Lengths of blocks of scores [s], and least number of blocks beyond that of the unknowns.
+BLOCKS, MIN_BLOCKS = (1.0, 4.0, 12.0), 10
+#: Step of the differences in standard errors, and number of rounds that determine it.
 STEP, ROUNDS = 1.0, 2
 
 
@@ -31,14 +31,12 @@ class Curvature:
     Args:
         errors: at the optimum (n,); ``slopes`` (n, k).
         inverse: of the weighted squares of the slopes (k, k): the covariance if residuals were white.
-        covariance: that of the sandwich (k, k).
-        allowed: how much the cost may rise along each parameter's profile (k,), for 95 %.
+        allowed: rise of the cost along each parameter's profile (k,), for 95 %.
     """
 
     errors: Array
     slopes: Array
     inverse: Array
-    covariance: Array
     allowed: Array
 
     @property
@@ -53,7 +51,7 @@ class Curvature:
 
 
 def curvature_at(criterion: Criterion, values: Array) -> Curvature:
-    """Of a criterion at ``values`` (k,)."""
+    """Curvature of a criterion at ``values`` (k,)."""
     steps = np.array([0.1 * u.negligible for u in criterion.unknowns])
     errors, slopes = slopes_at(criterion, values, steps)
     for _ in range(ROUNDS):
@@ -63,26 +61,23 @@ def curvature_at(criterion: Criterion, values: Array) -> Curvature:
     inverse = _inverse(criterion, errors, slopes)
     scores = slopes * (criterion.weights(errors) * errors)[:, None]
     white = np.diag(inverse)
-    best, allowed = inverse, np.full(len(white), 0.5 * stats.norm.ppf(0.975) ** 2)
+    allowed = np.full(len(white), 0.5 * stats.norm.ppf(0.975) ** 2)
     for seconds in BLOCKS:
         blocks = _summed(scores, criterion.lengths(), max(1, round(seconds / BIN)))
         free = len(blocks) - len(white)
-        if free < LEAST:
+        if free < MIN_BLOCKS:
             break
         sandwich = inverse @ (blocks.T @ blocks) @ inverse * len(blocks) / free
-        wide = 0.5 * stats.t.ppf(0.975, free) ** 2 * np.diag(sandwich) / white
-        if wide.sum() > allowed.sum():
-            best = sandwich
-        allowed = np.maximum(allowed, wide)
-    # Slopes say little about what acts in steps; it is allowed what the others are.
+        allowed = np.maximum(allowed, 0.5 * stats.t.ppf(0.975, free) ** 2 * np.diag(sandwich) / white)
+    # Slopes of stepwise parameters are not informative: the largest rise of the others applies.
     stepwise = np.array([u.stepwise for u in criterion.unknowns])
     if not stepwise.all():
         allowed[stepwise] = allowed[~stepwise].max()
-    return Curvature(errors, slopes, inverse, 0.5 * (best + best.T), allowed)
+    return Curvature(errors, slopes, inverse, allowed)
 
 
 def slopes_at(criterion: Criterion, values: Array, steps: Array) -> tuple[Array, Array]:
-    """Residuals (n,) and their slopes (n, k) over ``steps`` to both sides, or to the inside of a bound."""
+    """Residuals (n,) and their slopes (n, k): central differences over ``steps``, one-sided at a bound."""
     above = np.minimum(values + steps, criterion.high)
     below = np.maximum(values - steps, criterion.low)
     k = len(values)
@@ -94,7 +89,7 @@ def slopes_at(criterion: Criterion, values: Array, steps: Array) -> tuple[Array,
 
 
 def _inverse(criterion: Criterion, errors: Array, slopes: Array) -> Array:
-    """Of the squares of the slopes; what has none is known to no better than a thousand of its own steps."""
+    """Inverse of the squares of the slopes; the prior of an unknown is a thousand of its negligible changes wide."""
     squares = (slopes * criterion.weights(errors)[:, None]).T @ slopes
     least = np.array([1.0 / (1e3 * u.negligible) ** 2 for u in criterion.unknowns])
     scale = np.sqrt(np.diag(squares) + least)
@@ -102,7 +97,7 @@ def _inverse(criterion: Criterion, errors: Array, slopes: Array) -> Array:
 
 
 def _summed(scores: Array, lengths: list[int], size: int) -> Array:
-    """Sums over blocks that do not reach across recordings; all signals of one time in one block."""
+    """Sums over blocks within recordings; all signals of one time are in one block."""
     parts, at = [], 0
     for length in lengths:
         parts.append(np.add.reduceat(scores[at : at + length], np.arange(0, length, size), axis=0))

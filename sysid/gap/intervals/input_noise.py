@@ -1,9 +1,9 @@
-"""What noise in the measured input of a stage does to its fit: it shifts and scatters parameters, and no residual shows it.
+"""Effect of noise in the measured input of a stage on its fit: parameters are shifted and scattered, and no residual shows it.
 
-A play seems wider than it is, since its input's noise crosses it; a swing is kept alive by the noise of the tip. The stage is
-run on its input smoothed as far as the sensor's noise allows; to that, noise is added again and again, and the parameters that
-then fit best are compared with those that made the output (indirect inference: Gouriéroux, Monfort & Renault, J. Applied
-Econometrics 8 (1993)). One effect of the noise stays in: what is left of it in the smoothed input.
+Backlash is estimated too wide, since the noise of its input crosses it; noise of the tip sustains a swing. The stage is run on
+its input, smoothed as far as the noise of the sensor allows. Noise is added repeatedly, and the parameters that then fit best
+are compared with those that generated the output (indirect inference: Gouriéroux, Monfort & Renault, J. Applied Econometrics 8
+(1993)). The noise that remains in the smoothed input is not corrected.
 """
 
 from __future__ import annotations
@@ -18,30 +18,31 @@ from scipy import signal as filters
 from sysid.datasets.recording import Recording
 from sysid.gap.intervals.criterion import Criterion
 from sysid.gap.intervals.curvature import Curvature
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Copies of the recordings with fresh noise, and rounds in which the shifted values are found.
+#: Copies of the recordings with fresh noise, and rounds that determine the shift.
 DRAWS, ROUNDS = 12, 3
-#: A round that moves everything by less than this share of a standard error is the last.
-SLIGHT = 1.0
-#: Cut-offs of the smoothing [Hz]; the lowest that leaves no more than the noise (and this share) is taken.
-CUTOFFS, ALLOWED = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0), 1.02
+#: A round whose steps are below this share of a standard error is the last.
+CONVERGED = 1.0
+#: Cut-offs of the smoothing [Hz], of which the lowest is used whose residual is at most this multiple of the noise.
+CUTOFFS, NOISE_RATIO = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0), 1.02
 
 
 @dataclass(frozen=True)
 class InputNoise:
-    """Effect of the input's noise on a fit.
+    """Effect of the noise of the input on a fit.
 
     Args:
-        shift: what it adds to each parameter (k,); ``unsure``: standard deviation of that.
-        covariance: its scatter (k, k).
-        share: its part of the variance of the residuals.
+        shift: of each parameter (k,); ``deviation``: its standard deviation.
+        covariance: scatter of the parameters (k, k).
+        share: of the variance of the residuals.
     """
 
     shift: Array
-    unsure: Array
+    deviation: Array
     covariance: Array
     share: float
 
@@ -49,7 +50,7 @@ class InputNoise:
 def input_noise(
     criterion: Criterion, curvature: Curvature, values: Array, noise: Mapping[str, float], seed: int
 ) -> InputNoise | None:
-    """Of a fit at ``values`` (k,); None where the stage has no measured input with noise."""
+    """Effect on a fit at ``values`` (k,); None where the stage has no measured input with noise."""
     problem = criterion.data.problem
     if problem.stage == "command":  # its input is what was sent
         return None
@@ -57,7 +58,7 @@ def input_noise(
     smooth = [smoothed(recording, inputs) for recording in criterion.data.recordings]
 
     def copies(draw: int) -> list[Recording]:
-        """The same in every round; made anew, since all of them together take twelve times the memory of the recordings."""
+        """The same in every round; generated again to save memory."""
         rng = np.random.default_rng([seed, 7, draw])
         return [_noisy(recording, inputs, rng) for recording in smooth]
 
@@ -70,7 +71,7 @@ def input_noise(
         steps = -((criterion.weights(errors) * errors) @ curvature.slopes) @ curvature.inverse
         shift = shift + steps.mean(axis=0)
         true = np.clip(values - shift, criterion.low, criterion.high)
-        if (np.abs(steps.mean(axis=0)) < SLIGHT * curvature.deviations).all():
+        if (np.abs(steps.mean(axis=0)) < CONVERGED * curvature.deviations).all():
             break
     share = float(np.mean(errors**2)) / max(float(np.mean(curvature.errors**2)), 1e-12)
     scatter = np.atleast_2d(np.cov(steps.T))
@@ -87,17 +88,17 @@ def smoothed(recording: Recording, inputs: Mapping[str, float]) -> Recording:
 
 
 def _smooth(values: Array, level: float, rate_hz: float) -> Array:
-    there = np.flatnonzero(~np.isnan(values))
-    if level <= 0.0 or len(there) < 50:
+    there = ~np.isnan(values)
+    if level <= 0.0 or int(there.sum()) < 50:
         return values
-    filled = np.interp(np.arange(len(values)), there, values[there])
+    path = filled(values)
     for cutoff in CUTOFFS:
         if cutoff >= 0.4 * rate_hz:
             break
         low_pass = filters.butter(2, cutoff, fs=rate_hz, output="sos")
-        smooth = filters.sosfiltfilt(low_pass, filled)
-        if np.std((smooth - values)[there]) <= ALLOWED * level:
-            return np.where(np.isnan(values), np.nan, smooth)
+        smooth = filters.sosfiltfilt(low_pass, path)
+        if np.std((smooth - values)[there]) <= NOISE_RATIO * level:
+            return np.where(there, smooth, np.nan)
     return values
 
 

@@ -1,8 +1,8 @@
-"""Profile likelihood: each parameter is moved away, the others follow to where the cost is least, until it costs too much.
+"""Profile likelihood: each parameter is moved away and the others are refitted, until the cost has risen by a threshold.
 
-How much the cost may rise is ``½·t²`` for white residuals, and more where the sandwich finds that they are not (Pace, Salvan &
-Sartori, Statistica Sinica 21 (2011)). So the interval follows the shape of the cost: it is one-sided at a bound, lopsided at a
-threshold, and as wide as the step of a parameter that acts in steps.
+The threshold is ``½·t²`` for white residuals, and larger where the sandwich covariance shows that they are not (Pace, Salvan &
+Sartori, Statistica Sinica 21 (2011)). The interval follows the shape of the cost: one-sided at a bound, asymmetric at a
+threshold, and as wide as the step of a stepwise parameter.
 """
 
 from __future__ import annotations
@@ -18,37 +18,42 @@ from sysid.gap.intervals.curvature import Curvature
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
-#: Distances that are tried first, in half widths of a parabola; later rounds reach further or look between.
-REACHES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.6)
+#: Distances that are tested first, in half-widths of a parabola; later rounds extend or refine them.
+DISTANCES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.6)
 ROUNDS = 8
-FURTHER = 3.0
-#: A parameter that acts in steps is moved by at least this share of what is negligible at first.
+EXTENSION = 3.0
+#: First distance of a stepwise parameter, at least, in its negligible change.
 FIRST = 0.25
 #: An end is found where the distances around it differ by less than this factor.
-NEAR = 1.6
-#: Rounds in which the others follow.
-FOLLOW = 2
+CLOSE = 1.6
+#: Gauss–Newton steps of the other parameters.
+REFITS = 2
 
 
 @dataclass
 class _Side:
-    """One end that is looked for: the parameter, its direction, and what is known inside and outside of it."""
+    """Search for one end of an interval.
+
+    Args:
+        place: of the parameter; ``sign``: direction; ``bound``: distance of its bound.
+        inner, outer: largest distance inside and smallest outside, each with the rise of the cost there.
+    """
 
     place: int
     sign: float
-    room: float
+    bound: float
     inner: tuple[float, float] = (0.0, 0.0)
     outer: tuple[float, float] | None = None
 
     def tried(self, half: float) -> Array:
-        """Distances to try next, (6,)."""
+        """Distances to test next, (6,)."""
         if self.outer is not None:
             begin = max(self.inner[0], 1e-2 * self.outer[0])
-            return np.geomspace(begin, self.outer[0], len(REACHES) + 2)[1:-1]
-        return np.array(REACHES) * (half if self.inner[0] == 0.0 else FURTHER * self.inner[0])
+            return np.geomspace(begin, self.outer[0], len(DISTANCES) + 2)[1:-1]
+        return np.array(DISTANCES) * (half if self.inner[0] == 0.0 else EXTENSION * self.inner[0])
 
     def learn(self, away: Array, risen: Array, allowed: float) -> None:
-        """What the cost has risen by at distances (6,): inside lies what is followed by nothing cheaper than allowed."""
+        """Take in the rise of the cost at distances (6,); the last one within ``allowed`` is inside."""
         inside = np.flatnonzero(risen <= allowed)
         last = int(inside[-1]) if len(inside) else -1
         if last >= 0 and away[last] > self.inner[0]:
@@ -58,33 +63,33 @@ class _Side:
 
     def done(self, least: float) -> bool:
         if self.outer is None:
-            return self.inner[0] >= self.room
-        return self.outer[0] <= max(NEAR * self.inner[0], least)
+            return self.inner[0] >= self.bound
+        return self.outer[0] <= max(CLOSE * self.inner[0], least)
 
     def end(self, allowed: float, stepwise: bool) -> float:
         """Distance of the end."""
         if self.outer is None:
-            return self.room
+            return self.bound
         if stepwise:
             return self.outer[0]
-        # The root of the rise is a line where the cost is a parabola.
+        # The square root of the rise is linear where the cost is a parabola.
         a, b, c = np.sqrt(self.inner[1]), np.sqrt(self.outer[1]), np.sqrt(allowed)
         return self.inner[0] + (self.outer[0] - self.inner[0]) * float(min((c - a) / max(b - a, 1e-12), 1.0))
 
 
 def profiled(criterion: Criterion, curvature: Curvature, values: Array) -> Array:
-    """Ends of the intervals, (k, 2), inside of the bounds."""
+    """Ends of the intervals, (k, 2), within the bounds."""
     first = [max(h, FIRST * u.negligible * u.stepwise) for h, u in zip(curvature.halves, criterion.unknowns, strict=True)]
     least = float(criterion.costs(curvature.errors))
-    rooms = np.column_stack([values - criterion.low, criterion.high - values])
-    sides = [_Side(k, sign, float(rooms[k, s])) for k in range(len(values)) for s, sign in ((0, -1.0), (1, 1.0))]
+    bounds = np.column_stack([values - criterion.low, criterion.high - values])
+    sides = [_Side(k, sign, float(bounds[k, s])) for k in range(len(values)) for s, sign in ((0, -1.0), (1, 1.0))]
     for _ in range(ROUNDS):
-        still = [s for s in sides if not s.done(1e-3 * criterion.unknowns[s.place].negligible)]
-        if not still:
+        open_ = [s for s in sides if not s.done(1e-3 * criterion.unknowns[s.place].negligible)]
+        if not open_:
             break
-        tried = [np.minimum(s.tried(float(first[s.place])), s.room) for s in still]
-        costs = _followed(criterion, curvature, values, still, np.array(tried))
-        for side, away, cost in zip(still, tried, costs, strict=True):
+        tried = [np.minimum(s.tried(float(first[s.place])), s.bound) for s in open_]
+        costs = _refitted(criterion, curvature, values, open_, np.array(tried))
+        for side, away, cost in zip(open_, tried, costs, strict=True):
             side.learn(away, cost - least, float(curvature.allowed[side.place]))
     ends = values[:, None] + np.zeros(2)
     for s in sides:
@@ -93,11 +98,11 @@ def profiled(criterion: Criterion, curvature: Curvature, values: Array) -> Array
     return np.clip(ends, criterion.low[:, None], criterion.high[:, None])
 
 
-def _followed(criterion: Criterion, curvature: Curvature, values: Array, sides: list[_Side], away: Array) -> Array:
-    """Least costs with one parameter held at distances ``away`` (sides, m) and the others free, (sides, m)."""
+def _refitted(criterion: Criterion, curvature: Curvature, values: Array, sides: list[_Side], away: Array) -> Array:
+    """Minimum costs with one parameter held at distances ``away`` (sides, m) and the others free, (sides, m)."""
     owners = np.repeat([s.place for s in sides], away.shape[1])
     signs = np.repeat([s.sign for s in sides], away.shape[1])
-    smooth = np.array([not u.stepwise for u in criterion.unknowns])  # slopes say nothing about the others
+    smooth = np.array([not u.stepwise for u in criterion.unknowns])  # the others have no informative slopes
     along = (curvature.inverse / np.diag(curvature.inverse)).T * np.outer(smooth, smooth)
     along = along[owners]
     lanes = values + (signs * away.ravel())[:, None] * along
@@ -108,7 +113,7 @@ def _followed(criterion: Criterion, curvature: Curvature, values: Array, sides: 
     costs = criterion.costs(errors)
     if lanes.shape[1] > 1:
         squares = (curvature.slopes * criterion.weights(curvature.errors)[:, None]).T @ curvature.slopes
-        for _ in range(FOLLOW):
+        for _ in range(REFITS):
             gradients = (criterion.weights(errors) * errors) @ curvature.slopes
             tried = np.clip(lanes + _steps(squares, gradients, owners) * smooth, criterion.low, criterion.high)
             new = criterion.errors(tried)
@@ -119,7 +124,7 @@ def _followed(criterion: Criterion, curvature: Curvature, values: Array, sides: 
 
 
 def _steps(squares: Array, gradients: Array, owners: Places) -> Array:
-    """Gauss–Newton steps of all parameters but each lane's own, (lanes, k)."""
+    """Gauss–Newton steps of all parameters but the held one of each lane, (lanes, k)."""
     steps = np.zeros(gradients.shape)
     for k in np.unique(owners):
         rest = np.flatnonzero(np.arange(len(squares)) != k)

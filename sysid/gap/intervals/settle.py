@@ -1,7 +1,7 @@
-"""The exact optimum: batches of values around the best ones so far, evaluated by the cost itself.
+"""The exact optimum by batches of values around the best so far, compared by the cost itself.
 
-Descents by slopes end early where the cost has steps and kinks, as those of thresholds and plays do. Here every round tries the
-Gauss–Newton step in several lengths and each stepwise parameter on a grid, all in one batch, and takes what costs least.
+Descents by slopes end early where the cost has steps and kinks, as with thresholds and backlash. Every round evaluates the
+Gauss–Newton step in several lengths and each stepwise parameter on a grid in one batch, and keeps the lowest cost.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from sysid.gap.intervals.curvature import Curvature, curvature_at
 
 Array = npt.NDArray[np.float64]
 
-#: Shares of a Gauss–Newton step that are tried.
+#: Shares of a Gauss–Newton step that are evaluated.
 SHARES = (0.1, 0.3, 0.6, 1.0, 1.6)
 #: Rounds at most, and the gain [nats] below which the optimum is settled.
 ROUNDS, SETTLED = 8, 0.02
 
 
 def settled(data: Data, theta: Array, fit: Fit) -> Fit:
-    """The fit moved to where the likelihood is greatest; where nothing integrates, to the least (softly winsorised) squares.
+    """The fit at maximum likelihood; where the stage does not integrate, at the least (softly winsorised) squares.
 
     Args:
-        theta: vector of the questioned plant.
+        theta: vector of the plant under test.
     """
     values = fit.values
     for _ in range(2):
@@ -46,7 +46,7 @@ def settled(data: Data, theta: Array, fit: Fit) -> Fit:
 
 
 def descended(criterion: Criterion, values: Array) -> Array:
-    """Where the cost is least, near ``values`` (k,)."""
+    """Local minimum of the cost near ``values`` (k,)."""
     best = values
     cost = float(criterion.costs(criterion.errors(best[None]))[0])
     stepwise = [k for k, u in enumerate(criterion.unknowns) if u.stepwise]
@@ -64,7 +64,7 @@ def descended(criterion: Criterion, values: Array) -> Array:
 
 
 def _least(criterion: Criterion, best: Array, cost: float, lanes: Array) -> tuple[Array, float]:
-    """The lane that costs least, or the best so far."""
+    """The lane of lowest cost, or the best so far."""
     lanes = np.clip(lanes, criterion.low, criterion.high)
     costs = criterion.costs(criterion.errors(lanes))
     k = int(np.argmin(costs))
@@ -72,7 +72,7 @@ def _least(criterion: Criterion, best: Array, cost: float, lanes: Array) -> tupl
 
 
 def _steps(criterion: Criterion, curvature: Curvature, values: Array) -> Array:
-    """Shares of the Gauss–Newton step, and a standard error of each parameter to both sides with the others following."""
+    """Shares of the Gauss–Newton step, and a standard error of each parameter to both sides with the others refitted."""
     weighted = criterion.weights(curvature.errors) * curvature.errors
     step = -curvature.inverse @ (curvature.slopes.T @ weighted)
     along = (curvature.inverse / curvature.deviations).T

@@ -1,7 +1,7 @@
-"""What all recordings share, so that none of them shows it: zeros of joints and mounts of bodies.
+"""Errors that all recordings share, so that no residual shows them: zeros of joints and mounts of bodies.
 
-Both come from one reference pose, whose frames are averaged when logs are ingested. Every signal may be off by what noise
-leaves of such a mean; to first order that moves the values of a fit as it moves its residuals.
+Both come from one reference pose, whose frames are averaged when logs are ingested. Every signal may have an offset equal to
+the noise of such a mean; to first order it moves the values of a fit as it moves its residuals.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ Array = npt.NDArray[np.float64]
 
 #: Frames of a reference pose: a second of it.
 FRAMES = 100
-#: Where joints and bodies meet. Elsewhere runs begin where they are measured, and an offset stays one.
-MEETS = ("joint", "end_effector")
+#: Stages between joints and bodies. Elsewhere a run starts at the measurement and includes its offset.
+AFFECTED = ("joint", "end_effector")
 
 
 def shared_offsets(criterion: Criterion, curvature: Curvature, values: Array, noise: Mapping[str, float]) -> Array:
-    """Standard deviation (k,) that offsets of the signals give to a fit at ``values`` (k,).
+    """Standard deviation (k,) of a fit at ``values`` (k,) caused by offsets of the signals.
 
     Args:
         noise: standard deviation of every measured signal.
     """
     problem, recordings = criterion.data.problem, criterion.data.recordings
     squares = np.zeros(len(values))
-    if problem.stage not in MEETS:
+    if problem.stage not in AFFECTED:
         return squares
     made = criterion.predicted(values, recordings)
     gain = curvature.inverse @ (curvature.slopes * criterion.weights(curvature.errors)[:, None]).T

@@ -1,9 +1,9 @@
-"""Gradient of a function of whitened columns with respect to the numbers of the filter that whitens them.
+"""Gradient of a function of whitened columns with respect to the parameters of the whitening filter.
 
 The whitening of :mod:`sysid.gap.likelihood.disturbance` is run backwards once, from the derivative of the function with respect
 to each innovation to that with respect to each gain (reverse-mode differentiation: Griewank and Walther, Evaluating
-Derivatives, 2nd ed., 2008, ch. 3). How the gains follow from the numbers of a disturbance is cheap and is differentiated by
-finite differences. A gradient costs about two whitenings, whatever the number of parameters.
+Derivatives, 2nd ed., 2008, ch. 3). The gains as functions of the disturbance parameters are cheap and are differentiated by
+finite differences. A gradient costs about two whitenings for any number of parameters.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from sysid.gap.likelihood.disturbance import Filter
 
 Array = npt.NDArray[np.float64]
 
-#: Step of the finite differences of the gains, in the logarithm of a number.
+#: Step of the finite differences of the gains, in the logarithm of a parameter.
 STEP = 1e-5
 
 
 def gradient_of(columns: Array, slope: Array, filters: Callable[[Array], Filter], z: Array) -> Array:
-    """Derivatives with respect to the numbers of a disturbance, (k,), of a function of innovations plus their log scale.
+    """Derivatives with respect to the parameters of a disturbance, (k,), of a function of innovations plus their log scale.
 
     Args:
-        z: logarithms of the numbers, (k,).
+        z: logarithms of the parameters, (k,).
         columns: (n, m), before the whitening. slope: of the function, with respect to each innovation, (n, m).
         filters: the filter of the series at values of ``z``.
     """
@@ -37,13 +37,13 @@ def gradient_of(columns: Array, slope: Array, filters: Callable[[Array], Filter]
 
 
 def _gains(found: Filter) -> Array:
-    """What a filter consists of, in the order of the kernels, (7, n)."""
+    """Coefficients of a filter in the order of the kernels, (7, n)."""
     flow = found.amplitude * found.step if found.integrates else found.amplitude
     return np.stack([found.level, found.state, found.ripple, found.deviation, found.correlation, found.decay, flow])
 
 
 def _by_gains(columns: Array, slope: Array, found: Filter) -> Array:
-    """Derivatives with respect to what a filter consists of, (7, n)."""
+    """Derivatives with respect to the coefficients of a filter, (7, n)."""
     out = np.zeros((7, len(columns)))
     gains = _gains(found)
     states, ripples = np.empty(columns.shape), np.empty(columns.shape)
@@ -123,7 +123,7 @@ def _backward_integrated(
 def _backward(
     columns, slope, level, state, ripple, deviation, correlation, decay, amplitude, present, restart, states, errors, out
 ):
-    """``states`` holds s before each row, ``errors`` its prediction error, (n, m); level, ripple and decay have no part."""
+    """``states`` holds s before each row, ``errors`` its prediction error, (n, m); level, ripple and decay are not used."""
     n, m = columns.shape
     s = np.zeros(m)
     for k in range(n):

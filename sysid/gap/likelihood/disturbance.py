@@ -1,14 +1,14 @@
-"""What disturbs a stage at random: sensor noise, a disturbance with a correlation time that an integrating stage sums up, and
-what fast dynamics that no formula has leave of its output while it moves.
+"""Random disturbance of a stage: sensor noise, a correlated disturbance that an integrating stage accumulates, and an error of
+the output itself in motion (fast dynamics that no formula contains).
 
     s_k     = ρ_k·s_{k−1} + √(1 − ρ_k²)·η_k          ρ_k = e^(−Δt_k/T), stationary variance 1
     level_k = level_{k−1} + Δt_k·a_k·s_{k−1}          (a stage that integrates its input)
-    p_k     = φ_k·p_{k−1} + √(1 − φ_k²)·r_k·ζ_k      φ_k = e^(−Δt_k/R), the output's own, not integrated
-    y_k     = level_k + p_k + σ·ε_k                   or, where nothing integrates,  y_k = a_k·s_k + σ·ε_k
+    p_k     = φ_k·p_{k−1} + √(1 − φ_k²)·r_k·ζ_k      φ_k = e^(−Δt_k/R), error of the output, not integrated
+    y_k     = level_k + p_k + σ·ε_k                   or, without integration,  y_k = a_k·s_k + σ·ε_k
 
 with the amplitudes ``a_k² = still² + moving²·activity_k²`` (a flow disturbance grows with the flow) and
-``r_k = ripple·activity_k``. Without the last one an oscillation that stays within millimetres would pass for a flow that
-wanders off, and with it whatever acts slowly. A Kalman filter turns the residual of a run into independent standard normal
+``r_k = ripple·activity_k``. Without the latter, an oscillation of millimetres would pass for a flow disturbance, and with it
+every slow error. A Kalman filter turns the residual of a run into independent standard normal
 innovations; it is linear, so that it whitens the columns of a regression as well (Harvey, Forecasting, Structural Time Series
 Models and the Kalman Filter, 1989, ch. 3). The level at the beginning of a run is unknown (diffuse), so that a constant offset
 of a run does not change the likelihood where the stage integrates.
@@ -25,7 +25,7 @@ from sysid.compiled import kernel
 
 Array = npt.NDArray[np.float64]
 
-#: Standard deviation of the unknown level at the beginning of a run, in what its residual spans.
+#: Standard deviation of the unknown level at the beginning of a run, in ranges of its output.
 DIFFUSE = 100.0
 
 
@@ -37,7 +37,7 @@ class Disturbance:
         noise: standard deviation of the sensor noise of one row [unit of the signal].
         still, moving: amplitude at rest and at an activity of one [unit of the signal, a second where the stage integrates].
         memory: correlation time T [s].
-        ripple: amplitude of the output's own error at an activity of one [unit of the signal].
+        ripple: amplitude of the error of the output itself at an activity of one [unit of the signal].
         ripple_memory: its correlation time R [s].
     """
 
@@ -105,8 +105,8 @@ def filter_of(
     Args:
         step: time since the row before [s], (n,); ``activity``: of the stage, (n,), about 1 while it moves.
         restart: where a run begins anew.
-        extra: variance that the level gains before each row beside the disturbance, (n,): the transient of an unknown start.
-        span: what the residual spans [unit of the signal].
+        extra: further variance added to the level before each row, (n,): the transient of an unknown initial state.
+        span: range of the output [unit of the signal].
     """
     n = len(step)
     amplitude = np.sqrt(disturbance.still**2 + (disturbance.moving * activity) ** 2)
@@ -138,7 +138,7 @@ def filter_of(
 
 @kernel
 def _gains_integrated(noise, diffuse, correlation, decay, flow, own, extra, present, restart, level, state, ripple, deviation):
-    # Covariances of w (level), s (disturbance) and p (the output's own error).
+    # Covariances of w (level), s (disturbance) and p (error of the output itself).
     ww, ws, wp, ss, sp, pp = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
     for k in range(len(flow)):
         rho, phi, f = correlation[k], decay[k], flow[k]

@@ -1,4 +1,4 @@
-"""What the discrepancy explains of a stage beside a model, group by group: a systematic remainder, or none."""
+"""Share of the remaining error of a stage that the discrepancy explains beside a model, group by group."""
 
 from __future__ import annotations
 
@@ -8,20 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.fit import place
 from sysid.gap.likelihood.rows import Series
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, share_of, steps_of
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, residual_and_slopes, share_of
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Explained:
-    """Root mean squares of a stage's output in noise floors, each run's mean taken off.
+    """RMS errors of a stage's output in noise floors, the mean of each run subtracted.
 
     Args:
-        before: what the effects leave; ``after``: what the discrepancy leaves of that.
-        groups: what each group of the discrepancy contributes, the largest first.
+        before: beside the effects alone; ``after``: with the discrepancy as well.
+        groups: RMS contribution of each group of the discrepancy, the largest first.
     """
 
     before: float
@@ -30,16 +29,10 @@ class Explained:
 
 
 def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
-    """Posterior mean of the discrepancy beside ``fit``, against what the fit leaves."""
+    """Posterior mean of the discrepancy beside ``fit``, against the remaining error of the fit."""
     rows, found = likelihood.rows, likelihood.discrepancy
     scale = likelihood.variances.groups[found.group]
-    lanes = fit.values[None]
-    if fit.unknowns:
-        steps = steps_of(fit.unknowns, fit.values)
-        lanes = np.vstack([lanes, fit.values + np.diag(steps)])
-    table = rows.residuals(place(rows.theta, fit.unknowns, lanes)).T
-    if fit.unknowns:
-        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior_of(fit.candidates).width
+    table = residual_and_slopes(rows, fit.unknowns, fit.values, prior_of(fit.candidates).width)
     effects = table[:, 1:]
     discrepancy = found.columns * scale
     discrepancy = discrepancy - effects @ share_of(rows.scaled(effects), rows.scaled(discrepancy))
@@ -54,7 +47,7 @@ def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
 
 
 def _centred(series: Sequence[Series], columns: Array) -> Array:
-    """Columns without the mean of each series: where a run starts is no remainder."""
+    """Columns without the mean of each series, which depends on the initial state."""
     out = columns.copy()
     for s in series:
         part = out[s.rows]

@@ -1,4 +1,4 @@
-"""The rows of a stage's regression: its outputs averaged over short bins, recording by recording and signal by signal."""
+"""Rows of the regression of a stage: its outputs averaged over short bins, recording by recording and signal by signal."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
+from sysid.effects.effect import Stage
 from sysid.gap.problem import Problem
 from sysid.plant.model import held
 from sysid.signals import axis_signal
@@ -18,8 +20,11 @@ Array = npt.NDArray[np.float64]
 
 #: Samples are averaged over this time [s]: short against lags and dead times, long enough that noise averages out.
 BIN = 0.04
-#: A block of rows that cross-validation leaves out [s]: long against the correlation time of a disturbance.
+#: Length of the blocks of cross-validation [s]: long against the correlation time of a disturbance.
 BLOCK = 5.0
+#: Inputs and outputs of stages without dynamics between two samples are averaged over this time [s], so that backlash or
+#: saturation with a noisy input does not filter its noise; other stages keep their rate.
+SPANS: dict[Stage, float] = {"joint": 0.1, "end_effector": 0.1}
 
 
 @dataclass(frozen=True)
@@ -27,9 +32,9 @@ class Series:
     """The rows of one signal of one recording.
 
     Args:
-        recording: its place among the recordings; ``signal``: its place among the problem's signals.
-        rows: which rows of the regression.
-        width: samples a row.
+        recording, signal: indices among the recordings and among the signals of the problem.
+        rows: its rows of the regression.
+        width: samples per row.
         time, step: of each row in its recording, and since the row before [s], (n,).
         present: whether enough samples of the row were measured and predicted, (n,).
         restart: where a run begins anew, (n,).
@@ -50,12 +55,12 @@ class Series:
 
 
 class StageRows:
-    """Recordings of a stage as rows of a regression; ``predict`` of the problem is averaged the same way.
+    """Recordings of a stage as rows of a regression; predictions are averaged like measurements.
 
     Args:
-        theta: vector of the questioned plant: a row counts where its prediction is there.
+        theta: vector of the plant under test: a row counts if it has a prediction.
         floor: noise floor of each output, (d,).
-        averaged_out: variance of the outputs that the averages of samples no longer show, in noise floors.
+        averaged_out: variance of the outputs that averaging removes, in noise floors.
     """
 
     def __init__(
@@ -104,13 +109,13 @@ class StageRows:
 
     @property
     def measured_rows(self) -> int:
-        """How many rows there are with a measurement and a prediction."""
+        """Number of rows with a measurement and a prediction."""
         return int(sum(s.present.sum() for s in self.series))
 
     def residuals(self, thetas: Array) -> Array:
-        """(measured − predicted), averaged, (lanes, rows); zero where nothing is measured.
+        """(measured − predicted), averaged, (lanes, rows); zero where not measured.
 
-        Where another parameter vector predicts nothing (a clock that is wrong loses the ends), the residual is the nominal one.
+        Where a parameter vector gives no prediction (a clock offset loses the ends), the residual is the nominal one.
         """
         out = np.empty((len(thetas), self.count))
         for here, part in self.residual_parts(thetas):
@@ -133,24 +138,21 @@ class StageRows:
             yield here, out
 
     def scaled(self, columns: Array) -> Array:
-        """Columns (rows, m) in noise floors; zero where nothing is measured."""
+        """Columns (rows, m) in noise floors; zero where not measured."""
         out = np.zeros(columns.shape)
         for s in self.series:
             out[s.rows] = np.where(s.present[:, None], columns[s.rows] / self.floor[s.signal], 0.0)
         return out
 
     def in_floors(self, columns: Array) -> Array:
-        """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
+        """Root mean square of columns (rows, m) over the measured rows, in noise floors, (m,)."""
         total = np.zeros(columns.shape[1])
         for s in self.series:
             total += ((columns[s.rows][s.present] / self.floor[s.signal]) ** 2).sum(axis=0)
         return np.asarray(np.sqrt(total / max(self.measured_rows, 1)))
 
     def left(self, residual: Array) -> float:
-        """Root mean square of a residual (rows,) over the samples behind its rows, in noise floors.
-
-        The noise that the averages no longer show is in the floor as well.
-        """
+        """Root mean square of a residual (rows,) over the samples of its rows, in noise floors, averaged-out noise included."""
         return float(np.sqrt(self.in_floors(residual[:, None])[0] ** 2 + self.averaged_out))
 
     def _blocks(self) -> npt.NDArray[np.int64]:
@@ -186,17 +188,25 @@ def _means(values, width, out):
 
 
 def bin_means(values: Array, width: int) -> Array:
-    """Means over ``width`` samples, (lanes, n, d) → (lanes, n // width, d); NaN where fewer than half are there."""
+    """Means over ``width`` samples, (lanes, n, d) → (lanes, n // width, d); NaN where fewer than half are present."""
     out = np.empty((values.shape[0], values.shape[1] // width, values.shape[2]))
     _means(np.ascontiguousarray(values), width, out)
     return out
 
 
-def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array, span: float) -> float:
-    """Variance of the residual about a parabola within each ``span`` [s], less what stays in its mean; in noise floors.
+def averaged(recording: Recording, stage: Stage) -> Recording:
+    """The recording averaged over the span of the stage."""
+    width = round(SPANS.get(stage, 0.0) * recording.rate_hz)
+    if recording.kind != "motion" or width < 2:
+        return recording
+    means = bin_means(recording.table.to_numpy(dtype=float)[None], width)[0]
+    return replace(recording, table=pd.DataFrame(means, columns=recording.table.columns), rate_hz=recording.rate_hz / width)
 
-    From the recordings themselves: the steps of a coarse sensor do not average out where it moves slowly. No more than the
-    floor.
+
+def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array, span: float) -> float:
+    """Variance of the residual about a parabola within each ``span`` [s], less that of its mean; in noise floors, at most 1.
+
+    From the recordings themselves, since the steps of a coarse sensor do not average out in slow motion.
     """
     total, count = 0.0, 0
     for recording in recordings:
@@ -219,12 +229,12 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
 
 def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:
     rows = problem.rows(recording)[: count * width].reshape(count, width).mean(axis=1)
-    # Static poses are measurements of their own: far apart in time.
+    # Static poses are independent: far apart in time.
     return np.asarray(rows * (1e3 if recording.kind == "poses" else 1.0 / recording.rate_hz))
 
 
 def _restarts(problem: Problem, recording: Recording, width: int, count: int) -> npt.NDArray[np.bool_]:
-    """Where the run of the stage begins: at the first row, and after gaps of its command."""
+    """Starts of the run of the stage: the first row, and the rows after gaps of its command."""
     found = np.zeros(count, dtype=np.bool_)
     found[:1] = True
     if problem.stage == "command" and recording.kind == "motion":
@@ -246,7 +256,7 @@ def _speed(output: Array, time: Array) -> Array:
 
 
 def _spans(series: Sequence[Series], signals: int) -> tuple[float, ...]:
-    """What each signal's output spans."""
+    """Range of each output."""
     found = []
     for k in range(signals):
         joined = np.concatenate([s.measured for s in series if s.signal == k])

@@ -1,13 +1,12 @@
-"""The statistical model of one stage: what a set of effects predicts, and everything that may be added to it.
+"""The statistical model of one stage: the prediction of a set of effects, timing, discrepancy, disturbance and noise.
 
     y = plant(θ) + half a sample of timing + Φ·β + disturbance + noise,      β_j ~ N(0, τ²_group(j)),   θ_j ~ N(c_j, s_j²)
 
-Noise and disturbance whiten the residual once; timing and discrepancy are linear and go out in closed form; θ is found by
-Gauss–Newton on what is left. The marginal likelihood (evidence) is that of Laplace's approximation. The variances are estimated
-with the richest model and shared by all models of the stage (:mod:`sysid.gap.likelihood.variances`).
+Noise and disturbance whiten the residual once; timing and discrepancy are linear and are marginalised in closed form; θ is
+found by Gauss–Newton. The marginal likelihood (evidence) is Laplace's approximation. The variances are estimated with the
+richest model and shared by all models of the stage (:mod:`sysid.gap.likelihood.variances`).
 
-The discrepancy is orthogonal to what the effects of a model change of the free run: θ is what fits the output best, and no
-discrepancy undoes an effect whose side is wanted for something else.
+The discrepancy is orthogonal to the effects of a model over the free run, so that θ is the best fit of the output.
 
 Sources: Kennedy and O'Hagan 2001 (discrepancy); Plumlee, JASA 112 (2017), 1274–1285 (orthogonal to the model); Kristensen,
 Madsen and Jørgensen, Automatica 40 (2004), 225–237 (stochastic grey-box models); MacKay, Information Theory, Inference, and
@@ -33,19 +32,19 @@ from sysid.gap.likelihood.uncertainty import posterior_covariance
 
 Array = npt.NDArray[np.float64]
 
-#: Prior standard deviation of a parameter, in the largest departure of the values that a fit starts from.
-WIDE = 10.0
-#: The same in what is negligible of it, where a fit starts from its known value alone.
-PLAUSIBLE = 100.0
-#: Smallest plausible size of an effect, in what is negligible of it.
+#: Prior standard deviation of a parameter, in the largest distance of a start value from nominal.
+PRIOR_WIDTH = 10.0
+#: The same in its negligible change, where the nominal value is the only start value.
+PRIOR_WIDTH_NEGLIGIBLE = 100.0
+#: Smallest plausible size of an effect, in its negligible change.
 FINEST = 0.1
-#: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.
+#: Prior standard deviation of timing, in half samples: the uncertainty of sample-and-hold.
 TIMING = 1.0
-#: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
+#: Directions of the linear part with a prior variance below this share of the noise's are left out.
 NEGLIGIBLE = 0.02
-#: Effects whose outputs are alike to this share share what they could do.
-ALIKE = 1e-10
-#: Columns of more noise floors come of a simulation that does not converge.
+#: Ridge of the regression on effects, for effects with the same output.
+RIDGE = 1e-10
+#: Columns of more noise floors come from a simulation that diverges.
 DIVERGED = 1e6
 #: Innovations beyond so many standard deviations count less (Huber 1964).
 HUBER = 4.0
@@ -53,14 +52,14 @@ HUBER = 4.0
 
 @dataclass(frozen=True)
 class Variances:
-    """What a stage shares among its models.
+    """Variances that all models of a stage share.
 
     Args:
         disturbances: one for each signal.
         groups: standard deviation τ of the coefficients of each group of the discrepancy, (g,).
         weights: square root of the weight of each row, (rows,): outliers of the richest model count less.
-        left: what the richest model leaves of the output beyond noise [noise floors]: no group does more. Infinite where errors
-            add up.
+        left: remaining error of the richest model beyond noise, the limit of each group [noise floors]; infinite where errors
+            accumulate.
     """
 
     disturbances: tuple[Disturbance, ...]
@@ -73,7 +72,7 @@ class Variances:
 class Linear:
     """The linear part, whitened and in unit prior: ``columns`` (rows, p), their products ``gram`` (p, p).
 
-    ``outputs``: what the discrepancy in each column does to the output, in noise floors, (rows, p).
+    ``outputs``: change of the output by the discrepancy in each column, in noise floors, (rows, p).
     """
 
     columns: Array
@@ -82,14 +81,14 @@ class Linear:
 
     @cached_property
     def alone(self) -> Orthogonal:
-        """Beside no effects."""
+        """Without effects."""
         none = np.zeros((len(self.columns), 0))
         return Orthogonal(self.columns, none, np.zeros((0, len(self.gram))), _factor(self.gram))
 
     def beside(self, slopes: Array, outputs: Array) -> Orthogonal:
-        """Without what the effects of a model can do: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors.
+        """Orthogonal to the effects of a model: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors.
 
-        From products alone: no table of rows is made.
+        Computed from products, without a table of rows.
         """
         share = share_of(outputs, self.outputs)
         both = share.T @ (slopes.T @ self.columns)
@@ -120,18 +119,18 @@ class Orthogonal:
         return np.asarray(solve_triangular(self.factor, products, lower=True))
 
     def projected(self, columns: Array) -> Array:
-        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
+        """Projection of ``columns`` (rows, m) on the linear part, (p, m), to be subtracted from their products."""
         return self.solved(self.products(columns))
 
 
 def share_of(effects: Array, discrepancy: Array) -> Array:
-    """How much of each effect's output (rows, k) is in each column of a discrepancy (rows, p), by least squares, (k, p).
+    """Least-squares coefficients (k, p) of each column of a discrepancy (rows, p) on the effects' outputs (rows, k).
 
-    Both in noise floors, the effects in units of their prior, which keeps what has no slope out.
+    Both in noise floors, the effects in units of their prior, which suppresses effects without a slope.
     """
     scale = np.maximum(np.linalg.norm(effects, axis=0), 1.0)
     unit = effects / scale
-    found = np.linalg.solve(unit.T @ unit + np.diag(scale**-2.0) + ALIKE * np.eye(len(scale)), unit.T @ discrepancy)
+    found = np.linalg.solve(unit.T @ unit + np.diag(scale**-2.0) + RIDGE * np.eye(len(scale)), unit.T @ discrepancy)
     return np.asarray(found / scale[:, None])
 
 
@@ -145,10 +144,10 @@ class ModelFit:
         evidence: log marginal likelihood.
         predictive: log density of each block, parameters and discrepancy from the other blocks, (blocks,).
         rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
-        confounded: standard deviations of what the discrepancy could do in the place of each unknown, (k,); zero where the
-            output adds up errors: there the free run says how much is the effect's.
-        response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
-        left: root mean square of what the effects leave of the output, in noise floors.
+        confounded: standard deviations of each unknown by what the discrepancy could do in its place, (k,); zero where errors
+            accumulate, where the free run decides.
+        response: RMS change of the output per unit of each unknown, in noise floors, (k,).
+        left: RMS error of the output beside the effects, in noise floors.
     """
 
     candidates: tuple[Candidate, ...]
@@ -180,7 +179,7 @@ class ModelFit:
         return self.values[self.rows_of(candidate)]
 
     def with_values(self, other: ModelFit) -> ModelFit:
-        """The same set of effects with the values of another fit of it, and what those leave; evidence and predictions stay."""
+        """The same set of effects with the values of another fit of it and their error; evidence and predictions stay."""
         if other is self:
             return self
         return replace(
@@ -198,7 +197,7 @@ class ModelFit:
 class Prior:
     """Normal prior of some unknowns: ``centre`` and ``width``, (k,) each; bounds ``low`` and ``high``.
 
-    ``finest``: the smallest width that is plausible, (k,); equal to ``width`` where an unknown has no absent value near it.
+    ``finest``: the smallest plausible width, (k,); equal to ``width`` where the nominal value is far from the start values.
     """
 
     centre: Array
@@ -208,11 +207,11 @@ class Prior:
     finest: Array
 
     def at_scale(self, values: Array) -> tuple[Array, float]:
-        """Widths of maximum evidence at ``values`` (k,), and what their being unknown costs [nats].
+        """Widths of maximum evidence at ``values`` (k,), and the cost of their being unknown [nats].
 
-        The size of an effect is unknown over decades, like that of the discrepancy: the logarithm of a width is uniform
-        between ``finest`` and ``width``. A normal density is largest where its width is the departure; Laplace's approximation
-        over the logarithm (curvature 2) leaves √π / ln(width / finest) of it.
+        The size of an effect is unknown over decades: the logarithm of a width is uniform between ``finest`` and ``width``. A
+        normal density is largest where its width equals the distance; Laplace's approximation over the logarithm (curvature 2)
+        gives a factor of √π / ln(width / finest).
         """
         decades = np.log(self.width / self.finest)
         known = decades <= 0.0
@@ -222,9 +221,9 @@ class Prior:
 
 
 def prior_of(candidates: Sequence[Candidate]) -> Prior:
-    """Centred where the effect is absent, or has the known value; as wide as the starting values say that effects are.
+    """Prior centred at the nominal values, with widths from the start values.
 
-    An effect whose absence is far from all of them (a limit that is never reached) is centred among them.
+    An unknown whose nominal value is far from all start values (a limit that is never reached) is centred among them.
     """
     centre, width, low, high, finest = [], [], [], [], []
     for candidate in candidates:
@@ -235,9 +234,9 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
             far = float(np.abs(unknown.nominal - values).min()) > 3.0 * span
             centre.append(float(np.mean(values)) if far else unknown.nominal)
             away = np.abs(values - unknown.nominal)
-            reach = span if far else float(np.max(away)) or PLAUSIBLE * unknown.negligible
-            width.append(WIDE * reach)
-            finest.append(WIDE * reach if far else min(FINEST * unknown.negligible, WIDE * reach))
+            reach = span if far else float(np.max(away)) or PRIOR_WIDTH_NEGLIGIBLE * unknown.negligible
+            width.append(PRIOR_WIDTH * reach)
+            finest.append(PRIOR_WIDTH * reach if far else min(FINEST * unknown.negligible, PRIOR_WIDTH * reach))
             low.append(unknown.bounds[0])
             high.append(unknown.bounds[1])
     return Prior(np.array(centre), np.array(width), np.array(low), np.array(high), np.array(finest))
@@ -255,9 +254,9 @@ class StageLikelihood:
 
     Args:
         extra: of each series, as in :func:`filter_of`.
-        clusters: of each row, (rows,): the covariance of the unknowns takes errors within one as dependent; blocks by default.
-        predicts: whether blocks are predicted from one another.
-        converged: share of the cost that a fit does not follow further; at least :data:`CONVERGED`.
+        clusters: of each row, (rows,): errors within one are dependent for the covariance of the unknowns; blocks by default.
+        predicts: whether predictive densities of blocks are computed.
+        converged: relative gain in cost below which a fit ends; at least :data:`CONVERGED`.
     """
 
     def __init__(
@@ -280,7 +279,7 @@ class StageLikelihood:
         self.linear = self._linear()
 
     def _linear(self) -> Linear:
-        """Principal directions of timing and discrepancy that can matter; no table of all whitened columns is made."""
+        """Principal directions of timing and discrepancy, computed without a table of all whitened columns."""
         rows, discrepancy = self.rows, self.discrepancy
         scale = self.variances.groups[discrepancy.group]
         active = (scale > 0.0) & (rows.in_floors(discrepancy.columns) * scale < DIVERGED)
@@ -339,7 +338,7 @@ class StageLikelihood:
             yield here, out
 
     def costs(self, thetas: Array, linear: Orthogonal) -> Array:
-        """Half the squared length that the linear part leaves of the innovations of parameter vectors, (lanes,)."""
+        """Half the squared length of the innovations of parameter vectors beside the linear part, (lanes,)."""
         squares, products = np.zeros(len(thetas)), np.zeros((linear.whole.shape[1], len(thetas)))
         for here, part in self.innovation_parts(thetas):
             squares += (part**2).sum(axis=0)
@@ -357,13 +356,13 @@ def _factor(gram: Array) -> Array:
 
 #: Gauss–Newton steps at most, and the gain [nats] below which a fit has converged.
 ROUNDS, CONVERGED = 15, 0.05
-#: Damping factors: those behind the first one are tried where a step gains less than this share of what its slopes promise.
-DAMPING, TRUSTED = (0.0, 1e-2, 0.3, 10.0), 0.5
-#: A parameter is flat where what is negligible of it changes the innovations by less than this, all together.
+#: Damping factors; those after the first are tested where a step gains less than this share of the expected gain.
+DAMPING, MIN_GAIN_RATIO = (0.0, 1e-2, 0.3, 10.0), 0.5
+#: A parameter is flat if its negligible change moves the innovations by less than this (norm).
 FLAT = 1e-3
-#: Standard deviations of the innovations from which on a change of an unknown that acts in steps is seen.
-SHOWN = 2.0
-#: Half widths of the grid around a parameter whose slope says nothing, in what is negligible of it.
+#: Least change of the innovations (norm) over which the slope of a stepwise unknown is taken.
+MIN_CHANGE = 2.0
+#: Half-widths of the grid around a flat or stepwise parameter, in its negligible change.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
 
 
@@ -374,6 +373,14 @@ def steps_of(unknowns: Sequence[Unknown], values: Array) -> Array:
     step[smooth] = np.minimum(step, np.maximum(0.05 * np.abs(values), 0.01 * step))[smooth]
     high = np.array([u.bounds[1] for u in unknowns])
     return np.where(values + step > high, -step, step)
+
+
+def residual_and_slopes(rows: StageRows, unknowns: Sequence[Unknown], values: Array, unit: Array) -> Array:
+    """Residual at ``values`` (k,), and its change per ``unit`` (k,) of each unknown, (rows, 1 + k)."""
+    steps = steps_of(unknowns, values)
+    table = rows.residuals(place(rows.theta, unknowns, np.vstack([values[None], values + np.diag(steps)]))).T
+    table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * unit
+    return table
 
 
 def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS) -> ModelFit:
@@ -392,11 +399,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         return np.asarray(likelihood.costs(place(nominal, unknowns, lanes), linear) + away)
 
     def changes_at(values: Array) -> Array:
-        """Residual at ``values`` (k,), and what it changes with each unknown in a unit of its prior, (rows, 1 + k)."""
-        steps = steps_of(unknowns, values)
-        table = likelihood.residuals(place(nominal, unknowns, np.vstack([values[None], values + np.diag(steps)])))
-        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior.width
-        return table
+        return np.ascontiguousarray(residual_and_slopes(rows, unknowns, values, prior.width))
 
     if not unknowns:
         return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)
@@ -425,7 +428,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         def attempt(
             trials: Sequence[Array], lanes: list[Array] = lanes, tried: list[float] = tried, linear: Orthogonal = linear
         ) -> float:
-            """The gain of the best values so far, with ``trials`` among them."""
+            """Gain of the best values so far, ``trials`` included."""
             lanes += trials
             tried += list(costs(np.array(trials), linear))
             return tried[0] - min(tried)
@@ -433,7 +436,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         gained = 0.0
         if promised > least:
             gained = attempt([first])
-            if gained < TRUSTED * promised:
+            if gained < MIN_GAIN_RATIO * promised:
                 gained = attempt([_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING[1:]])
         if len(coarse) and (round_ == 0 or gained <= least):
             gained = attempt([moved for k in coarse for moved in _grid(x, int(k), unknowns[k], prior)])
@@ -461,7 +464,7 @@ def _grid(x: Array, k: int, unknown: Unknown, prior: Prior) -> list[Array]:
 
 
 def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, table: Array, k: int, prior: Prior) -> Array:
-    """Slope of an unknown that acts in steps: over the shortest distance that shows, where its own says less, (rows,)."""
+    """Slope of a stepwise unknown over the shortest distance with a significant change, (rows,)."""
     unknown = unknowns[k]
     reach = np.sort(np.array(GRID)) * unknown.negligible
     reach = np.append(reach, np.abs(x[k] - unknown.nominal) * np.array([0.25, 0.5, 1.0]))
@@ -471,14 +474,14 @@ def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, 
     changes = likelihood.residuals(place(likelihood.rows.theta, unknowns, lanes)) - table[:, :1]
     seen = np.linalg.norm(likelihood.whitened(changes), axis=0)
     order = np.argsort(np.abs(away))
-    shown = [j for j in order if seen[j] > SHOWN and away[j] != 0.0]
-    if not shown:
+    significant = [j for j in order if seen[j] > MIN_CHANGE and away[j] != 0.0]
+    if not significant:
         return table[:, 1 + k]
-    return np.asarray(changes[:, shown[0]] / away[shown[0]])
+    return np.asarray(changes[:, significant[0]] / away[significant[0]])
 
 
 def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
-    """A damped Gauss–Newton step; what would leave its bounds stays at them and the others are solved for again."""
+    """A damped Gauss–Newton step; unknowns that would leave their bounds stay at them, and the others are solved again."""
     free = np.ones(len(x), dtype=bool)
     moved = x.copy()
     for _ in range(len(x)):
@@ -527,7 +530,7 @@ def _finished(
     m = cho_solve(cho_factor(H, lower=True), X.T @ r)
     e = r - X @ m
     evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
-    predictive = _block_densities(X, r, H, rows) if likelihood.predicts else np.zeros(rows.blocks)
+    predictive = block_densities(X, r, H, rows) if likelihood.predicts else np.zeros(rows.blocks)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
     rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
     return ModelFit(
@@ -535,7 +538,7 @@ def _finished(
     )
 
 
-def _block_densities(X: Array, r: Array, H: Array, rows: StageRows) -> Array:
+def block_densities(X: Array, r: Array, H: Array, rows: StageRows) -> Array:
     """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,)."""
     out = np.zeros(rows.blocks)
     total = X.T @ r

@@ -1,8 +1,8 @@
-"""How sure the parameters of a model are: the posterior of its likelihood, and what the blocks say of it.
+"""Covariance of the parameters of a model: the posterior of its likelihood, widened by the scatter between blocks.
 
-Where the formulas are right the inverse of the information is the covariance. Where they are not, what each block of the
-recordings pulls at a parameter varies more than the likelihood says; the covariance that the blocks show (White, Econometrica
-50, 1982, 1–25, with blocks for observations) widens the intervals then.
+Where the formulas are right, the inverse of the information is the covariance. Where they are wrong, the scores of the blocks
+of the recordings vary more than the likelihood predicts; the sandwich covariance over blocks (White, Econometrica 50, 1982,
+1–25) then widens the intervals.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
 
     Args:
         columns: whitened, (rows, p + k). residual: whitened, at coefficients of zero, (rows,).
-        block: of each row, (rows,); rows that no measurement belongs to are zero.
+        block: of each row, (rows,); rows without a measurement are zero.
     """
     k = parameters
     bread = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
@@ -30,7 +30,7 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
     within = np.asarray(bread[-k:, -k:])
     if count < 2:
         return within
-    moved = pulls @ bread[:, -k:]  # what each block moves the parameters
+    moved = pulls @ bread[:, -k:]  # change of the parameters by each block
     seen = count / (count - 1.0) * (moved**2).sum(axis=0)
     wider = np.sqrt(np.maximum(1.0, seen / np.diag(within)))
     return within * np.outer(wider, wider)

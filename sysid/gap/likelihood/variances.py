@@ -1,7 +1,7 @@
-"""Noise, disturbance and discrepancy of a stage by maximum evidence, the effects of one model held (type II likelihood).
+"""Noise, disturbance and discrepancy of a stage by maximum evidence beside a given model (type II likelihood).
 
-The evidence is maximised in turn over the disturbances (the whitening changes) and over the groups' variances (the Gram matrix
-of the whitened columns is all that is needed).
+The evidence is maximised alternately over the disturbances (the whitening changes) and over the variances of the groups (from
+the Gram matrix of the whitened columns).
 """
 
 from __future__ import annotations
@@ -14,41 +14,48 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sysid.gap.fit import place
 from sysid.gap.likelihood.adjoint import gradient_of
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter
 from sysid.gap.likelihood.rows import Series, StageRows
-from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
+from sysid.gap.likelihood.stage import (
+    HUBER,
+    ModelFit,
+    StageLikelihood,
+    Variances,
+    fit_model,
+    residual_and_slopes,
+    whitening_of,
+)
 
 Array = npt.NDArray[np.float64]
 
 #: Prior of log τ: unknown over some decades.
 TAU, TAU_SPREAD = 1e-3, 4.0
-#: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s]. The same of the
-#: output's own error, around the noise and around RIPPLE_MEMORY [s].
+#: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s]. The same for
+#: the error of the output itself, around the noise and around RIPPLE_MEMORY [s].
 NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD, RIPPLE_MEMORY = 0.5, 3.0, 0.5, 1.0, 0.1
 SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
-#: How far from their centres the logarithms may go.
-FAR = np.array([2.0, 12.0, 12.0, 3.2, 12.0, 3.2])
-#: Below this τ a group is absent; a discrepancy above the other, a tenth of what a stage does, would be the model itself.
+#: Largest distance of the logarithms from their centres.
+MAX_DISTANCE = np.array([2.0, 12.0, 12.0, 3.2, 12.0, 3.2])
+#: Least and greatest τ of a group: absent, and a tenth of what a stage does.
 ABSENT, LARGEST = 1e-6, 0.1
-#: A discrepancy that goes unnoticed where nothing else is left: it adds a tenth to the noise floor [noise floors].
-UNNOTICED = 0.458
+#: Least limit of the discrepancy: it adds a tenth to the noise floor in quadrature [noise floors].
+LEAST_LIMIT = 0.458
 #: Rounds of the two maximisations.
 ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the estimation starts: noise of a row by signal from the data, and the size of a typical disturbance."""
+    """Start of the estimation: noise of a row by signal from the data, and the size of a typical disturbance."""
 
     noise: Array
     disturbance: Array
 
 
 def first_variances(rows: StageRows, start: Start, groups: int, tau: float) -> Variances:
-    """Before anything is estimated: noise as the data say, a small disturbance, every group with coefficients of ``tau``."""
+    """Start values: noise of the data, a small disturbance, every group with coefficients of ``tau``."""
     disturbances = tuple(
         Disturbance(float(n), float(0.1 * d), float(d), MEMORY, float(n), RIPPLE_MEMORY)
         for n, d in zip(start.noise, start.disturbance, strict=True)
@@ -63,21 +70,21 @@ def estimated(
     residual, slopes = _linearised(rows, model)
     columns = _Columns(discrepancy, slopes, residual)
     fixed = 1 + slopes.shape[1]
-    systematic = float(np.sqrt(max(model.left**2 - 1.0, UNNOTICED**2)))
+    systematic = float(np.sqrt(max(model.left**2 - 1.0, LEAST_LIMIT**2)))
     variances = replace(variances, left=np.inf if rows.problem.integrates else systematic)
     largest = _largest(rows, discrepancy, variances.left)
     for _ in range(ROUNDS):
         variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)
         gram, _ = _gram(rows, columns, variances, extra)
-        variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups, largest))
+        variances = replace(variances, groups=group_deviations(gram, fixed, discrepancy.group, variances.groups, largest))
     return variances
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Timing, what a model's unknowns change (rows, k), discrepancy, and residual (rows,), put side by side series by series.
+    """Timing, slopes of a model's unknowns (rows, k), discrepancy and residual (rows,), side by side for each series.
 
-    ``kept``: places of the columns of the discrepancy that are taken; all by default.
+    ``kept``: indices of the columns of the discrepancy; all by default.
     """
 
     discrepancy: Discrepancy
@@ -87,8 +94,8 @@ class _Columns:
 
     @property
     def count(self) -> int:
-        taken = self.discrepancy.columns.shape[1] if self.kept is None else len(self.kept)
-        return 2 + int(self.slopes.shape[1]) + int(taken)
+        kept = self.discrepancy.columns.shape[1] if self.kept is None else len(self.kept)
+        return 2 + int(self.slopes.shape[1]) + int(kept)
 
     def of(self, s: Series) -> Array:
         """(n, count)."""
@@ -98,28 +105,24 @@ class _Columns:
 
 
 def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> float:
-    """Log evidence of a model whose discrepancy is learned beside it alone, noise and disturbance held; with the prior of τ.
+    """Log evidence of a model with the discrepancy estimated beside it alone, noise and disturbance held; with the prior of τ.
 
-    Of two models under shared variances the one they were learned with has the advantage: this takes it away.
+    Shared variances favour the model with which they were estimated; this removes the advantage.
     """
     rows, discrepancy, variances, extra = likelihood.rows, likelihood.discrepancy, likelihood.variances, likelihood.extra
     residual, slopes = _linearised(rows, model)
     gram, _ = _gram(rows, _Columns(discrepancy, slopes, residual), variances, extra)
     largest = _largest(rows, discrepancy, variances.left)
-    own = replace(variances, groups=_groups(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups, largest))
+    own = replace(variances, groups=group_deviations(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups, largest))
     again = fit_model(StageLikelihood(rows, discrepancy, own, extra), model.candidates, model.values[None], rounds=0)
     return again.evidence + log_prior(own, start)
 
 
 def _linearised(rows: StageRows, model: ModelFit) -> tuple[Array, Array]:
-    """Residual of a model (rows,) and what its unknowns change, in a unit of their uncertainty (rows, k)."""
-    residual = rows.residuals(model.theta[None])[0]
-    if not model.unknowns:
-        return residual, np.empty((rows.count, 0))
-    steps = steps_of(model.unknowns, model.values)
-    lanes = place(rows.theta, model.unknowns, model.values + np.diag(steps))
-    slopes = (rows.residuals(lanes) - residual).T / steps
-    return residual, slopes * np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
+    """Residual of a model (rows,) and its slopes by the unknowns, in units of their size (rows, k)."""
+    sizes = np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
+    table = residual_and_slopes(rows, model.unknowns, model.values, sizes)
+    return table[:, 0], table[:, 1:]
 
 
 def _gram(
@@ -139,13 +142,10 @@ def _gram(
     return total, scale
 
 
-def _evidence(gram: Array, scale: Array) -> float:
-    """Log evidence up to the log scale; ``scale`` (m,) prior standard deviations of all columns but the last."""
-    return _evidence_and_slope(gram, scale)[0]
+def evidence_and_slope(gram: Array, scale: Array) -> tuple[float, Array]:
+    """Log evidence up to the log scale, and the factor of whitened columns (n, m + 1) for the slope of its negative.
 
-
-def _evidence_and_slope(gram: Array, scale: Array) -> tuple[float, Array]:
-    """Log evidence as :func:`_evidence`, and what whitened columns (n, m + 1) are multiplied by for the slope of its negative.
+    ``scale``: prior standard deviations of all columns but the last, (m,).
 
     With X the columns in unit prior, H = XᵀX + 1 and e = r − X·m, m = H⁻¹·Xᵀr: the negative is e·r/2 + log|H|/2, and its
     derivatives are e with respect to r and X·H⁻¹ − e·mᵀ with respect to X, linear in the columns.
@@ -188,12 +188,12 @@ def _disturbances(
         return replace(variances, disturbances=tuple(Disturbance(*map(float, row)) for row in found))
 
     z = np.log(first)
-    for k in range(signals):  # signals of one stage have filters of their own: one at a time
+    for k in range(signals):  # each signal of a stage has its own filters
         rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
         one = _Signal(rows, k, table, scale, rest, variances.weights, extra, np.log(centre[k]))
-        low, high = np.log(centre[k]) - FAR, np.log(centre[k]) + FAR
+        low, high = np.log(centre[k]) - MAX_DISTANCE, np.log(centre[k]) + MAX_DISTANCE
         bounds = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
-        # A disturbance at rest and one of the motion are two optima: begin at the two most promising.
+        # Disturbances at rest and in motion are separate local optima: descend from the two best start values.
         begins = sorted((np.clip(row, low, high) for row in _beginnings(z[k])), key=one.cost)[:2]
         found = [
             minimize(
@@ -240,13 +240,13 @@ class _Signal:
         return [k for k, s in enumerate(self.rows.series) if s.signal == self.signal]
 
     def _cost(self, z: Array) -> tuple[float, Array]:
-        """The cost, and the matrix that takes whitened columns to its derivatives with respect to them."""
+        """The cost, and the matrix that maps whitened columns to its derivatives with respect to them."""
         gram, log_scale = self.rest.copy(), 0.0
         for k in self._series:
             _, whitened, scale = self._whitened(k, z)
             gram += whitened.T @ whitened
             log_scale += scale
-        value, by_column = _evidence_and_slope(gram, self.scale)
+        value, by_column = evidence_and_slope(gram, self.scale)
         prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
         return float(log_scale - value + prior), by_column
 
@@ -264,21 +264,18 @@ class _Signal:
 
 
 def _beginnings(z: Array) -> list[Array]:
-    """Logarithms of the variances as they are, ten times one of them, and amplitudes at rest and in motion interchanged."""
+    """Start values: the given logarithms, one of them ten times larger, amplitudes at rest and in motion interchanged."""
     swapped, more = z[[0, 2, 1, 3, 4, 5]], np.log(10.0) * np.eye(len(z))
     return [z, swapped, z + more[1], z + more[2], z + more[4], z + more[4] - more[2], swapped + more[1]]
 
 
 def _largest(rows: StageRows, discrepancy: Discrepancy, left: float) -> Array:
-    """Largest standard deviation of each group, (g,): all of its columns together do no more than is ``left`` [noise floors].
-
-    A function of speed that may be as large as friction cannot be distinguished from friction.
-    """
+    """Largest standard deviation of each group, (g,): its columns together change the output by ``left`` [noise floors]."""
     squares = np.bincount(discrepancy.group, rows.in_floors(discrepancy.columns) ** 2, minlength=len(discrepancy.groups))
     return np.clip(left / np.sqrt(np.maximum(squares, 1e-300)), 10.0 * ABSENT, LARGEST)
 
 
-def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array, largest: Array) -> Array:
+def group_deviations(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array, largest: Array) -> Array:
     """Standard deviations of the groups, with the exact gradient of the evidence; at most ``largest``."""
     count = len(taus)
 
@@ -313,23 +310,23 @@ def log_prior(variances: Variances, start: Start) -> float:
 
 
 def _centre(start: Start) -> Array:
-    """Where the priors of a disturbance's numbers are centred, (d, 6)."""
+    """Centres of the priors of a disturbance's parameters, (d, 6)."""
     memory, ripple = np.full(len(start.noise), MEMORY), np.full(len(start.noise), RIPPLE_MEMORY)
     return np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, memory, start.noise, ripple])
 
 
 def _table(variances: Variances) -> Array:
-    """The numbers of each disturbance, (d, 6)."""
+    """Parameters of each disturbance, (d, 6)."""
     return np.array([[d.noise, d.still, d.moving, d.memory, d.ripple, d.ripple_memory] for d in variances.disturbances])
 
 
 def robust(likelihood: StageLikelihood, model: ModelFit) -> Variances:
-    """The variances with weights that make the outliers of ``model`` count less."""
+    """The variances with weights that reduce the influence of outliers of ``model``."""
     return replace(likelihood.variances, weights=_weights(likelihood, model))
 
 
 def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
-    """Square roots of Huber's weights from the innovations of ``model`` that the linear part leaves."""
+    """Square roots of Huber's weights from the innovations of ``model`` beside the linear part."""
     w = likelihood.innovations(model.theta[None])[:, 0]
     weights = likelihood.variances.weights
     linear = likelihood.linear.alone

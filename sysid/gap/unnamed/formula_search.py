@@ -17,9 +17,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.evidence import gain_p_value
 from sysid.gap.unnamed.periodogram import Periodogram, best_period
-from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, lag1_autocorrelation, quasi_difference
+from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, gain_p_value, lag1_autocorrelation, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Formula, Term, modulations
 
 Array = npt.NDArray[np.float64]
@@ -233,17 +232,13 @@ def _library(blocks: Sequence[ResidualSeries]) -> list[Term]:
             motions += [(Factor(function, name),) for function in ("identity", "abs", "signed square", "cube")]
         elif name == direction:
             motions.append((Factor("identity", name),))
-        elif name.startswith(("direction of ", "reversal of ", "small commands of ")):
+        elif name.startswith(("direction of ", "reversal of ", "small commands of ", "other axes together")):
             bases.append((Factor("identity", name),))
         elif name.startswith("time ") or name == "time":
             bases.append((Factor("identity", name),))
             bases += [(Factor("decay", name, seconds),) for seconds in (0.3, 1.0)] if name != "time" else []
-        elif name.startswith("speed of ") or name == "other axes together":
-            bases += (
-                [(Factor("identity", name),), (Factor("abs", name),)]
-                if name != "other axes together"
-                else [(Factor("identity", name),)]
-            )
+        elif name.startswith("speed of "):
+            bases += [(Factor("identity", name),), (Factor("abs", name),)]
         elif name.endswith(".command"):
             bases += [(Factor(function, name),) for function in ("identity", "signed square", "cube")]
         elif name.startswith("load of "):

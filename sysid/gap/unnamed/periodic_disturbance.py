@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.evidence import gain_p_value
 from sysid.gap.unnamed.periodogram import Periodogram, best_period
-from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, quasi_difference
+from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, gain_p_value, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Term, modulations
 
 Array = npt.NDArray[np.float64]

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.fit import Fit
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe, Unnamed
 from sysid.gap.unnamed.formula_search import ValidatedFormula, find_formula
@@ -33,17 +32,17 @@ MAX_PROBES = 5
 NOTHING = "nothing that was measured"
 
 
-def describe_residual(problem: Problem, fit: Fit, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
+def describe_residual(problem: Problem, theta: Array, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
     """The output of the stage with the largest residual: the variables it depends on, and the formula that predicts it.
 
     Args:
-        fit: best fit of the stage; its residual is described.
+        theta: best parameter vector of the stage, whose residual is described.
         recordings: fit and selection recordings.
     """
     moving = [recording for recording in recordings if recording.kind == "motion"]
     worst: tuple[float, int] | None = None
     for k in range(len(problem.signals)):
-        left = [(problem.measured(r) - problem.predict(fit.theta[None], r)[0])[:, k] for r in moving]
+        left = [(problem.measured(r) - problem.predict(theta[None], r)[0])[:, k] for r in moving]
         joined = np.concatenate(left) if left else np.empty(0)
         if np.isfinite(joined).any():
             rmse = float(np.sqrt(np.nanmean(joined**2)))
@@ -51,7 +50,7 @@ def describe_residual(problem: Problem, fit: Fit, recordings: Sequence[Recording
     if worst is None:
         return []
     rmse, k = worst
-    found = [residual_series(problem, fit.theta, recording, machine, k) for recording in moving]
+    found = [residual_series(problem, theta, recording, machine, k) for recording in moving]
     series = [part for part in found if part is not None]
     if not series:
         return [Unnamed(problem.stage, problem.target, rmse, NOTHING, "measured for too short a time to describe it")]

@@ -1,8 +1,8 @@
-"""Residual model of a stage that no effect explains: a bounded network, accepted only where it lowers the held-out error.
+"""Residual model of a stage that no effect explains: a bounded network, accepted only if it lowers the held-out error.
 
-It is trained on the fit recordings with early stopping on the selection recordings. It has to lower the error on the selection
-recordings before it is evaluated once on the held-out recordings. It is called ``unnamed_residual``, is not listed among the
-effects, and identifies no cause.
+It is trained on the fit recordings with early stopping on the selection recordings, where it has to lower the error before the
+one evaluation on the held-out recordings. It is called ``unnamed_residual``, is not listed among the effects, and identifies no
+cause.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.gap.case import Case, Stage
 from sysid.gap.drift import robust_scale
-from sysid.gap.evidence import gain_p_value
 from sysid.gap.floor import problem_floor
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
+from sysid.gap.unnamed.residual_series import gain_p_value
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs, hold_of
@@ -88,13 +89,10 @@ def fit_residual_models(
     """
     if case.adapter is not None:
         raise SettingsError(
-            f"simulator {case.adapter.name}",
-            "cannot hold a residual network",
-            "a plant",
-            "Add it inside the simulator itself.",
+            f"simulator {case.adapter.name}", "cannot hold a residual network", "a plant", "Add it inside the simulator itself."
         )
     repaired, found = outcome.repaired, list[ResidualModelResult]()
-    # A stage is listed once for what fits without a name and once for what is left of it then.
+    # A stage may be listed twice: for effects without a name, and for the remaining residual.
     by_stage = {(item.stage, item.target): item for item in outcome.unnamed}
     for k, item in enumerate(by_stage.values()):
         (stage,) = [s for s in stages if (s.problem.stage, s.problem.target) == (item.stage, item.target)]
@@ -134,7 +132,7 @@ def _fit_stage(
         ), repaired
 
     if not bound > 0.0:
-        return refused("there is no residual to learn from")
+        return refused("there is no residual to train on")
     trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
     origin: dict[str, Any] = {
         "dataset": case.dataset.reference,
@@ -188,7 +186,7 @@ def _residual_recording(
     commands, speed = model.in_steps(recording, i), None
     load = gravity_load(model.machine, recording)[:, i]
     if not all(len(model.held(recording, name)[1]) for name in model.machine.axis_names):
-        load = np.zeros(len(recording))  # a free run does not know the pose; a constant zero leaves the input out
+        load = np.zeros(len(recording))  # the pose of a free run is unknown; a constant zero disables the input
     if problem.stage == "force":
         inputs = force_inputs(recording, axis, hold=hold_of([r for r in dataset.recordings if r.kind == "motion"], axis))
         left = np.full(len(recording), np.nan)
@@ -199,10 +197,10 @@ def _residual_recording(
         predicted = problem.predict(model.theta[None], recording)[0][:, 0]
         left = problem.measured(recording)[:, 0] - predicted
         if problem.stage == "command":
-            position = _interpolated(predicted) + _smooth(_interpolated(left), SMOOTH * rate)
-            speed = np.append(np.diff(_interpolated(predicted)), 0.0) * rate if problem.integrates else None
+            position = filled(predicted) + _smooth(filled(left), SMOOTH * rate)
+            speed = np.append(np.diff(filled(predicted)), 0.0) * rate if problem.integrates else None
         else:
-            position, commands = _interpolated(recording.values(axis.driven)), np.zeros_like(commands)
+            position, commands = filled(recording.values(axis.driven)), np.zeros_like(commands)
     angle = 2.0 * np.pi * position / period if period > 0.0 else np.zeros(len(position))
     ripple = (np.sin(angle), np.cos(angle))
     return _ResidualRecording(
@@ -248,14 +246,9 @@ def _smooth(values: Array, width: float) -> Array:
     return np.asarray(gaussian_filter1d(values, 0.5 * width, mode="nearest"))
 
 
-def _interpolated(values: Array) -> Array:
-    there = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
-
-
 def _nearest(values: Array, reach: int) -> Array:
     """Values interpolated within ``reach`` samples of a finite entry, NaN elsewhere."""
     from scipy.ndimage import distance_transform_edt
 
     away = np.asarray(distance_transform_edt(~np.isfinite(values)))
-    return np.where(away <= reach, _interpolated(values), np.nan)
+    return np.where(away <= reach, filled(values), np.nan)

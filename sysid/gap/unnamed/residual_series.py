@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe
 from sysid.machine import Axis, Machine
@@ -22,6 +23,7 @@ from sysid.plant import gravity_load
 from sysid.plant.force import force_inputs
 from sysid.signals import axis_signal, point_signals
 from sysid.validate.binning import direction_of, speed_of
+from sysid.validate.bootstrap import bootstrap_means
 
 Array = npt.NDArray[np.float64]
 
@@ -87,7 +89,7 @@ def residual_series(
     left = (problem.measured(recording) - predicted)[:, signal]
     rows = problem.rows(recording)
     found = {
-        name: _bridged(values)[rows] for name, values in variables_of(problem, recording, machine, predicted[:, signal]).items()
+        name: filled(values)[rows] for name, values in variables_of(problem, recording, machine, predicted[:, signal]).items()
     }
     rate_hz = problem.rate(recording)
     width = max(PARTS, PARTS * max(1, round(BIN * rate_hz / PARTS))) if problem.stage != "force" else PARTS
@@ -117,7 +119,7 @@ def variables_of(problem: Problem, recording: Recording, machine: Machine, predi
     if problem.stage == "force":
         speed = force_inputs(recording, axis, rows=problem.rows(recording)).speed
     elif problem.stage == "command" and axis.driven == problem.signals[0]:
-        speed = np.gradient(_bridged(predicted), 1.0 / rate)
+        speed = np.gradient(filled(predicted), 1.0 / rate)
         speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart of the simulation is no motion
     else:
         speed = speed_of(position, rate)
@@ -163,6 +165,17 @@ def cross_correlations(series: Sequence[ResidualSeries], ar1: float) -> tuple[Pr
         if best is not None:
             found.append(best)
     return tuple(sorted(found, key=lambda probe: -abs(probe.correlation) / probe.bound))
+
+
+def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
+    """Share of stationary-bootstrap means of a gain in predictive density that are not positive.
+
+    Blocks keep the autocorrelation of residuals, which a naive criterion ignores (Politis & Romano, JASA 89 (1994)).
+    """
+    if len(gain) < 20 or not np.any(gain != 0.0):
+        return 1.0
+    means = bootstrap_means(gain, seed, draws)
+    return float((np.sum(means <= 0.0) + 1) / (draws + 1))
 
 
 def quasi_difference(values: Array, ar1: float) -> Array:
@@ -258,12 +271,6 @@ def _moving_for(direction: Array, rate_hz: float) -> Array:
     begin[changes] = changes
     since = (np.arange(len(direction)) - np.maximum.accumulate(begin)) / rate_hz
     return np.where(direction != 0.0, np.minimum(since, MAX_MOTION_TIME), 0.0)
-
-
-def _bridged(values: Array) -> Array:
-    """Gaps filled linearly, ends held."""
-    there = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
 
 
 def _means(blocks: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -80,6 +81,5 @@ def _stretches(values: Array) -> list[slice]:
 
 def _bridged(values: Array) -> Array:
     """Short gaps interpolated linearly, the mean subtracted."""
-    there = ~np.isnan(values)
-    filled = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
-    return np.asarray(filled - filled.mean())
+    path = filled(values)
+    return np.asarray(path - path.mean())

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from plant_data import dataset_of, loaded_arm, nominal, slide
 
-from sysid.gap.likelihood.averaged import averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.discrepancy.shapes import bumps, delayed, low_pass, slow_cosines
-from sysid.gap.likelihood.rows import StageRows
+from sysid.gap.likelihood.rows import StageRows, averaged
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
@@ -20,7 +19,7 @@ from sysid.plant import compile_plant
 GROUPS = {
     "velocity axis": ("command", "boom", {"command", "position", "rate", "past", "time", "other axes", "reading", "direction"}),
     "servo": ("command", "wrist", {"speed", "acceleration", "direction", "past", "position", "time"}),
-    "force axis": ("force", "slide", {"speed", "position", "acceleration", "way since a reversal", "time"}),
+    "force axis": ("force", "slide", {"speed", "position", "acceleration", "distance since a reversal", "time"}),
     "joint": ("joint", "boom", {"position", "direction", "speed", "time"}),
     "tip": ("end_effector", "ee", {"position", "direction", "speed", "time", "frame"}),
     "tool": ("tool", "tool", {"position", "speed", "acceleration", "time"}),

@@ -12,8 +12,7 @@ from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows
 
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.likelihood.averaged import SPANS, averaged
-from sysid.gap.likelihood.rows import BIN, BLOCK, StageRows, averaged_out, bin_means
+from sysid.gap.likelihood.rows import BIN, BLOCK, SPANS, StageRows, averaged, averaged_out, bin_means
 from sysid.gap.problem import drive_problem
 from sysid.plant import compile_plant
 

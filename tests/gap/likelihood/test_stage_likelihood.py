@@ -10,7 +10,7 @@ import pytest
 from regression_stage import NOISE, candidate, discrepancy, functions, likelihood, rows_of
 from scipy.stats import multivariate_normal
 
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, _block_densities, fit_model, prior_of, share_of
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, block_densities, fit_model, prior_of, share_of
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def test_block_densities_are_those_of_a_refit_without_the_block() -> None:
     block = rng.integers(0, 6, 40)
     X[7], r[7] = 0.0, 0.0  # a row that is not measured
     rows = SimpleNamespace(block=block, blocks=6)
-    found = _block_densities(X, r, X.T @ X + np.eye(5), rows)  # type: ignore[arg-type]
+    found = block_densities(X, r, X.T @ X + np.eye(5), rows)  # type: ignore[arg-type]
     for b in range(6):
         inside = block == b
         rest = X[~inside]

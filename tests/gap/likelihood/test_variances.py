@@ -16,7 +16,15 @@ from sysid.datasets.recording import Recording
 from sysid.gap.likelihood import variances as module
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import fit_model
-from sysid.gap.likelihood.variances import Start, _evidence, _groups, _scales, estimated, first_variances, log_prior, robust
+from sysid.gap.likelihood.variances import (
+    Start,
+    estimated,
+    evidence_and_slope,
+    first_variances,
+    group_deviations,
+    log_prior,
+    robust,
+)
 
 Array = npt.NDArray[np.float64]
 #: Columns of two groups behind one of timing.
@@ -38,7 +46,7 @@ def test_the_evidence_is_that_of_the_dense_normal() -> None:
     table = np.column_stack([columns, y])
     covariance = np.eye(30) + (columns * scale) @ (columns * scale).T
     density = multivariate_normal(np.zeros(30), covariance).logpdf(y) + 15 * np.log(2 * np.pi)
-    assert _evidence(table.T @ table, scale) == pytest.approx(density, rel=1e-9)
+    assert evidence_and_slope(table.T @ table, scale)[0] == pytest.approx(density, rel=1e-9)
 
 
 def test_the_slope_by_group_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,7 +59,7 @@ def test_the_slope_by_group_is_that_of_finite_differences(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(module, "minimize", kept)
     gram, _ = products((0.3, 0.01))
-    _groups(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
+    group_deviations(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
     for z in (np.array([-1.0, -5.0]), np.array([-7.0, -2.0]), np.array([-12.0, 0.0])):
         slope = costs[0](z)[1]
         step = 1e-5
@@ -63,13 +71,9 @@ def test_the_slope_by_group_is_that_of_finite_differences(monkeypatch: pytest.Mo
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_size_of_a_group_s_coefficients_is_found(seed: int) -> None:
     gram, beta = products((0.06, 0.0), seed)
-    taus = _groups(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
+    taus = group_deviations(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
     assert taus[0] == pytest.approx(float(np.sqrt(np.mean(beta[GROUP == 0] ** 2))), rel=0.15)
     assert taus[1] < 0.03, "less than what noise leaves of a coefficient"
-
-
-def test_the_timing_and_slopes_of_effects_have_scales_of_their_own() -> None:
-    assert _scales(3, np.array([1, 0]), np.array([0.5, 0.2])).tolist() == [1.0, 3.0, 3.0, 0.2, 0.5]
 
 
 def coloured(seed: int, sigma: float, moving: float, memory: float) -> StageRows:

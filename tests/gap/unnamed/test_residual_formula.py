@@ -24,7 +24,6 @@ from unnamed_data import (
 )
 
 from sysid.datasets.recording import Recording
-from sysid.gap.fit import Fit
 from sysid.gap.problem import Problem, drive_problem, joint_problem
 from sysid.gap.result import Unnamed
 from sysid.gap.unnamed.formula_search import find_formula
@@ -33,7 +32,6 @@ from sysid.gap.unnamed.residual_series import BIN, PARTS, ResidualSeries, cross_
 from sysid.gap.unnamed.terms import Factor, Formula, Term
 
 Array = npt.NDArray[np.float64]
-FIT = Fit((), (), np.empty(0), MODEL.theta, (), 0.0, True)
 DRIVE, JOINT = drive_problem(MODEL, MACHINE.axis("boom")), joint_problem(MODEL, MACHINE.axis("boom"))
 
 
@@ -42,7 +40,7 @@ def recordings(rate: Rate, seed: int = 0, seconds: float = 30.0) -> list[Recordi
 
 
 def described(problem: Problem, seen: Sequence[Recording]) -> Unnamed:
-    (found,) = describe_residual(problem, FIT, seen, MACHINE)
+    (found,) = describe_residual(problem, MODEL.theta, seen, MACHINE)
     return found
 
 

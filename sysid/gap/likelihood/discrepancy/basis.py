@@ -1,4 +1,4 @@
-"""The discrepancy of a stage: which functions may be added to its output, group by group."""
+"""The discrepancy of a stage: columns of its basis functions, group by group."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Discrepancy:
 
     Args:
         columns: (rows, m), unit of the output for a coefficient of one.
-        group: of each column, its place in ``groups``, (m,).
+        group: index in ``groups`` of each column, (m,).
         timing: change of the output for half a sample of timing, (rows,).
     """
 
@@ -36,7 +36,7 @@ class Discrepancy:
 
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
-    """The columns of a stage, with the dead time and the lag of ``theta`` where it has some."""
+    """The columns of a stage, with the dead time and lag of ``theta``."""
     problem = rows.problem
     make = _maker(model, rows, theta)
     found: dict[str, list[Array]] = {}

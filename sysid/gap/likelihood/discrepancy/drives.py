@@ -1,6 +1,6 @@
 """Discrepancies of the drives: speed of a velocity axis, position of a servo, force of a force axis.
 
-A coefficient of one is what the stage does: its full speed, half its range, its usual force.
+A coefficient of one equals what the stage does: its full speed, half its range, its usual force.
 """
 
 from __future__ import annotations
@@ -14,17 +14,7 @@ from scipy import signal
 
 from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
-from sysid.gap.likelihood.discrepancy.shapes import (
-    SMALL,
-    bumps,
-    delayed,
-    low_pass,
-    slope,
-    slow_cosines,
-    smooth,
-    span_of,
-    waves,
-)
+from sysid.gap.likelihood.discrepancy.shapes import SMALL, bumps, delayed, low_pass, slope, slow_cosines, smooth, span_of, waves
 from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
@@ -35,16 +25,16 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Make = Callable[[Recording], dict[str, Array]]
 
-#: A recent past of a command or a set-point [s]: what a spool or a drive remembers.
+#: Time constant of the recent past of a command or a setpoint [s].
 PAST = 0.15
 
 
 def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
-    """Command → speed, summed up to the position: flow as a function of command, position, rate, past, time, load, others."""
+    """Command → speed, integrated to the position: flow as a function of command, position, rate, past, time, load, others."""
     i = model.axis_index(axis.name)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag, gain = float(block[AT.input_delay]), float(block[AT.first_order_lag]), axis.gain * float(block[AT.gain_error])
-    play, fastest = float(block[AT.valve_hysteresis]), float(block[AT.command_rate_limit])
+    hysteresis, max_rate = float(block[AT.valve_hysteresis]), float(block[AT.command_rate_limit])
     middle, half = span_of(tuple(recordings), axis.driven)
     largest = _largest_load(model, recordings, i)
     others = [name for name in model.machine.axis_names if name != axis.name]
@@ -52,7 +42,7 @@ def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], 
     def columns(recording: Recording) -> dict[str, Array]:
         dt = 1.0 / recording.rate_hz
         u = np.zeros(len(recording))
-        _spool(delayed(model.held(recording, axis.name)[0], delay, dt), play, fastest * dt, u)
+        _spool(delayed(model.held(recording, axis.name)[0], delay, dt), hysteresis, max_rate * dt, u)
         q = (smooth(recording.values(axis.driven), round(0.2 / dt)) - middle) / half
         rate, slow = np.gradient(u, dt), low_pass(u, PAST, dt)
         time = np.arange(len(u)) * dt
@@ -84,18 +74,18 @@ def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], 
 
 
 @kernel
-def _spool(u, play, most, out):
-    """Where a command has moved the spool to: behind its hysteresis (full width) and no faster than ``most`` a sample."""
+def _spool(u, hysteresis, max_step, out):
+    """Position of the spool for a command, after its hysteresis (full width) and at most ``max_step`` per sample."""
     held = u[0] if len(u) else 0.0
     spool = held
     for k in range(len(u)):
-        held = min(max(held, u[k] - 0.5 * play), u[k] + 0.5 * play)
-        spool += min(max(held - spool, -most), most)
+        held = min(max(held, u[k] - 0.5 * hysteresis), u[k] + 0.5 * hysteresis)
+        spool += min(max(held - spool, -max_step), max_step)
         out[k] = spool
 
 
 def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
-    """Set-point → position: following error as a function of speed, acceleration, direction, past, posture, load, time."""
+    """Setpoint → position: following error as a function of speed, acceleration, direction, past, posture, load, time."""
     i = model.axis_index(axis.name)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag = float(block[AT.input_delay]), float(block[AT.first_order_lag])
@@ -129,9 +119,9 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
 
 
 def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], problem: Problem) -> Make:
-    """Motion → force: as a function of speed, of position, of acceleration, of the way since a reversal, and of time.
+    """Motion → force: as a function of speed, position, acceleration, distance since a reversal, and time.
 
-    Every column passes the low-pass of the force and is taken on the same rows.
+    Every column passes the low-pass filter of the force and is taken on the same rows.
     """
     from sysid.plant.force import force_inputs
 
@@ -154,7 +144,7 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
                 *bumps(v, centres, np.array([0.25, 0.2, 0.14, 0.09, 0.06, 0.06, 0.09, 0.14, 0.2, 0.25]), 0.01).T,
                 v, np.abs(v), v * np.abs(v), v**3, sign, np.ones_like(v),
             ],
-            # Around a standstill friction is not determined, and filters leave narrow features there: a variance of their own.
+            # At a standstill friction is not determined, and filters leave narrow features there: a separate variance.
             "standstill": [
                 *(sign - np.tanh(v / w) for w in (0.02, 0.05, 0.1)),
                 *(np.exp(-((v / w) ** 2)) * part for w in (0.03, 0.1) for part in (np.ones_like(v), a, np.tanh(a / 0.2))),
@@ -162,7 +152,7 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
             "position": [*waves(q, (1.5, 3.0, 6.0, 12.0)).T, q, q * q],
             "position and direction": [*(waves(q, (1.5, 3.0, 6.0)) * sign[:, None]).T, q * sign],
             "acceleration": [a, a * np.abs(a), a * q, a * q * q, a * sign],
-            "way since a reversal": [sign * np.exp(-since / d) for d in (0.003, 0.01, 0.03, 0.1)],
+            "distance since a reversal": [sign * np.exp(-since / d) for d in (0.003, 0.01, 0.03, 0.1)],
             "time": [*slow_cosines(time).T, *(slow_cosines(time, 2) * sign[:, None]).T],
         }  # fmt: skip
         if (load := _load(model, recording, model.axis_index(axis.name))).any():
@@ -177,23 +167,23 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
 
 
 def _since_reversal(position: Array, half: float) -> Array:
-    """Way since the last change of direction, as a share of half the range, (n,)."""
+    """Distance since the last change of direction, as a share of half the range, (n,)."""
     out = np.zeros(len(position))
-    _way(np.ascontiguousarray(position), half, out)
+    _distance(np.ascontiguousarray(position), half, out)
     return out
 
 
 @kernel
-def _way(position, half, out):
-    way, last = 0.0, 0.0
+def _distance(position, half, out):
+    distance, last = 0.0, 0.0
     for k in range(1, len(position)):
         move = position[k] - position[k - 1]
         if move * last < 0.0:
-            way = 0.0
+            distance = 0.0
         if move != 0.0:
             last = move
-        way += abs(move)
-        out[k] = way / half
+        distance += abs(move)
+        out[k] = distance / half
 
 
 def _load(model: Model, recording: Recording, i: int) -> Array:

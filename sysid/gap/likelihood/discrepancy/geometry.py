@@ -17,7 +17,7 @@ from sysid.signals import axis_signal, point_signals
 Array = npt.NDArray[np.float64]
 Make = Callable[[Recording], dict[str, Array]]
 
-#: Turn of a joint that its column of the Jacobian is asked of the plant with [rad].
+#: Step of a joint for its column of the Jacobian [rad].
 TURN = 0.01
 
 
@@ -51,7 +51,7 @@ def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> 
 def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> Make:
     """Joints → end effector: every joint turned by functions of posture, direction, speed, load and time; the base likewise.
 
-    A joint's turn moves the end effector along its column of the Jacobian, (n, 3), which is asked of the plant itself.
+    A joint moves the end effector along its column of the Jacobian, (n, 3), which is computed by the plant.
     """
     names = model.machine.axis_names
     load_of = _loads(model, recordings)
@@ -64,13 +64,13 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
         for i in range(len(names)):
             lanes[i + 1, i * AXIS_WIDTH + AT.joint_offset] += TURN
         ends = model.tip(lanes, recording)
-        ways = np.nan_to_num(ends[1:] - ends[:1]) / TURN  # (A, n, 3)
+        jacobian = np.nan_to_num(ends[1:] - ends[:1]) / TURN  # (A, n, 3)
         joints = [(filled(recording.values(axis_signal(a, "joint"))) - m) / h for a, (m, h) in zip(names, spans, strict=True)]
         speeds = [slope(q, 1.0 / recording.rate_hz) if moving else np.zeros(n) for q in joints]
         loads = load_of(recording)
         time = np.arange(n) / recording.rate_hz if moving else np.zeros(n)
         found: dict[str, list[Array]] = {}
-        for k, (q, v, way) in enumerate(zip(joints, speeds, ways, strict=True)):
+        for k, (q, v, column) in enumerate(zip(joints, speeds, jacobian, strict=True)):
             turns = {
                 "position": np.column_stack([np.ones(n), q, q * q, waves(q, (1.5, 3.0, 6.0))]),
                 "direction": np.column_stack([np.tanh(v / 0.05), np.tanh(v / 0.2)]),
@@ -79,7 +79,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
                 "load": loads[:, k : k + 1],
             }
             for name, turn in turns.items():
-                found.setdefault(name, []).append(turn[:, :, None] * way[:, None, :])
+                found.setdefault(name, []).append(turn[:, :, None] * column[:, None, :])
         first = joints[0]
         frame = np.column_stack([np.ones(n), waves(first * spans[0][1] + spans[0][0], (1.0, 2.0))])
         found["frame"] = [frame[:, :, None] * axis[None, None, :] for axis in reach * np.eye(3)]
@@ -123,8 +123,8 @@ def _loads(model: Model, recordings: Sequence[Recording]) -> Callable[[Recording
     """Gravity loads relative to the largest of each axis, (n, A); zero where an axis' load does not vary."""
     tables = [np.nan_to_num(gravity_load(model.machine, r)) for r in recordings]
     joined = np.concatenate(tables)
-    most, varies = np.abs(joined).max(axis=0), np.ptp(joined, axis=0)
-    scale = np.where((most > 0.0) & (varies > 0.02 * most), 1.0 / np.maximum(most, 1e-12), 0.0)
+    largest, varies = np.abs(joined).max(axis=0), np.ptp(joined, axis=0)
+    scale = np.where((largest > 0.0) & (varies > 0.02 * largest), 1.0 / np.maximum(largest, 1e-12), 0.0)
     known = {id(r): table * scale for r, table in zip(recordings, tables, strict=True)}
 
     def load_of(recording: Recording) -> Array:

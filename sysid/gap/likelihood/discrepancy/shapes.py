@@ -1,4 +1,4 @@
-"""The functions that discrepancies are made of, and the small filters that they pass through."""
+"""Basis functions of discrepancies, and the filters that they pass."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sysid.datasets.recording import Recording
 
 Array = npt.NDArray[np.float64]
 
-#: Centres and widths of the bumps over a command: narrow near zero, where valves are least like their formula.
+#: Centres and widths of the bumps over a command: narrow near zero, where valves differ most from their formula.
 CENTRES = np.array([-1.0, -0.75, -0.5, -0.35, -0.22, -0.12, -0.05, 0.05, 0.12, 0.22, 0.35, 0.5, 0.75, 1.0])
 WIDTHS = np.array([0.25, 0.25, 0.2, 0.14, 0.11, 0.08, 0.05, 0.05, 0.08, 0.11, 0.14, 0.2, 0.25, 0.25])
 #: A command is off zero beyond this.
@@ -47,22 +47,19 @@ def low_pass(x: Array, time_constant: float, dt: float) -> Array:
 
 
 def delayed(x: Array, delay: float, dt: float) -> Array:
-    """``x`` (n,) later by ``delay`` [s], linear between samples; the first value before it."""
+    """``x`` (n,) delayed by ``delay`` [s], linear between samples; the first value before that."""
     rows = np.arange(len(x))
     return np.asarray(np.interp(rows - delay / dt, rows, x))
 
 
 def filled(values: Array) -> Array:
-    """``values`` (n,) with gaps bridged linearly; zeros where there is nothing."""
-    there = ~np.isnan(values)
-    if not there.any():
-        return np.zeros(len(values))
-    rows = np.arange(len(values))
-    return np.asarray(np.interp(rows, rows[there], values[there]))
+    """``values`` (n,) with gaps interpolated linearly and ends held; zeros if all are missing."""
+    there = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
 
 
 def smooth(values: Array, samples: int) -> Array:
-    """Moving average over an odd number of samples, gaps bridged."""
+    """Moving average over an odd number of samples, gaps interpolated."""
     half = max(1, samples // 2)
     padded = np.pad(filled(values), half, mode="edge")
     return np.asarray(np.convolve(padded, np.ones(2 * half + 1) / (2 * half + 1), mode="valid"))
@@ -76,7 +73,7 @@ def slope(values: Array, dt: float) -> Array:
 
 
 def span_of(recordings: tuple[Recording, ...], name: str) -> tuple[float, float]:
-    """Middle and half of the range that a signal visits; a half range of one where it does not move."""
+    """Middle and half of the visited range of a signal; a half range of one if it does not move."""
     found = [r.values(name) for r in recordings]
     joined = np.concatenate(found) if found else np.empty(0)
     joined = joined[~np.isnan(joined)]
