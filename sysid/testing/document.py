@@ -53,9 +53,9 @@ def _index() -> str:
         [
             _NOTICE,
             "# Effects\n",
-            "What a machine can do that its simulation does not know, in the order in which the chain applies it.",
-            "Every effect keeps the promises that `sysid.testing.check_effect` checks: absent at its neutral value, causal,",
-            'repeatable, finite on any input, without memory of earlier runs. Where a source says "machine facts", it means',
+            "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which the plant",
+            "applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal, repeatable, finite",
+            'for any input, without memory of earlier runs. A source "machine facts" refers to',
             "[magnitudes of real effects](../machine-facts.md).\n",
             "| effect | of | computes | shows in |",
             "| --- | --- | --- | --- |",
