@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sysid.versions import DriftReport, Exported, ModelDiff, ModelLineage
 
 #: Parameters of a geometry that are listed, those that moved most first.
-MOST_PARAMETERS = 20
+MAX_PARAMETERS = 20
 
 
 def show_promotion(out: Printer, found: Promotion, word: str = "") -> None:
@@ -83,12 +83,12 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
         (change.parameter, shown(change.before, change.unit), shown(change.after, change.unit), f"{change.sigmas:.1f}")
-        for change in largest[:MOST_PARAMETERS]
+        for change in largest[:MAX_PARAMETERS]
     ]
     if rows:
         out.table(("geometry", "before", "after", "differs by sigmas"), rows, right=(1, 2, 3))
-    if len(largest) > MOST_PARAMETERS:
-        out.line(f"geometry: {len(largest) - MOST_PARAMETERS} more differ (--json FILE has them all)")
+    if len(largest) > MAX_PARAMETERS:
+        out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
 
 
 def show_exported(out: Printer, folder: Path, files: tuple[Exported, ...]) -> None:

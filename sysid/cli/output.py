@@ -28,7 +28,7 @@ json_option = click.option(
 
 
 #: Characters of one cell of a table.
-MOST_CELL = 1000
+MAX_CELL = 1000
 
 
 class Printer:
@@ -59,7 +59,7 @@ class Printer:
         for number, name in enumerate(header):
             table.add_column(Text(name), justify="right" if number in right else "left", overflow="fold")
         for row in rows:
-            table.add_row(*(Text(visible(cell, MOST_CELL)) for cell in row))
+            table.add_row(*(Text(visible(cell, MAX_CELL)) for cell in row))
         self.console.print(table)
 
 
@@ -81,10 +81,10 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TimeElapsedColumn(),
     )
     with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, title=escape(visible(title, MOST_CELL)))
+        task = bar.add_task("", total=1.0, title=escape(visible(title, MAX_CELL)))
 
         def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MOST_CELL)))
+            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MAX_CELL)))
 
         yield report
 

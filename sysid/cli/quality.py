@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
 #: Flags listed of one dataset; JSON has all of them.
-MOST_FLAGS = 12
+MAX_FLAGS = 12
 
 
 def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
@@ -108,10 +108,10 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
     if not lines:
         return
     out.line(f"flagged (values stay as they are, unless it says otherwise): {kinds_of(lines)}")
-    for line in lines[:MOST_FLAGS]:
+    for line in lines[:MAX_FLAGS]:
         out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
-    if len(lines) > MOST_FLAGS:
-        out.line(f"  … and {len(lines) - MOST_FLAGS} more (the report and --json have them all)")
+    if len(lines) > MAX_FLAGS:
+        out.line(f"  … and {len(lines) - MAX_FLAGS} more (the report and --json have them all)")
 
 
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:

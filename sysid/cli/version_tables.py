@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sysid.versions.lineage import Relative
 
 #: Lines of figures of quality before the rest is only counted; all of them are in the JSON.
-MOST_FIGURES = 20
+MAX_FIGURES = 20
 
 
 def show_diff(out: Printer, found: DatasetDiff) -> None:
@@ -61,10 +61,10 @@ def show_names(out: Printer, what: str, names: Names) -> None:
 
 
 def show_changes(out: Printer, what: str, changes: Sequence[ValueChange]) -> None:
-    for change in changes[:MOST_FIGURES]:
+    for change in changes[:MAX_FIGURES]:
         out.line(f"{what} {change.what}: {_text(change.before)} → {_text(change.after)}")
-    if len(changes) > MOST_FIGURES:
-        out.line(f"{what}: {len(changes) - MOST_FIGURES} more differ (--json FILE has them all)")
+    if len(changes) > MAX_FIGURES:
+        out.line(f"{what}: {len(changes) - MAX_FIGURES} more differ (--json FILE has them all)")
 
 
 def _text(value: Any) -> str:

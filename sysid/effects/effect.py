@@ -106,7 +106,7 @@ class Effect:
         memory: step time [s] → number of state values the step keeps.
         sides: admissible places where the contract leaves two open.
         example: values that show well in the picture of its page; by default values from which a fit starts.
-        exempt: promises of the catalogue that it cannot keep: stamps may lie before the motion, oil tells the time.
+        exempt: properties that it cannot have: stamps may lie before the motion, oil tells the time.
         rate_independent: it does not depend on how fast its input is run through.
         fitted: whether a fit searches its values; those of a sensor's resolution are read off the readings.
         surrogate_test: a surrogate model of a simulator consists of the effects that have this value: at it each of them, as an

@@ -26,7 +26,7 @@ _STAGES = {
     "joint": "cylinder (or drive) → joint",
     "end_effector": "joints → end effector",
     "tool": "end effector → hanging tool",
-    "sensor": "true signal → what its sensor says",
+    "sensor": "true signal → measured signal",
 }
 _NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
 
@@ -53,9 +53,9 @@ def _index() -> str:
         [
             _NOTICE,
             "# Effects\n",
-            "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which the plant",
-            "applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal, repeatable, finite",
-            'for any input, without memory of earlier runs. A source "machine facts" refers to',
+            "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which",
+            "the plant applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal,",
+            'repeatable, finite for any input, without memory of earlier runs. A source "machine facts" refers to',
             "[magnitudes of real effects](../machine-facts.md).\n",
             "| effect | of | computes | shows in |",
             "| --- | --- | --- | --- |",

@@ -118,7 +118,7 @@ def test_broken_metadata_are_found(effect: Effect, message: str) -> None:
 def test_bounds_that_leave_out_the_neutral_value_are_found() -> None:
     """With a lag of at least 0.05 s a fit could never say that there is none."""
     effect = with_parameter(LAG, bounds=(0.05, 2.0), starts=(0.1,))
-    assert {f.promise for f in failures_of(effect)} == {"neutral"}
+    assert {f.check for f in failures_of(effect)} == {"neutral"}
 
 
 # -- broken behaviour: the compiled plant, spoiled in one way ------------------------------------------------------
@@ -207,8 +207,8 @@ def test_broken_behaviour_is_found(effect: Effect, spoil: Callable[[Run], Run], 
     run = spoil(plant_run(effect, places_of(effect)[0]))
     slew_only = replace(effect, actuations=("velocity",))
     found = failures_of(slew_only, run)
-    assert promise in {f.promise for f in found}, [str(f) for f in found]
-    assert any(re.search(r"\d", f.figures) for f in found if f.promise == promise)
+    assert promise in {f.check for f in found}, [str(f) for f in found]
+    assert any(re.search(r"\d", f.figures) for f in found if f.check == promise)
     with pytest.raises(EffectError, match=f"effect {effect.name}: .*{promise} at slew"):
         check_effect(slew_only, run)
 
@@ -223,7 +223,7 @@ def test_a_run_that_depends_on_the_one_before_is_found() -> None:
         seen.append(mark)
         return sound(values, recording) + (1e-3 if len(set(seen[-2:])) > 1 else 0.0)  # type: ignore[arg-type]
 
-    assert "reset" in {f.promise for f in failures_of(replace(LAG, actuations=("velocity",)), run)}
+    assert "reset" in {f.check for f in failures_of(replace(LAG, actuations=("velocity",)), run)}
 
 
 def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
