@@ -34,7 +34,7 @@ from sysid.networks import (
 )
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, made_from_dataset
+from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, dataset_descendants
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
@@ -92,7 +92,7 @@ class Workspace:
 
     def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
         """The model versions that were made from a dataset version, directly or through another model."""
-        return made_from_dataset(self.models.list(), reference, digest)
+        return dataset_descendants(self.models.list(), reference, digest)
 
     def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> VacuumResult:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
@@ -111,7 +111,7 @@ class Workspace:
             versions.append(entry)
 
         def users(reference: str, digest: str) -> list[str]:
-            return [f"{version.kind} {version.reference}" for version in made_from_dataset(versions, reference, digest)]
+            return [f"{version.kind} {version.reference}" for version in dataset_descendants(versions, reference, digest)]
 
         return vacuum(self.datasets, users, references, keep, dry_run)
 

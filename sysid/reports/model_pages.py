@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
+from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import page
@@ -70,7 +70,7 @@ def models_page(
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
-    children = [other.reference for other in versions if version.reference in {p.reference for p in made_of(versions, other)}]
+    children = [other.reference for other in versions if version.reference in {p.reference for p in ancestors(versions, other)}]
     dataset = str(version.lineage.get("dataset", ""))
     return {
         "reference": version.reference,
@@ -80,7 +80,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
         "digest": version.digest[:12],
         "card": card,
         "dataset": dataset,
-        "parents": [parent.reference for parent in made_of(versions, version)],
+        "parents": [parent.reference for parent in ancestors(versions, version)],
         "children": children,
         "figures": _figures(version),
         "decisions": [

@@ -1,4 +1,4 @@
-"""Versions of networks compared, evaluated and handed on: promotion by a policy, drift, differences, lineage, cards, ONNX."""
+"""Operations on model versions: promotion by a policy, drift, differences, lineage, cards, ONNX."""
 
 from sysid.versions.card import card_of
 from sysid.versions.card_block import Card

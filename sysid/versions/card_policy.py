@@ -1,4 +1,4 @@
-"""What a card says of a policy: how it was trained, what it has seen, where it may be trusted."""
+"""Blocks of a policy's card: training, ranges of observations and setpoints, limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sysid.versions.card_block import CardBlock
 
 def what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
     size = "-".join(map(str, policy.mlp.hidden))
-    yield f"It is a perceptron ({size}) whose tanh is stretched over the limits of the setpoints."
+    yield f"It is a perceptron ({size}) whose tanh outputs are scaled to the limits of the setpoints."
     recipe = version.lineage.get("recipe", {})
     exploration, learning = recipe.get("exploration", {}), recipe.get("learning", {})
     candidates = exploration.get("candidates", 1)
@@ -25,7 +25,7 @@ def what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
 def policy_ranges(policy: PolicyNetwork) -> CardBlock:
     middle, half = policy.mlp.inputs.mean, policy.mlp.inputs.scale
     rows = [
-        ("seen", name, f"{low:.4g}", f"{high:.4g}")
+        ("observed", name, f"{low:.4g}", f"{high:.4g}")
         for name, low, high in zip(policy.inputs, middle - half, middle + half, strict=True)
     ]
     rows += [
@@ -36,7 +36,7 @@ def policy_ranges(policy: PolicyNetwork) -> CardBlock:
 
 
 def policy_limits(policy: PolicyNetwork) -> Iterator[str]:
-    yield "Setpoints stay within their limits whatever is observed; whether they are good beyond the ranges seen is not known."
+    yield "Setpoints stay within their limits for any observation; beyond the ranges their quality is unknown."
     if not policy.full:
-        yield "It was trained where joints follow at once and nothing sways: delay, lag and sway of the machine come on top."
-    yield "Bounded least-squares inverse kinematics on the calibrated geometry is the baseline: `sysid track` shows both."
+        yield "It was trained with joints that follow at once and without sway: delay, lag and sway of the machine add errors."
+    yield "Its baseline is bounded least-squares inverse kinematics on the calibrated geometry: `sysid track` compares them."

@@ -92,7 +92,7 @@ def test_the_gate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr().out
     assert shown.startswith("crane-actuator@2  (champion)  actuator")
     assert "not promoted, crane-actuator@1 stays  (policy p.toml)" in shown
-    assert "promoted instead of crane-actuator@1  (explicit word): the sensor was moved (overruled: " in shown
+    assert "promoted instead of crane-actuator@1  (user): the sensor was moved (overruled: " in shown
     one, two = json.loads((place / "s.json").read_text())["decisions"]
     assert one["judged"]["rules"]["limits"] == {"boom.joint": {"bias": "1 mrad"}}
     assert one["judged"]["dataset"] == "crane@1"
@@ -142,7 +142,7 @@ def test_lineage_of_a_dataset_that_is_gone(place: Path, capsys: pytest.CaptureFi
     assert run("--workspace", place, "models", "promote", "crane-actuator@1") == 2
     assert run("--workspace", place, "models", "promote", "crane-actuator@1", "--anyway", "old logs") == 0
     assert run("--workspace", place, "models", "card", "crane-actuator@1", "--out", place / "c.md") == 0
-    assert "its dataset cannot be asked again" in (place / "c.md").read_text()
+    assert "its dataset is not available" in (place / "c.md").read_text()
 
 
 def test_diff(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
