@@ -68,7 +68,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         "files": {"report": page, "rerun": film},
     }
     write_json(folder / "result.json", result)
-    out.block(f"\nReport   {page}\nRerun    {film}   (look at it: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
+    out.block(f"\nReport   {page}\nRerun    {film}   (view: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -1,4 +1,4 @@
-"""``sysid fit actuator|motion|forward NAME``: networks of a dataset, fitted, evaluated and registered."""
+"""``sysid fit actuator|motion|forward NAME``: fits, evaluates and registers networks."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from sysid.cli.tables import show_calibration, show_directions, show_errors
 def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
     """Fit the networks of a dataset: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → boom tip).
 
-    With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks remember where the cylinder came from.
+    With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks depend on past motion.
 
-    A fit that is interrupted (Ctrl-C, SIGTERM, power) goes on where it was when the same command is given again.
+    An interrupted fit (Ctrl-C, SIGTERM, power) resumes when the same command is repeated.
     """
     from sysid.errors import ExcitationError
     from sysid.networks import (

@@ -1,4 +1,4 @@
-"""``sysid gap NAME``: where simulation and machine disagree, which effect is missing, how much of the gap it closes."""
+"""``sysid gap NAME``: locates the gap between simulation and machine, and names the missing effects."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to question; else the nominal one.")
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
 @click.option(
     "--simulator",
     default=None,
     metavar="FILE.py:NAME",
-    help="Question a simulator of your own: an object with simulate(recording), or its class.",
+    help="Test a simulator of your own: an object with simulate(recording), or its class.",
 )
-@click.option("--localise", is_flag=True, help="Only say where they disagree.")
+@click.option("--localise", is_flag=True, help="Only locate the gap.")
 @click.option(
     "--add", is_flag=True, help="Store the repaired simulation as a new plant version; promote it if the proof is good enough."
 )
-@click.option(
-    "--world/--no-world", default=None, help="Prove it in the PyBullet world as well. With --add it is; else it is not."
-)
+@click.option("--world/--no-world", default=None, help="Run the proof also in the PyBullet world. Default: only with --add.")
 @click.option(
     "--carry",
     is_flag=True,
-    help="Fit a bounded residual network to what has no name, where it lowers held-out errors. It is no physics.",
+    help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors.",
 )
 @click.option(
     "--forms",
@@ -53,7 +51,7 @@ def gap(
     forms: Forms,
     json_file: str | None,
 ) -> None:
-    """Name the effects that the simulation lacks, and prove it on recordings that no fit has seen."""
+    """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.own_simulator import load_simulator
     from sysid.errors import SettingsError
     from sysid.gap import find_gap
@@ -68,20 +66,23 @@ def gap(
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
         raise SettingsError(
-            "sysid gap", "--localise and --carry", "one of them", "A residual network is fitted to what a search leaves."
+            "sysid gap",
+            "--localise and --carry",
+            "one of them",
+            "A residual network is fitted to the error that the search leaves.",
         )
-    questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
+    tested = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
     out = Printer(json_file)
-    if isinstance(questioned, Plant) and plant is not None and "@" not in plant:
-        out.line(f"`{plant}` means {questioned.reference}.")
-    linked = questioned.linkages if isinstance(questioned, Plant) else dataset.machine.axis_names
+    if isinstance(tested, Plant) and plant is not None and "@" not in plant:
+        out.line(f"`{plant}` means {tested.reference}.")
+    linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names
     for axis in dataset.machine.axes:
         if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
-            out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} makes one.")
+            out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} fits one.")
     with progress_bar("gap") as progress:
         result = find_gap(
             dataset,
-            questioned,
+            tested,
             registry=place.models,
             add=add,
             world=world,

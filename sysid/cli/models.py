@@ -1,4 +1,4 @@
-"""``sysid models [MODEL]``: networks and plants in the registry, what one is, and what may be done with versions."""
+"""``sysid models``: list, show, promote, compare, export and repair model versions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from sysid.model_versions import ModelVersions
     from sysid.registry import DamagedModel, ModelVersion
 
-RESIDUAL_NOTE = "contains unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
+RESIDUAL_NOTE = "contains unnamed_residual: a bounded network fitted to the recordings, without a physical cause."
 ANYWAY = "'WHY'"
 
 
 @click.group(cls=ReferenceGroup, subcommand_metavar="[NAME[@VERSION] | VERB …]")
 def models() -> None:
-    """List model and plant versions, show one, or say what is to be done with them.
+    """List, show and manage the versions of networks, plants and policies.
 
     `sysid models` lists them, `sysid models NAME[@VERSION]` shows one. With --json FILE the result is written as JSON as well.
     """
@@ -63,7 +63,7 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
     rows = [{"reference": entry.reference, "damage": str(entry.error)} for entry in damaged]
     write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
     if not found:
-        out.line(f"No models in {workspace} yet: sysid fit makes networks, sysid gap makes plants.")
+        out.line(f"No models in {workspace} yet: sysid fit creates networks, sysid gap creates plants.")
         return
     out.table(("model", "kind", "made from", "aliases", "content"), [_row(entry) for entry in found])
     if any(map(_has_residual, versions)):
@@ -83,13 +83,13 @@ def _row(entry: ModelVersion | DamagedModel) -> tuple[str, ...]:
 
 
 @models.command()
-@click.option("--accept", is_flag=True, help="Take what was changed by hand as it stands.")
+@click.option("--accept", is_flag=True, help="Accept what was changed by hand.")
 @json_option
 @click.pass_obj
 def repair(workspace: str, accept: bool, json_file: str | None) -> None:
-    """Mend the registry: finish what was half made, migrate old tables, make lost ones anew from the files of the models.
+    """Repair the registry: migrate old tables, rebuild lost ones from the model files.
 
-    Aliases and figures that were changed by hand are set back to what was recorded. Exit status 2 where something is left.
+    Aliases and figures that were changed by hand are restored. Exit status 2 if something cannot be restored.
     """
     from dataclasses import asdict
 
@@ -100,7 +100,7 @@ def repair(workspace: str, accept: bool, json_file: str | None) -> None:
     for line in found.done:
         out.line(line)
     if not found.done and not found.left:
-        out.line("The registry is whole: nothing to mend.")
+        out.line("The registry is valid: nothing to repair.")
     write_json(json_file, {"schema": 1, **asdict(found)})
     if found.left:
         raise StoreError(f"model registry of {workspace}", " ".join(found.left))
@@ -113,17 +113,17 @@ def repair(workspace: str, accept: bool, json_file: str | None) -> None:
     type=click.Path(path_type=Path),
     default=None,
     metavar="P.toml",
-    help="What a network has to show. Default: no worse than the champion.",
+    help="Conditions for a network. Default: no worse than the champion.",
 )
 @click.option("--on", "dataset", default=None, metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
-@click.option("--anyway", "word", default="", metavar="WHY", help="Promote it whatever the checks say; WHY is recorded.")
+@click.option("--anyway", "word", default="", metavar="WHY", help="Promote it regardless of the checks; WHY is recorded.")
 @json_option
 @click.pass_obj
 def promote(workspace: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
-    """Let the name alone mean this version from now on, if it passes.
+    """Make this version the one that the name alone means, if it passes.
 
-    Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision stays with
-    the version, also where it is refused; exit status 2 then.
+    Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision is stored
+    with the version. Exit status 2 if it is refused.
     """
     from dataclasses import asdict
 
@@ -137,10 +137,10 @@ def promote(workspace: str, reference: str, policy: Path | None, dataset: str | 
     show_promotion(Printer(json_file), found, word.strip())
     write_json(json_file, {"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
     if not found.promoted:
-        remedy = f"To promote it all the same: sysid models promote {found.version} --anyway {ANYWAY}"
+        remedy = f"To promote it regardless: sysid models promote {found.version} --anyway {ANYWAY}"
         failed = [check for check in found.checks if check.status == "failed"]
-        told = failed[0].text if len(failed) == 1 else f"{len(failed)} of {len(found.checks)} conditions do not hold"
-        raise StoreError(found.version, f"not promoted: {told if failed else found.reason}", "a version that passes", remedy)
+        result = failed[0].text if len(failed) == 1 else f"{len(failed)} of {len(found.checks)} conditions do not hold"
+        raise StoreError(found.version, f"not promoted: {result if failed else found.reason}", "a version that passes", remedy)
 
 
 @models.command()
@@ -148,7 +148,7 @@ def promote(workspace: str, reference: str, policy: Path | None, dataset: str | 
 @json_option
 @click.pass_obj
 def lineage(workspace: str, reference: str, json_file: str | None) -> None:
-    """Show where a version comes from, to the raw files, and what was made from it."""
+    """Show the sources of a version, to the raw files, and what was made from it."""
     from sysid.cli.model_tables import show_model_lineage
 
     found = _versions(workspace).lineage(reference)
@@ -162,9 +162,9 @@ def lineage(workspace: str, reference: str, json_file: str | None) -> None:
 @json_option
 @click.pass_obj
 def diff_two(workspace: str, before: str, after: str, json_file: str | None) -> None:
-    """Say how version B differs from version A.
+    """Show how version B differs from version A.
 
-    Predictions over the range that both were fitted on, recipe, dataset, figures, files, and the geometry of forward models.
+    Predictions over the common range, recipe, dataset, figures, files, and the geometry of forward models.
     """
     from sysid.cli.model_tables import show_model_diff
 
@@ -186,7 +186,7 @@ def export(
     precision: Literal["float32", "float64"],
     json_file: str | None,
 ) -> None:
-    """Write a network as ONNX, run it, and keep it only if it predicts the same."""
+    """Write a network as ONNX, and keep it only if it predicts the same."""
     from dataclasses import asdict
 
     from sysid.cli.model_tables import show_exported
@@ -201,7 +201,7 @@ def export(
 @click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F", help="F.md or F.html; else both in cards/.")
 @click.pass_obj
 def card(workspace: str, reference: str, out: Path | None) -> None:
-    """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
+    """Write the card of a version: purpose, errors, limits, lineage, and how to load it."""
     from sysid.names import check_file_name
     from sysid.reports.model_pages import card_page
     from sysid.reports.pages import write_page

@@ -27,6 +27,6 @@ def report(workspace: str, reference: str | None, path: Path | None, json_file: 
     out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
     if inputs.gap is None:
-        out.line(f"It has no comparison with a simulation yet: sysid --workspace {workspace} gap {dataset.name}")
+        out.line(f"The report has no comparison with a simulation yet: sysid --workspace {workspace} gap {dataset.name}")
     verdict = inputs.gap.verdict if inputs.gap is not None else None
     write_json(json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})

@@ -1,4 +1,4 @@
-"""``sysid track POLICY``: a policy, or inverse kinematics, follows a path; errors, pictures, Rerun."""
+"""``sysid track POLICY``: tracking error of a policy or inverse kinematics on a path."""
 
 from __future__ import annotations
 
@@ -17,21 +17,19 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("policy")
 @click.option("--path", "path", default="helix", show_default=True, metavar="helix|circle|FILE", help="FILE: CSV with t,x,y,z.")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Which machine; else the policy's, or the only one.")
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Plant; else the policy's, or the only one.")
 @click.option("--forward", default=None, metavar="MODEL[@VERSION]", help="Forward model; else the policy's, or the plant's.")
 @click.option("--full", is_flag=True, help="Through cylinder controller, valves and plant; else joints follow at once.")
+@click.option("--lookahead", type=click.FloatRange(0.0, 5.0), default=None, metavar="S", help="Use targets S seconds ahead.")
 @click.option(
-    "--lookahead", type=click.FloatRange(0.0, 5.0), default=None, metavar="S", help="Show it targets S seconds ahead."
-)
-@click.option(
-    "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also follow with this; may be repeated."
+    "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also evaluate this baseline; may be repeated."
 )
 @click.option(
     "--candidates",
     type=click.IntRange(min=1),
     default=None,
     metavar="N",
-    help="A row more: N setpoints around the policy's, the best one by the forward model.",
+    help="Also evaluate the best of N setpoints around the policy's, by the forward model.",
 )
 @click.option(
     "--scatter",
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option("--centre", type=(float, float, float), default=None, metavar="X Y Z", help="Of helix or circle [m].")
 @click.option("--untuned", is_flag=True, help="With a plain proportional controller below (--full), for comparison.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Where to write.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Output folder.")
 @json_option
 @click.pass_obj
 def track(
@@ -61,10 +59,10 @@ def track(
     out: Path | None,
     json_file: str | None,
 ) -> None:
-    """Follow a path and say how far off the end effector was, at each sample after the step that was to bring it there.
+    """Follow a path and report the tracking error of the end effector, sampled at the end of each step.
 
-    POLICY is a policy version, or one of the baselines: ik (bounded least-squares inverse kinematics on calibrated kinematics)
-    and ik-lookahead (the same, with targets ahead by the dead time of the machine).
+    POLICY is a policy version, or a baseline: ik (bounded least-squares inverse kinematics on calibrated kinematics) or
+    ik-lookahead (the same, with targets ahead by the dead time of the machine).
     """
     from sysid.control import simple
     from sysid.errors import SettingsError
@@ -85,11 +83,11 @@ def track(
     forward = forward or lineage.get("forward") or _forward_for(place, plant)
     simulation, model = load_versions(place.models, plant, forward)
     if candidates is not None and network is None:
-        raise SettingsError("--candidates", f"with {policy}", "a policy version: around inverse kinematics nothing is nearer")
+        raise SettingsError("--candidates", f"with {policy}", "a policy version: candidates cannot improve inverse kinematics")
     if untuned and not full:
-        raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
+        raise SettingsError("--untuned", "without --full", "--full, which uses a controller")
     with progress_bar("track") as progress:
-        progress(0.0, f"a place for {path}")
+        progress(0.0, f"placing {path}")
         course: TrackingTask = lay_out(
             simulation, model, path, full=full, centre=centre, tuning=simple(simulation) if untuned else None
         )
@@ -120,10 +118,10 @@ def track(
     printer.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
     if full:
         axis, share = max(course.demand.items(), key=lambda item: item[1], default=("", 0.0))
-        much = ", more than it can: it falls behind" if share > 1.0 else ""
-        printer.line(f"The path asks the most of {axis}: {100.0 * share:.0f} % of its top speed{much}.")
+        much = ", which it cannot reach" if share > 1.0 else ""
+        printer.line(f"The axis with the highest demand is {axis}: {100.0 * share:.0f} % of its maximum speed{much}.")
     printer.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
-    printer.line(f"{folder}   (look at it: {rerun_command(files['rerun'])})")
+    printer.line(f"{folder}   (view: {rerun_command(files['rerun'])})")
     values: dict[str, Any] = {
         "schema": 1,
         "plant": simulation.reference,

@@ -1,4 +1,4 @@
-"""``sysid train RECIPE``: a policy, trained on the versions that the recipe names, and registered."""
+"""``sysid train RECIPE``: trains and registers policies."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from sysid.errors import SettingsError
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RECIPE.toml")
 @click.option("--seed", type=click.IntRange(0), default=None, help="Instead of the recipe's.")
-@click.option("--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies, from that seed on, side by side.")
-@click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one a core.")
+@click.option(
+    "--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies with consecutive seeds, in parallel."
+)
+@click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one per core.")
 @click.option("--tensorboard", is_flag=True, help="Event files in WORKSPACE/tensorboard.")
-@click.option("--mlflow", metavar="URI", default=None, help="Also tell an MLflow server (or sqlite:///FILE).")
+@click.option("--mlflow", metavar="URI", default=None, help="Also log to an MLflow server (or sqlite:///FILE).")
 @json_option
 @click.pass_obj
 def train(
@@ -31,8 +33,8 @@ def train(
 ) -> None:
     """Train a policy that moves the end effector to a target, with the plant and forward model that the recipe names.
 
-    Training that is interrupted, be it by a kill or by power, goes on where it was when the same command is given again, to the
-    same bits. What was trained already is not trained again. Curves are in WORKSPACE/curves as JSON lines.
+    Interrupted training resumes, with bit-identical results, when the same command is repeated. Finished policies are not
+    trained again. Learning curves are in WORKSPACE/curves as JSON lines.
     """
     from dataclasses import replace
 
