@@ -108,7 +108,7 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
     from sysid.reports.display import percent, quantity, ratio
-    from sysid.reports.sections.where import guilty, sentence, significant
+    from sysid.reports.sections.where import above_floor, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
     rows = []
@@ -126,7 +126,7 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
             shares.append((what, percent(share.share), owner_name(share.target), stage_name(share.stage)))
     if shares:
         out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
-    for item in guilty(result):
+    for item in above_floor(result):
         maps = [m for m in result.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
         if maps:
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")

@@ -1,4 +1,4 @@
-"""Small charts as inline SVG: they print, need no script, and take the colours of the reader's theme from the page."""
+"""Small charts as inline SVG, without scripts, in the colours of the page's style sheet."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from sysid.reports import display
 Array = npt.NDArray[np.float64]
 Scale = Callable[[float], float]
 
-#: Of a small chart, and of one that takes half the page [px].
+#: Sizes of a small chart, and of one of half the page's width [px].
 SMALL, WIDE = (300.0, 200.0), (450.0, 230.0)
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 10.0, 10.0, 42.0
-#: A cell of a heat map with fewer rows than this says little.
+#: Cells of a heat map with fewer rows are dotted.
 FEW_ROWS = 3
 
 
@@ -89,12 +89,12 @@ def heat_map(
     unit: str,
     size: tuple[float, float] = WIDE,
 ) -> str:
-    """Cells of two variables, the darker the larger their value (a, b); empty ones stay blank, one of few rows is dotted.
+    """Heat map of values (a, b) over two variables; cells without rows are blank.
 
     Args:
         counts: rows in each cell, (a, b).
         edges: of the cells, (a + 1,) across and (b + 1,) upwards.
-        labels: of the two variables; ``unit``: of the values, for what a cell says when it is pointed at.
+        labels: of the two variables; ``unit``: of the values.
     """
     width, height = size
     right = 64.0
@@ -114,11 +114,11 @@ def heat_map(
         x, y = px(float(edges[0][a])), py(float(edges[1][b + 1]))
         w, h = px(float(edges[0][a + 1])) - x, py(float(edges[1][b])) - y
         few = " few" if counts[a, b] < FEW_ROWS else ""
-        told = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
+        text = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
         share = 0.06 + 0.94 * float(values[a, b]) / most
         parts.append(
             f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
-            f"<title>{escape(told)}</title></rect>"
+            f"<title>{escape(text)}</title></rect>"
         )
     for value in ticks(low, high):
         decimals = display.decimals_for(
@@ -127,7 +127,7 @@ def heat_map(
         text = display.fixed(value, decimals)
         parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{py(value) + 4:.1f}" text-anchor="end">{text}</text>')
     foot, top = height - BOTTOM, TOP
-    for step in range(8):  # the key: from nothing to the largest value
+    for step in range(8):  # colour key from zero to the largest value
         share, h = 0.06 + 0.94 * (step + 0.5) / 8.0, (foot - top) / 8.0
         at = f'x="{width - right + 10:.0f}" y="{foot - (step + 1) * h:.1f}" width="10" height="{h:.1f}"'
         parts.append(f'<rect class="cell" {at} fill-opacity="{share:.2f}"/>')
@@ -213,6 +213,6 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
 
 
 def _runs(there: npt.NDArray[np.bool_]) -> list[slice]:
-    """Stretches without a gap."""
+    """Slices without missing values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

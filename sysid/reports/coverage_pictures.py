@@ -1,4 +1,4 @@
-"""Pictures of what was recorded, as inline SVG: time at each command, and where pairs of axes were at the same time."""
+"""Pictures of coverage as inline SVG: time at each command, and joint positions of pairs of axes."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, flo
     """Seconds at each command, idle time left out; the band of small commands is marked.
 
     Args:
-        unit: of the command, SI; what is shown follows it.
-        small: mark the band (a servo's command is a place, of which none is small).
+        unit: SI unit of the command.
+        small: mark the band of small commands (not for position commands).
         size: width and height [px].
     """
     width, height = size
@@ -71,7 +71,7 @@ def _range(number: int, full: float) -> str:
 
 
 def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str]) -> str:
-    """Time in each cell of the two ranges (the fuller the longer, logarithmic), poses, and where the machine stood still."""
+    """Time in each cell of two ranges (logarithmic shade), static poses, and postures at rest."""
     width, height = MAP_LEFT + MAP + 12.0, MAP_TOP + MAP + 40.0
     cell = MAP / GRID
     most = max((s for row in found.seconds for s in row), default=0.0)
@@ -100,7 +100,7 @@ def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str])
             title = f"at rest for {display.number(rest.seconds)} s in {rest.recording}"
             parts.append(f'<circle class="rest" cx="{x:.1f}" cy="{y:.1f}" r="3.6"><title>{escape(title)}</title></circle>')
     parts += _scale(a, units.get(a.signal), upright=False) + _scale(b, units.get(b.signal), upright=True)
-    return _svg("chart coverage", width, height, f"where {a.axis} and {b.axis} were at the same time", parts)
+    return _svg("chart coverage", width, height, f"simultaneous positions of {a.axis} and {b.axis}", parts)
 
 
 def _share(value: float, span: Span) -> float:
