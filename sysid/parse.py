@@ -64,11 +64,11 @@ def _longest_key(text: str) -> int:
     return longest
 
 
-def read_text(path: Path, most: int = MAX_BYTES) -> str:
+def read_text(path: Path) -> str:
     """A text file in UTF-8.
 
     Raises:
-        ValueError: not UTF-8, larger than ``most``, or no regular file (a device, a pipe).
+        ValueError: not UTF-8, larger than :data:`MAX_BYTES`, or no regular file (a device, a pipe).
         OSError: missing, or not readable.
     """
     # O_NONBLOCK: do not wait for the writer of a pipe.
@@ -78,9 +78,9 @@ def read_text(path: Path, most: int = MAX_BYTES) -> str:
             raise IsADirectoryError(21, "is a folder", str(path))
         if not stat.S_ISREG(state.st_mode):
             raise ValueError("no regular file")
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f"more than {most} bytes")
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise ValueError(f"more than {MAX_BYTES} bytes")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -11,6 +11,8 @@ import numpy.typing as npt
 from sysid.machine.description import Linkage
 
 Array = npt.NDArray[np.float64]
+#: Points of a tabulated map.
+TABLE_POINTS = 1024
 
 
 class CylinderJointMap(Protocol):
@@ -69,13 +71,12 @@ def _interpolate(x: Array, xs: Array, ys: Array) -> Array:
     return np.where(x < xs[0], below, np.where(x > xs[-1], above, np.interp(x, xs, ys)))
 
 
-def tabulate(mapping: CylinderJointMap, stroke: tuple[float, float], points: int = 1024) -> TabulatedLinkage:
+def tabulate(mapping: CylinderJointMap, stroke: tuple[float, float]) -> TabulatedLinkage:
     """Sample ``mapping`` evenly over the stroke, and make it monotonic."""
-    displacements = np.linspace(*stroke, points)
+    displacements = np.linspace(*stroke, TABLE_POINTS)
     joints = mapping.joint(displacements)
-    rising = joints[-1] > joints[0]
-    sign = 1.0 if rising else -1.0
+    sign = 1.0 if joints[-1] > joints[0] else -1.0
     monotonic = np.maximum.accumulate(sign * joints)
     # Constant sections have no inverse: add the smallest slope that survives rounding.
-    monotonic += np.arange(points) * max(np.ptp(monotonic), 1e-12) * 1e-9
+    monotonic += np.arange(TABLE_POINTS) * max(np.ptp(monotonic), 1e-12) * 1e-9
     return TabulatedLinkage(displacements, sign * monotonic)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
@@ -69,18 +69,9 @@ class ModelVersion:
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the files' content."""
-        return {
-            "name": self.name,
-            "version": self.version,
-            "kind": self.kind,
-            "digest": self.digest,
-            "lineage": dict(self.lineage),
-            "metrics": dict(self.metrics),
-            "sha256": dict(self.sha256),
-            "aliases": list(self.aliases),
-            "created_ms": self.created_ms,
-            "decisions": [decision.to_json() for decision in self.decisions],
-        }
+        values = asdict(self)
+        del values["files"]
+        return values
 
 
 def sha256(content: bytes) -> str:

@@ -73,12 +73,8 @@ def chart(
     parts += _x_axis(first, last, px, names, x, height)
     for line in lines:
         parts.append(_curve(x, line, px, py))
-    centre, middle = (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2
-    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
-    turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
-    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
-    what = escape(f"{labels[1]} over {labels[0]}")
-    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+    parts += axis_labels(labels, (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2, height)
+    return svg_element("chart", width, height, f"{labels[1]} over {labels[0]}", parts)
 
 
 def heat_map(
@@ -87,7 +83,6 @@ def heat_map(
     edges: tuple[Array, Array],
     labels: tuple[str, str],
     unit: str,
-    size: tuple[float, float] = WIDE,
 ) -> str:
     """Heat map of values (a, b) over two variables; cells without rows are blank.
 
@@ -96,7 +91,7 @@ def heat_map(
         edges: of the cells, (a + 1,) across and (b + 1,) upwards.
         labels: of the two variables; ``unit``: of the values.
     """
-    width, height = size
+    width, height = WIDE
     right = 64.0
     (first, last), (low, high) = (tuple(float(part[k]) for k in (0, -1)) for part in edges)
     most = max(float(np.nanmax(values, initial=0.0)), 1e-300)
@@ -120,11 +115,7 @@ def heat_map(
             f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
             f"<title>{escape(text)}</title></rect>"
         )
-    for value in ticks(low, high):
-        decimals = display.decimals_for(
-            [ticks(low, high)[1] - ticks(low, high)[0]] if len(ticks(low, high)) > 1 else [value], 1
-        )
-        text = display.fixed(value, decimals)
+    for value, text in tick_texts(low, high):
         parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{py(value) + 4:.1f}" text-anchor="end">{text}</text>')
     foot, top = height - BOTTOM, TOP
     for step in range(8):  # colour key from zero to the largest value
@@ -134,13 +125,32 @@ def heat_map(
     for y, value in ((foot, 0.0), (top + 9.0, most)):
         text = display.number(value, 2)
         parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{y:.1f}">{text}</text>')
-    centre, middle = (LEFT + width - right) / 2, (top + foot) / 2
+    middle = (top + foot) / 2
     parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{middle:.0f}">{escape(unit)}</text>')
-    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
+    parts += axis_labels(labels, (LEFT + width - right) / 2, middle, height)
+    return svg_element("chart", width, height, f"error over {labels[0]} and {labels[1]}", parts)
+
+
+def svg_element(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> str:
+    """The SVG element of a picture; ``look`` is its class, ``what`` its text alternative."""
+    box = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(what)}"'
+    return f'<svg class="{look}" {box}>{"".join(parts)}</svg>'
+
+
+def axis_labels(labels: tuple[str, str], centre: float, middle: float, height: float) -> list[str]:
+    """Titles of the horizontal and the vertical axis."""
     turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
-    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
-    what = escape(f"error over {labels[0]} and {labels[1]}")
-    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+    return [
+        f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>',
+        f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>',
+    ]
+
+
+def tick_texts(low: float, high: float, count: int = 4) -> list[tuple[float, str]]:
+    """Round values inside a range, and their texts."""
+    values = ticks(low, high, count)
+    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
+    return [(value, display.fixed(value, decimals)) for value in values]
 
 
 def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tuple[float, float]:
@@ -162,16 +172,12 @@ def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tup
 
 def grid_lines(low: float, high: float, py: Scale, width: float) -> list[str]:
     """Horizontal lines at round values, with their numbers."""
-    values = ticks(low, high)
-    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
     parts = []
-    for value in values:
+    for value, text in tick_texts(low, high):
         y = py(value)
         look = "zero" if abs(value) < 1e-12 * max(abs(high), abs(low)) or value == 0.0 else "grid"
         parts.append(f'<line class="{look}" x1="{LEFT:.0f}" x2="{width - RIGHT:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(
-            f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{display.fixed(value, decimals)}</text>'
-        )
+        parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
     return parts
 
 
@@ -182,12 +188,10 @@ def _x_axis(first: float, last: float, px: Scale, names: Sequence[str], x: Array
             f'<text class="tick" x="{px(float(at)):.1f}" y="{y:.0f}" text-anchor="middle">{escape(text)}</text>'
             for at, text in zip(x, names, strict=True)
         ]
-    values = ticks(first, last, 5)
-    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
     return [
         f'<line class="grid" x1="{px(value):.1f}" x2="{px(value):.1f}" y1="{TOP:.0f}" y2="{height - BOTTOM:.0f}"/>'
-        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{display.fixed(value, decimals)}</text>'
-        for value in values
+        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{text}</text>'
+        for value, text in tick_texts(first, last, 5)
     ]
 
 
@@ -199,8 +203,8 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
         down = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[there], (line.y - line.spread)[there], strict=True)]
         parts.append(f'<path class="spread {line.look}" d="M{" L".join([*up, *down[::-1]])} z"/>')
     pieces = []
-    for run in _runs(there):
-        points = [f"{px(float(x[k])):.1f},{py(float(line.y[k])):.1f}" for k in range(run.start, run.stop)]
+    for run in np.ma.clump_unmasked(np.ma.masked_invalid(line.y)):
+        points = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[run], line.y[run], strict=True)]
         pieces.append("M" + " L".join(points))
     if pieces:
         parts.append(f'<path class="{line.look}" d="{" ".join(pieces)}"/>')
@@ -210,9 +214,3 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
             for a, b in zip(x[there], line.y[there], strict=True)
         ]
     return "".join(parts)
-
-
-def _runs(there: npt.NDArray[np.bool_]) -> list[slice]:
-    """Slices without missing values."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 WINDOW, POINTS = 8.0, 200
 #: Below this share of the signal's range, errors are shown in the place of curves.
 MIN_DIFFERENCE = 0.08
+#: Largest number of shown signals.
+MAX_SIGNALS = 3
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment 
     return found
 
 
-def largest_error_signals(gap: GapResult, limit: int = 3) -> list[str]:
+def largest_error_signals(gap: GapResult) -> list[str]:
     """Outputs of the stages with errors, one per owner, the largest first; without any, the largest errors of the free run."""
     before, floor = gap.gap.before, gap.gap.noise_floor
     seen = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
@@ -67,7 +69,7 @@ def largest_error_signals(gap: GapResult, limit: int = 3) -> list[str]:
     for signal in sorted(times, key=lambda s: -times[s]):
         if times[signal] > 1.5 and not signal.endswith(".command"):
             owners.setdefault(signal.rpartition(".")[0], signal)
-    return list(owners.values())[:limit]
+    return list(owners.values())[:MAX_SIGNALS]
 
 
 def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:

@@ -155,13 +155,13 @@ def sweep_between(low: Array, high: Array) -> Array:
     return np.asarray(low + (high - low) * (0.5 + 0.5 * np.sin(2.0 * np.pi * turns))[:, None])
 
 
-def points_between(low: Array, high: Array, seed: int = 0) -> Array:
+def points_between(low: Array, high: Array) -> Array:
     """Points in a box, corners included, (n, d): evenly spaced in one dimension, else a scrambled Sobol sequence."""
     if len(low) == 1:
         return np.asarray(np.linspace(low, high, LINE_POINTS))
     from scipy.stats import qmc
 
-    share = qmc.Sobol(len(low), seed=np.random.default_rng(seed)).random(CLOUD_POINTS)
+    share = qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(CLOUD_POINTS)
     corners = np.array(np.meshgrid(*[[0.0, 1.0]] * len(low))).reshape(len(low), -1).T[:1024]
     return np.asarray(low + np.vstack([share, corners]) * (high - low))
 
