@@ -174,15 +174,8 @@ def vacuum(
 
 
 def _entry(entry: Any) -> dict[str, Any]:
-    return {
-        "dataset": entry.reference,
-        "machine": entry.machine,
-        "recordings": entry.recordings,
-        "seconds": entry.seconds,
-        "created": entry.created,
-        "digest": entry.digest,
-        "damage": entry.damage,
-    }
+    keys = ("machine", "recordings", "seconds", "created", "digest", "damage")
+    return {"dataset": entry.reference, **{key: getattr(entry, key) for key in keys}}
 
 
 def tables(store: Store, reference: str) -> list[dict[str, Any]]:

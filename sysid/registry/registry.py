@@ -66,8 +66,8 @@ class Registry:
         self._workspace, self._wait_s = Path(workspace), wait_s
         given = uri or os.environ.get(URI_VARIABLE) or None
         self.uri = given or f"{SQLITE}{(self._workspace / 'registry.db').resolve()}"
-        self._server = ServerTables(self._workspace, given, wait_s) if given is not None else None
-        self._tables: Tables = self._server or WorkspaceTables(self._workspace, wait_s)
+        self.server = ServerTables(self._workspace, given, wait_s) if given is not None else None
+        self._tables: Tables = self.server or WorkspaceTables(self._workspace, wait_s)
 
     def register(
         self,
@@ -106,7 +106,7 @@ class Registry:
                     "Choose another name for this model.",
                 )
             same = next((entry for entry in model.own if entry.tags[DIGEST] == digest), None)
-            if same is not None and self._server is not None:
+            if same is not None and self.server is not None:
                 return None
             tags = {DIGEST: digest, MANIFEST: text, METRICS: figures}
             new = same or StoredVersion(model.last + 1, now_ms(), "", tags)
@@ -240,14 +240,14 @@ class Registry:
         Raises:
             SettingsError: the registry is on a server.
         """
-        if self._server is not None:
+        if self.server is not None:
             raise SettingsError(f"model registry {self.uri}", "on a server", "one of a workspace", "The server maintains it.")
         return repair(self._workspace, accept, self._wait_s)
 
     @functools.cached_property
     def _artifacts(self) -> ArtifactStore:
-        if self._server is not None:
-            return RunArtifacts(self._server.client, self.uri)
+        if self.server is not None:
+            return RunArtifacts(self.server.client, self.uri)
         return FolderArtifacts(self._workspace / "models")
 
     def _sealed(self, model: StoredModel, change: ModelChange) -> ModelChange:

@@ -47,7 +47,7 @@ def empty_registry() -> bytes:
         content = path.read_bytes()
         if path.stem == f"{stem}-{_digest(content)}":
             return content
-    content = _migrated()
+    content = migrated_tables()
     with suppress(OSError):  # without a writable cache the tables are created each time
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / f"{stem}-{_digest(content)}.db") as half:
@@ -117,7 +117,7 @@ def revision(connection: sqlite3.Connection) -> str:
     return str(row[0]) if row else ""
 
 
-def _migrated() -> bytes:
+def migrated_tables() -> bytes:
     """The tables as MLflow creates them, compacted by VACUUM."""
     with tempfile.TemporaryDirectory(prefix="sysid-registry-") as folder:
         made, packed = Path(folder) / "made.db", Path(folder) / "packed.db"

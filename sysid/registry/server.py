@@ -33,7 +33,7 @@ class ServerTables:
 
     def __init__(self, workspace: Path, uri: str, wait_s: float) -> None:
         self._workspace, self._uri, self._wait_s = workspace, uri, wait_s
-        self._root, self._journal = Root(workspace), f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
+        self._root, self.journal = Root(workspace), f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
 
     @functools.cached_property
     def client(self) -> Any:
@@ -60,32 +60,32 @@ class ServerTables:
                 return before
             text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
             with disk_errors(self._workspace):
-                self._root.write(self._journal, text.encode("utf-8"))
+                self._root.write(self.journal, text.encode("utf-8"))
             with mlflow_errors(self._uri):
                 self._carry_out(name, change)
-            self._root.remove(self._journal)
+            self._root.remove(self.journal)
             with mlflow_errors(self._uri):
                 return self._model(name)
 
     def _finish(self) -> None:
-        if self._root.kind(self._journal) is not None:
+        if self._root.kind(self.journal) is not None:
             with exclusive(self._workspace, self._wait_s):
                 self._finish_locked()
 
     def _finish_locked(self) -> None:
         """Complete the journalled change of a killed process."""
         try:
-            values = parse_json(self._root.read(self._journal))
+            values = parse_json(self._root.read(self.journal))
             name, change = str(values["name"]), ModelChange.from_json(values["change"])
         except FileNotFoundError:
             return
         except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             found = f"not readable ({type(error).__name__}: {error})"
             remedy = "Delete it, and repeat the last registration or promotion."
-            raise StoreError(self._workspace / self._journal, found, "what sysid wrote", remedy) from None
+            raise StoreError(self._workspace / self.journal, found, "what sysid wrote", remedy) from None
         with mlflow_errors(self._uri):
             self._carry_out(name, change)
-        self._root.remove(self._journal)
+        self._root.remove(self.journal)
 
     def _carry_out(self, name: str, change: ModelChange) -> None:
         client, new = self.client, change.new

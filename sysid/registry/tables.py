@@ -152,7 +152,7 @@ def apply(connection: sqlite3.Connection, name: str, change: ModelChange) -> Non
     """The rows of ``change``, as MLflow would write them."""
     new = change.new
     if new is not None:
-        _insert_version(connection, name, new, change.run)
+        insert_version(connection, name, new, change.run)
     for number, tags in change.version_tags.items():
         for key, value in tags.items():
             _set(connection, "model_version_tags", {"name": name, "version": number, "key": key}, value)
@@ -165,7 +165,8 @@ def apply(connection: sqlite3.Connection, name: str, change: ModelChange) -> Non
         _set(connection, "registered_model_tags", {"name": name, "key": key}, value)
 
 
-def _insert_version(connection: sqlite3.Connection, name: str, new: StoredVersion, run: str | None) -> None:
+def insert_version(connection: sqlite3.Connection, name: str, new: StoredVersion, run: str | None) -> None:
+    """Add the rows of a version, and of its model if it is the first one."""
     made = {"creation_time": new.created_ms, "last_updated_time": new.created_ms}
     if not connection.execute("SELECT 1 FROM registered_models WHERE name = ?", (name,)).fetchone():
         _insert(connection, "registered_models", {"name": name, **made})

@@ -173,7 +173,7 @@ DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
     "no room for a folder": lambda m: m.setattr("os.mkdir", full),
     "no room for a file": lambda m: m.setattr("sysid.root.Root.create", full),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
-    "no room for a row": lambda m: m.setattr("sysid.registry.tables._insert_version", full_table),
+    "no room for a row": lambda m: m.setattr("sysid.registry.tables.insert_version", full_table),
 }
 
 
@@ -196,13 +196,13 @@ def test_a_database_that_may_not_grow(workspace: Path, monkeypatch: pytest.Monke
     """A real refusal of sqlite, half-way through the rows of a version."""
     from sysid.registry import tables
 
-    begin = tables._insert_version
+    begin = tables.insert_version
 
     def capped(connection: sqlite3.Connection, *rest: Any) -> None:
         connection.execute("PRAGMA max_page_count = 1")  # sqlite keeps what is there and takes no page more
         begin(connection, *rest)
 
-    monkeypatch.setattr(tables, "_insert_version", capped)
+    monkeypatch.setattr(tables, "insert_version", capped)
     registry = Registry(workspace)
     with pytest.raises(StorageError, match="database or disk is full"):
         registry.register("arm", "plant", FILES, {"long": "x" * 90_000})

@@ -231,11 +231,11 @@ REGISTER = """
     elif crash == "between_files":
         artifacts.Root.sync = lambda self, folder: os.kill(os.getpid(), signal.SIGKILL)
     elif crash == "before_version":
-        insert = tables._insert_version
+        insert = tables.insert_version
         def then_die(*arguments):
             insert(*arguments)
             os.kill(os.getpid(), signal.SIGKILL)
-        tables._insert_version = then_die
+        tables.insert_version = then_die
     version = Registry(Path(sys.argv[1])).register("new", "plant", {"plant.json": b"{}"}, {"n": sys.argv[3]})
     print(version.version)
 """

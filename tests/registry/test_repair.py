@@ -236,11 +236,11 @@ def older(path: Path, revision: str) -> None:
 def test_a_damaged_copy_of_the_tables_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = empty_registry()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("sysid.registry.schema._migrated", lambda: content)
+    monkeypatch.setattr("sysid.registry.schema.migrated_tables", lambda: content)
     assert empty_registry() == content
     (kept,) = (tmp_path / "sysid" / "registry").glob("*.db")
     kept.write_bytes(content[:-1])
-    monkeypatch.setattr("sysid.registry.schema._migrated", lambda: content + b"new")
+    monkeypatch.setattr("sysid.registry.schema.migrated_tables", lambda: content + b"new")
     assert empty_registry() == content + b"new"
 
 
