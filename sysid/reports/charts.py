@@ -203,7 +203,7 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
         down = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[there], (line.y - line.spread)[there], strict=True)]
         parts.append(f'<path class="spread {line.look}" d="M{" L".join([*up, *down[::-1]])} z"/>')
     pieces = []
-    for run in np.ma.clump_unmasked(np.ma.masked_invalid(line.y)):
+    for run in np.ma.clump_unmasked(np.ma.masked_invalid(line.y)):  # type: ignore[no-untyped-call]
         points = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[run], line.y[run], strict=True)]
         pieces.append("M" + " L".join(points))
     if pieces:
