@@ -1,4 +1,4 @@
-"""Settings: frozen dataclasses filled from TOML; an unknown key, a wrong type or a missing file is an error that says where."""
+"""Settings: frozen dataclasses filled from TOML; unknown keys, wrong types and missing files are errors with their location."""
 
 from __future__ import annotations
 

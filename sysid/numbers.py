@@ -76,8 +76,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind, config=ConfigDict(allow_inf_nan=False))
 
 
-def expected_of(said: str) -> str:
+def expected_of(message: str) -> str:
     """The expectation in pydantic's message: ``Input should be a valid string`` → ``a valid string``."""
-    said = said.removeprefix("Value error, ").removeprefix("Input should be ")
-    said = f"a number {said}" if said.startswith(("greater than", "less than")) else said
-    return said[:1].lower() + said[1:]
+    message = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    message = f"a number {message}" if message.startswith(("greater than", "less than")) else message
+    return message[:1].lower() + message[1:]

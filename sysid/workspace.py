@@ -106,7 +106,7 @@ class Workspace:
         versions: list[ModelVersion] = []
         for entry in self.models.survey():
             if isinstance(entry, DamagedModel):
-                expected = "a registry that says what every model was made from"
+                expected = "a registry with the sources of every model"
                 raise StoreError(entry.error.where, entry.error.found, expected, "Nothing was removed: repair it first.")
             versions.append(entry)
 

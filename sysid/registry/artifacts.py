@@ -90,7 +90,7 @@ class RunArtifacts:
     uri: str
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """As the protocol says; ``record`` is not written, because the server stores its own rows."""
+        """As :meth:`ArtifactStore.write`, without ``record``: the server stores its own rows."""
         experiment = self.client.get_experiment_by_name(_EXPERIMENT)
         identity = experiment.experiment_id if experiment else self.client.create_experiment(_EXPERIMENT)
         run = self.client.create_run(identity, run_name=digest[:12], tags={"sysid.digest": digest})

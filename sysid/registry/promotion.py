@@ -17,7 +17,7 @@ from sysid.registry.version import ModelVersion
 def decide(
     registry: Registry,
     version: str,
-    until_now: ModelVersion | None,
+    champion: ModelVersion | None,
     checks: Sequence[Check],
     judged: Mapping[str, Any] | None = None,
     word: str = "",
@@ -26,14 +26,14 @@ def decide(
 
     Args:
         version: ``name@version``.
-        until_now: the champion when the checks were made.
+        champion: the champion when the checks were made.
         judged: basis of the decision, for the record.
         word: the user's reason to promote it regardless of the checks; recorded.
 
     Raises:
         StorageError: the disk is full or read-only.
     """
-    previous = until_now.reference if until_now is not None else ""
+    previous = champion.reference if champion is not None else ""
     reason = "; ".join(check.text for check in checks if check.status == "failed")
     promoted = bool(word) or not reason
     decision = PromotionDecision(promoted, previous, tuple(checks), reason, word, dict(judged or {}), now_ms())
@@ -42,7 +42,7 @@ def decide(
         return Promotion(version, previous, previous, tuple(checks), reason)
     if version != previous:
         try:
-            registry.promote(version, instead_of=until_now, decision=decision)
+            registry.promote(version, instead_of=champion, decision=decision)
         except StorageError:
             raise
         except StoreError as error:  # another champion was set in the meantime

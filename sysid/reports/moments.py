@@ -61,8 +61,8 @@ def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment 
 def largest_error_signals(gap: GapResult) -> list[str]:
     """Outputs of the stages with errors, one per owner, the largest first; without any, the largest errors of the free run."""
     before, floor = gap.gap.before, gap.gap.noise_floor
-    seen = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
-    times = {i.signal: i.stage_rmse / i.noise_floor for i in seen}
+    measured = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
+    times = {i.signal: i.stage_rmse / i.noise_floor for i in measured}
     if not any(ratio > 1.5 for ratio in times.values()):
         times = {s: before[s] / floor[s] for s in before if floor.get(s, 0.0) > 0.0}
     owners: dict[str, str] = {}

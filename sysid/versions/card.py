@@ -49,8 +49,8 @@ def card_of(
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
-    said = what_policy(version, policy) if policy is not None else what_network(model)
-    blocks = [CardBlock("What it is", (WHAT.get(version.kind, version.kind), *said))]
+    details = what_policy(version, policy) if policy is not None else what_network(model)
+    blocks = [CardBlock("What it is", (WHAT.get(version.kind, version.kind), *details))]
     if report is not None:
         blocks += [figures(report), *baselines(report), *error_maps(report), *uncertainty(report)]
     elif version.metrics:

@@ -138,7 +138,7 @@ def test_gap_names_what_is_hidden(answered: Path) -> None:
 
 
 def test_lineage_shows_the_gap_result_that_a_plant_was_in(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for version, role in (("lift@1", "questioned it"), ("lift@2", "made it")):
+    for version, role in (("lift@1", "tested it"), ("lift@2", "created it")):
         assert run("--workspace", answered / "ws", "models", "lineage", version) == 0
         assert f"used by   gap result on lift@1: {role}" in capsys.readouterr().out
 

@@ -105,7 +105,7 @@ def test_the_gate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_plant_needs_its_proof_or_a_word(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ws = ("--workspace", place)
     assert run(*ws, "models", "promote", "crane@1") == 2
-    assert "nothing is recorded that speaks for crane@1; Plants are evaluated by the proof of `sysid" in capsys.readouterr().err
+    assert "no proof of crane@1 is recorded; Plants are evaluated by the proof of `sysid" in capsys.readouterr().err
     assert run(*ws, "models", "promote", "crane@1", "--policy", place / "p.toml") == 2
     assert "p.toml: no such file" in capsys.readouterr().err
     (place / "p.toml").write_text("schema = 1")
@@ -130,7 +130,7 @@ def test_lineage_both_ways(place: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert run("--workspace", place, "models", "lineage", "crane@1") == 0
     shown = capsys.readouterr().out
     assert "made of   crane-actuator@1  actuator" in shown
-    assert "used by   gap result on crane@1: questioned it" in shown
+    assert "used by   gap result on crane@1: tested it" in shown
     assert run("--workspace", place, "models", "lineage", "crane-forward@1") == 0
     assert "used by   nothing was made from it" in capsys.readouterr().out
 

@@ -128,7 +128,7 @@ def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
             {
                 "signal": words.signal_name(item.signal),
                 "stage": words.stage_name(item.stage),
-                "says": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
+                "text": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
                 "first": [*([characteristic] if characteristic else []), *drawn][:count],
                 "others": [*([characteristic] if characteristic else []), *drawn][count:],
             }
