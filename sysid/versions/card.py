@@ -1,7 +1,7 @@
 """The card of a model version: purpose, errors beside simple models, ranges, limits, provenance, loading.
 
-The blocks are defined in ``card_block``; those of networks, error reports and policies are made in ``card_network``,
-``card_report`` and ``card_policy``.
+The blocks are defined in ``card_block``; those of networks and policies are made in ``card_network``, those of error reports in
+``card_report``.
 """
 
 from __future__ import annotations
@@ -15,8 +15,14 @@ from sysid.networks.policy import PolicyNetwork
 from sysid.registry import NETWORKS, ModelVersion, PromotionDecision
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import Card, CardBlock
-from sysid.versions.card_network import network_limits, network_ranges, what_network
-from sysid.versions.card_policy import policy_limits, policy_ranges, what_policy
+from sysid.versions.card_network import (
+    network_limits,
+    network_ranges,
+    policy_limits,
+    policy_ranges,
+    what_network,
+    what_policy,
+)
 from sysid.versions.card_report import baselines, error_maps, figures, uncertainty
 from sysid.versions.lineage import ModelLineage
 

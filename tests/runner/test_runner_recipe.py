@@ -195,7 +195,7 @@ def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path,
     build = transports.connect
     monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, stand_in=False))
     error = invoke(workspace, write(workspace, ""), "--unattended").exception
-    assert "a machine that can hurt somebody; expected a person at it" in str(error)
+    assert "a real machine; expected an operator" in str(error)
 
 
 def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(workspace: Path) -> None:

@@ -76,17 +76,8 @@ def _recording(recording: Recording, dataset: Dataset) -> dict[str, Any]:
         "signals": len(recording.signals),
         "complete": 1.0 - (sum(missing.values()) / len(missing) if missing else 0.0),
         "worst": f"{worst}: {display.percent(missing[worst])} missing" if worst and missing[worst] > 0.0 else "",
-        "flags": _flags(dataset.quality, recording.name),
+        "flags": dataset.quality.get("recordings", {}).get(recording.name, {}).get("flags", ()),
     }
-
-
-def _flags(quality: Mapping[str, Any], name: str) -> list[str]:
-    """Flags of a recording, in either layout of the summary."""
-    entry = quality.get("recordings", quality).get(name, {})
-    flags = entry.get("flags", ()) if isinstance(entry, Mapping) else ()
-    if isinstance(flags, Mapping):
-        return [f"{key.replace('_', ' ')}: {value}" for key, value in flags.items() if value]
-    return [str(flag) for flag in flags]
 
 
 def _ranges(dataset: Dataset) -> list[dict[str, Any]]:
