@@ -43,7 +43,7 @@ class ModelVersions:
     >>> versions.promote("autolog-forward@3", load_policy(Path("policy.toml"))).promoted
     """
 
-    place: Workspace
+    workspace: Workspace
 
     def promote(
         self,
@@ -69,13 +69,13 @@ class ModelVersions:
             SettingsError: a policy that does not fit the version.
             ExcitationError: the dataset has no rows to evaluate it on, and no ``word`` is given.
         """
-        version = self.place.models.find(reference)
-        champion = self.place.models.promoted(version.name)
+        version = self.workspace.models.find(reference)
+        champion = self.workspace.models.promoted(version.name)
         if version.kind not in NETWORKS:
             if path is not None:
                 raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
             checks = _trained(version, champion) if version.kind == "policy" else _proven(version)
-            return decide(self.place.models, version.reference, champion, checks, {"by": "sysid models promote"}, word)
+            return decide(self.workspace.models, version.reference, champion, checks, {"by": "sysid models promote"}, word)
         rules = policy or PromotionPolicy()
         try:
             data = self._dataset(version, dataset)
@@ -85,16 +85,16 @@ class ModelVersions:
             if not word:
                 raise
             checks, judged = (Check("figures", "failed", f"not evaluated: {reason}"),), {"by": "nothing"}
-        return decide(self.place.models, version.reference, champion, checks, judged, word)
+        return decide(self.workspace.models, version.reference, champion, checks, judged, word)
 
     def lineage(self, reference: str) -> ModelLineage:
         """The sources of a version, to the raw files, and what was made from it."""
-        version = self.place.models.find(reference)
-        return lineage_of(version, self.place.models.list(), self.place.datasets, self._uses(version))
+        version = self.workspace.models.find(reference)
+        return lineage_of(version, self.workspace.models.list(), self.workspace.datasets, self._uses(version))
 
     def diff(self, before: str, after: str) -> ModelDiff:
         """The differences of two versions."""
-        return diff_versions(self.place.models.load(before), self.place.models.load(after))
+        return diff_versions(self.workspace.models.load(before), self.workspace.models.load(after))
 
     def drift(self, reference: str, dataset: Dataset) -> DriftReport:
         """Test for drift on the recordings of ``dataset`` that are not in the network's own dataset.
@@ -103,25 +103,25 @@ class ModelVersions:
             StoreError: the dataset that it was fitted on is missing.
             ExcitationError: no such recording measures what it predicts.
         """
-        version = self.place.models.find(reference)
-        return drift_of(self.place.network(version.reference), self._dataset(version), dataset, version.reference)
+        version = self.workspace.models.find(reference)
+        return drift_of(self.workspace.network(version.reference), self._dataset(version), dataset, version.reference)
 
     def export(
         self, reference: str, folder: Path | None = None, precision: Precision = "float32"
     ) -> tuple[Path, tuple[Exported, ...]]:
         """Write a network as ONNX; default folder: ``exports/NAME@V`` of the workspace."""
-        version = self.place.models.find(reference)
-        target = folder or self.place.output(f"exports/{version.reference}")
+        version = self.workspace.models.find(reference)
+        target = folder or self.workspace.output(f"exports/{version.reference}")
         about = {"reference": version.reference, "digest": version.digest}
         policy = version.kind == "policy"
-        network = self.place.policy(version.reference) if policy else self.place.network(version.reference)
+        network = self.workspace.policy(version.reference) if policy else self.workspace.network(version.reference)
         return target, export_onnx(network, target, about, precision)
 
     def card(self, reference: str) -> Card:
         """The card of a version."""
-        version = self.place.models.find(reference)
-        network = self.place.network(version.reference) if version.kind in NETWORKS else None
-        policy = self.place.policy(version.reference) if version.kind == "policy" else None
+        version = self.workspace.models.find(reference)
+        network = self.workspace.network(version.reference) if version.kind in NETWORKS else None
+        policy = self.workspace.policy(version.reference) if version.kind == "policy" else None
         return card_of(version, self.lineage(version.reference), network, self._report(version), policy)
 
     def _report(self, version: ModelVersion) -> ValidationReport | None:
@@ -129,7 +129,7 @@ class ModelVersions:
         if version.kind not in NETWORKS:
             return None
         try:
-            return self.place.validation(version.reference, self._dataset(version))
+            return self.workspace.validation(version.reference, self._dataset(version))
         except (StoreError, ExcitationError):
             return None
 
@@ -138,8 +138,8 @@ class ModelVersions:
     ) -> tuple[Check, ...]:
         other = None
         if champion is not None and champion.reference != version.reference:
-            other = self.place.validation(champion.reference, data)
-        return policy_checks(policy, self.place.validation(version.reference, data), other, where)
+            other = self.workspace.validation(champion.reference, data)
+        return policy_checks(policy, self.workspace.validation(version.reference, data), other, where)
 
     def _dataset(self, version: ModelVersion, reference: str | None = None) -> Dataset:
         """The dataset version that a network was fitted on, by digest, or a named one.
@@ -148,11 +148,11 @@ class ModelVersions:
             StoreError: it is missing, or another dataset has its name.
         """
         if reference is not None:
-            return self.place.dataset(reference)
+            return self.workspace.dataset(reference)
         named, digest = version.lineage.get("dataset"), version.lineage.get("dataset_digest")
         if not isinstance(named, str):
             raise StoreError(f"model {version.reference}", "its lineage names no dataset version", "one to evaluate it on")
-        dataset = self.place.dataset(named)
+        dataset = self.workspace.dataset(named)
         if digest not in (None, dataset.digest):
             found = f"{named} has digest {dataset.digest[:12]}…"
             raise StoreError(f"model {version.reference}", found, f"{str(digest)[:12]}…, which it was fitted on")
@@ -161,9 +161,9 @@ class ModelVersions:
     def _uses(self, version: ModelVersion) -> tuple[Use, ...]:
         """Gap results that tested or created this version."""
         found = []
-        for dataset in self.place.root.entries("results"):
+        for dataset in self.workspace.root.entries("results"):
             try:
-                values = parse_json(self.place.root.read(f"results/{dataset}/gap/{RESULT}"))
+                values = parse_json(self.workspace.root.read(f"results/{dataset}/gap/{RESULT}"))
                 roles = (("tested it", values["plant"]["before"]), ("created it", values["plant"]["after"]))
             except (OSError, ValueError, KeyError, TypeError, StoreError):
                 continue  # damaged, or a link: reported by the commands that use the result

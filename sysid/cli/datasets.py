@@ -37,18 +37,18 @@ def datasets() -> None:
 @click.option("--quality", is_flag=True, help="Coverage, noise, and an excitation verdict for every effect.")
 @json_option
 @click.pass_obj
-def show(workspace: str, reference: str | None, quality: bool, json_file: str | None) -> None:
+def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
     from sysid.datasets import Store
 
     if quality:
         from sysid.cli.quality import show_quality
 
-        show_quality(workspace, reference, json_file)
+        show_quality(location, reference, json_file)
         return
 
     out = Printer(json_file)
-    store = Store(workspace)
+    store = Store(location)
     if reference is not None:
         dataset = store.load(reference)
         show_dataset(out, dataset)
@@ -57,7 +57,7 @@ def show(workspace: str, reference: str | None, quality: bool, json_file: str | 
     entries = store.list()
     write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
     if not entries:
-        out.line(f"No datasets in {workspace} yet: sysid ingest PATH creates one.")
+        out.line(f"No datasets in {location} yet: sysid ingest PATH creates one.")
         return
     rows = [
         (entry.reference, entry.machine, entry.recordings, f"{entry.seconds:.0f}", entry.created, entry.digest[:12])
@@ -75,7 +75,7 @@ def show(workspace: str, reference: str | None, quality: bool, json_file: str | 
 @click.argument("after", metavar="B")
 @json_option
 @click.pass_obj
-def diff_versions(workspace: str, before: str, after: str, json_file: str | None) -> None:
+def diff_versions(location: str, before: str, after: str, json_file: str | None) -> None:
     """Show how version B differs from version A.
 
     Raw files, recipe and machine, clocks, roles, signals and units, values of the tables, and figures of quality.
@@ -83,7 +83,7 @@ def diff_versions(workspace: str, before: str, after: str, json_file: str | None
     from sysid.cli.version_tables import show_diff
     from sysid.datasets import Store, diff
 
-    found = diff(Store(workspace), before, after)
+    found = diff(Store(location), before, after)
     show_diff(Printer(json_file), found)
     write_json(json_file, found.to_json())
 
@@ -96,7 +96,7 @@ def diff_versions(workspace: str, before: str, after: str, json_file: str | None
 @json_option
 @click.pass_obj
 def split(
-    workspace: str,
+    location: str,
     reference: str,
     fit: tuple[str, ...],
     select: tuple[str, ...],
@@ -111,7 +111,7 @@ def split(
     from sysid.datasets.splits import with_roles
 
     out = Printer(json_file)
-    store = Store(workspace)
+    store = Store(location)
     manifest = store.manifest(reference)
     base = f"{manifest['name']}@{manifest['version']}"
     roles = with_roles(manifest["splits"], {"fit": fit, "select": select, "held_out": held_out}, base)
@@ -125,15 +125,15 @@ def split(
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def lineage(workspace: str, reference: str, json_file: str | None) -> None:
+def lineage(location: str, reference: str, json_file: str | None) -> None:
     """Show the sources of a version, and the models made from it."""
     from sysid.cli.version_tables import show_lineage
     from sysid.datasets import lineage as lineage_of
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    found = lineage_of(place.datasets, reference)
-    models = place.made_from(found.dataset, found.digest)
+    workspace = open_workspace(location)
+    found = lineage_of(workspace.datasets, reference)
+    models = workspace.made_from(found.dataset, found.digest)
     show_lineage(Printer(json_file), found, models)
     write_json(json_file, {**found.to_json(), "models": [{"model": m.reference, "kind": m.kind} for m in models]})
 
@@ -146,7 +146,7 @@ def lineage(workspace: str, reference: str, json_file: str | None) -> None:
 @json_option
 @click.pass_obj
 def vacuum(
-    workspace: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
+    location: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
 ) -> None:
     """Remove left-overs of interrupted work, and versions, but none that a model was made from.
 
@@ -161,10 +161,10 @@ def vacuum(
     named = any("@" in reference for reference in references)
     if named and keep is not None and not (yes or dry_run):
         raise SettingsError("sysid datasets vacuum", "versions and --keep", "--yes as well", "Add --yes or --dry-run.")
-    place = open_workspace(workspace)
+    workspace = open_workspace(location)
     only_list = dry_run or not (named or yes)
-    found = place.vacuum(references, keep=keep, dry_run=only_list)
-    show_vacuumed(Printer(json_file), found, place.models.uri, hint=only_list and not dry_run)
+    found = workspace.vacuum(references, keep=keep, dry_run=only_list)
+    show_vacuumed(Printer(json_file), found, workspace.models.uri, hint=only_list and not dry_run)
     removed = [{"what": item.what, "size": item.size} for item in found.removed]
     kept = [{"what": item.what, "reason": item.reason} for item in found.kept]
     write_json(json_file, {"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})

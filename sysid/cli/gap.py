@@ -40,7 +40,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @json_option
 @click.pass_obj
 def gap(
-    workspace: str,
+    location: str,
     reference: str,
     plant: str | None,
     simulator: str | None,
@@ -60,8 +60,8 @@ def gap(
     from sysid.reports import write_report
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
@@ -71,7 +71,7 @@ def gap(
             "one of them",
             "A residual network is fitted to the error that the search leaves.",
         )
-    tested = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
+    tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
     out = Printer(json_file)
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")
@@ -83,7 +83,7 @@ def gap(
         result = find_gap(
             dataset,
             tested,
-            registry=place.models,
+            registry=workspace.models,
             add=add,
             world=world,
             localise_only=localise,
@@ -95,17 +95,17 @@ def gap(
     folder = None
     if localise:
         show_localised(out, result, dataset)
-        page = write_report(place.output("localise.html", dataset), place.report_inputs(dataset, result))
+        page = write_report(workspace.output("localise.html", dataset), workspace.report_inputs(dataset, result))
         out.line(f"With the maps: {page}")
     else:
-        folder = place.keep_gap(dataset, result).parent
+        folder = workspace.keep_gap(dataset, result).parent
         show_gap(out, result, dataset)
         show_world(out, result, dataset)
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
             out.line(f"record: {experiment.words}")
             out.line(f"        {planned['file']}")
         if result.plant_after:
-            show_repair(out, result, dataset, folder, workspace)
+            show_repair(out, result, dataset, folder, location)
         elif simulator is not None:
             for note in result.notes:
                 out.line(f"note: {note}")
@@ -113,5 +113,5 @@ def gap(
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
-        out.line(f"Look at it: sysid --workspace {workspace} report {dataset.reference}")
+        out.line(f"Report: sysid --workspace {location} report {dataset.reference}")
     write_json(json_file, result.to_json(folder))

@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 MAX_FLAGS = 12
 
 
-def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
+def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
     from sysid.datasets.quality import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     evidence = evidence_of(dataset)
-    verdicts = excitation_report(dataset, place.plant(dataset))
+    verdicts = excitation_report(dataset, workspace.plant(dataset))
     flags = list(dataset.quality.get("flags", ()))
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
     show_excitation(out, verdicts, dataset)
-    out.line(f"Pictures: sysid --workspace {workspace} report {dataset.reference}")
+    out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
     write_json(
         json_file,
         {

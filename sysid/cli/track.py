@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 @json_option
 @click.pass_obj
 def track(
-    workspace: str,
+    location: str,
     policy: str,
     path: str,
     plant: str | None,
@@ -73,15 +73,15 @@ def track(
     from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
+    workspace = open_workspace(location)
     network, lineage = None, {}
     if policy not in BASELINES:
-        version = place.models.load(policy)
+        version = workspace.models.load(policy)
         network, lineage, policy = load_policy(version), dict(version.lineage), version.reference
         full = full or network.full
-    plant = plant or lineage.get("plant") or _only(place, "plant")
-    forward = forward or lineage.get("forward") or _forward_for(place, plant)
-    simulation, model = load_versions(place.models, plant, forward)
+    plant = plant or lineage.get("plant") or _only(workspace, "plant")
+    forward = forward or lineage.get("forward") or _forward_for(workspace, plant)
+    simulation, model = load_versions(workspace.models, plant, forward)
     if candidates is not None and network is None:
         raise SettingsError("--candidates", f"with {policy}", "a policy version: candidates cannot improve inverse kinematics")
     if untuned and not full:
@@ -106,7 +106,7 @@ def track(
             runs.append(course.baseline(name))
         kind = "full" if full else "kinematic"
         name = check_file_name(f"{policy.replace('@', '-')}-{course.path.name}-{kind}", "path")
-        folder = out or place.root.make(f"tracks/{name}")
+        folder = out or workspace.root.make(f"tracks/{name}")
         files = keep(folder, simulation.machine, runs)
     printer = Printer(json_file)
     _show(printer, runs)
@@ -125,7 +125,7 @@ def track(
     values: dict[str, Any] = {
         "schema": 1,
         "plant": simulation.reference,
-        "forward": place.models.find(forward).reference,
+        "forward": workspace.models.find(forward).reference,
         "full": full,
         "demand": course.demand if full else None,
         "controller": ("simple" if untuned else "tuned") if full else None,
@@ -155,7 +155,7 @@ def _show(out: Printer, runs: list[TrackingResult]) -> None:
     out.line("Errors in mm, end effector against target at the end of each step.")
 
 
-def _only(place: Workspace, kind: str) -> str:
+def _only(workspace: Workspace, kind: str) -> str:
     """The only model of a kind; its promoted version, or its newest.
 
     Raises:
@@ -163,15 +163,15 @@ def _only(place: Workspace, kind: str) -> str:
     """
     from sysid.errors import StoreError
 
-    names = sorted({version.name for version in place.models.list(kind)})
+    names = sorted({version.name for version in workspace.models.list(kind)})
     if len(names) != 1:
         listed = ", ".join(names) or "none"
-        raise StoreError(f"workspace {place.location}", f"{len(names)} models of kind {kind} ({listed})", f"--{kind} NAME")
+        raise StoreError(f"workspace {workspace.location}", f"{len(names)} models of kind {kind} ({listed})", f"--{kind} NAME")
     return names[0]
 
 
-def _forward_for(place: Workspace, plant: str) -> str:
+def _forward_for(workspace: Workspace, plant: str) -> str:
     """The forward model of the dataset that a plant was made from; its promoted version, or its newest."""
-    dataset = str(place.models.find(plant).lineage.get("dataset", "")).partition("@")[0]
-    names = {version.name for version in place.models.list("forward")}
-    return f"{dataset}-forward" if f"{dataset}-forward" in names else _only(place, "forward")
+    dataset = str(workspace.models.find(plant).lineage.get("dataset", "")).partition("@")[0]
+    names = {version.name for version in workspace.models.list("forward")}
+    return f"{dataset}-forward" if f"{dataset}-forward" in names else _only(workspace, "forward")

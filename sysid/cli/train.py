@@ -22,7 +22,7 @@ from sysid.errors import SettingsError
 @json_option
 @click.pass_obj
 def train(
-    workspace: str,
+    location: str,
     recipe: Path,
     seed: int | None,
     seeds: int | None,
@@ -46,12 +46,12 @@ def train(
     out = Printer(json_file)
     if len(recipes) == 1:
         with progress_bar(f"train {settings.name}") as progress:
-            results = [_one(workspace, recipes[0], tensorboard, mlflow, progress)]
+            results = [_one(location, recipes[0], tensorboard, mlflow, progress)]
     else:
         from sysid.rl.seeds import side_by_side
 
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
-            calls = [(workspace, entry, tensorboard, mlflow) for entry in recipes]
+            calls = [(location, entry, tensorboard, mlflow) for entry in recipes]
             results = side_by_side(_one, calls, workers, progress)
     columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
@@ -59,7 +59,7 @@ def train(
     write_json(json_file, {"schema": 1, "policies": results})
 
 
-def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
+def _one(location: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
     from sysid.rl.observers import JsonLines, MlflowRun, Observer, TensorBoard
     from sysid.rl.recipe import TrainingRecipe
     from sysid.rl.training import train_policy
@@ -67,17 +67,17 @@ def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, 
 
     assert isinstance(recipe, TrainingRecipe)
     assert callable(progress)
-    place = open_workspace(workspace)
-    if not place.folder.is_dir():
+    workspace = open_workspace(location)
+    if not workspace.folder.is_dir():
         raise SettingsError(
-            f"--workspace {workspace}", "no such folder", "one with a plant and a forward model", "make demo makes one."
+            f"--workspace {location}", "no such folder", "one with a plant and a forward model", "make demo makes one."
         )
-    observers: list[Observer] = [JsonLines(place.output(f"curves/{recipe.name}-seed{recipe.seed}.jsonl"))]
+    observers: list[Observer] = [JsonLines(workspace.output(f"curves/{recipe.name}-seed{recipe.seed}.jsonl"))]
     if tensorboard:
-        observers.append(TensorBoard(place.root.path("tensorboard")))
+        observers.append(TensorBoard(workspace.root.path("tensorboard")))
     if mlflow is not None:
         observers.append(MlflowRun(mlflow))
-    done = train_policy(place.models, recipe, place.root.path("training"), progress, observers)
+    done = train_policy(workspace.models, recipe, workspace.root.path("training"), progress, observers)
     return {
         "policy": done.version.reference,
         "seed": recipe.seed,

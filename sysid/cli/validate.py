@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def validate(workspace: str, model: str, reference: str, json_file: str | None) -> None:
+def validate(location: str, model: str, reference: str, json_file: str | None) -> None:
     """Evaluate a fitted network on held-out recordings.
 
     On another dataset than its own, it also tests for drift: whether the recordings lie inside the fitted ranges, and whether
@@ -29,14 +29,14 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
     from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     out = Printer(json_file)
-    version = place.models.find(model)
+    version = workspace.models.find(model)
     own = version.lineage.get("dataset_digest") == dataset.digest
     report, drift, not_evaluated = None, None, ""
     try:
-        report = place.validation(model, dataset)
+        report = workspace.validation(model, dataset)
         _show(out, report)
     except ExcitationError as error:
         if own:
@@ -44,7 +44,7 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
         not_evaluated = str(error)  # drift may still be testable
     if not own:
         try:
-            drift = ModelVersions(place).drift(model, dataset)
+            drift = ModelVersions(workspace).drift(model, dataset)
             show_drift(out, drift)
         except (ExcitationError, StoreError) as error:
             if report is None:

@@ -18,7 +18,7 @@ from sysid.cli.output import Printer, json_option, rerun_command, write_json
 @json_option
 @click.pass_obj
 def view(
-    workspace: str,
+    location: str,
     reference: str,
     recording: str | None,
     plant: str | None,
@@ -37,8 +37,8 @@ def view(
     from sysid.view import write_rerun
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     if recording is None:
         shown = [*dataset.with_role("held_out"), *dataset.of_kind("motion")]
         if not shown:
@@ -47,7 +47,7 @@ def view(
     if live:
         from sysid.view.live import show_live
 
-        moving = place.simulation(dataset, plant)
+        moving = workspace.simulation(dataset, plant)
         states = show_live(dataset, recording, moving, path)
         out = Printer(json_file)
         out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")
@@ -57,9 +57,9 @@ def view(
             json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states}
         )
         return
-    predictions = place.predictions(dataset, recording, plant)
-    path = path or place.output(f"{recording.replace('#', '-')}.rrd", dataset)
-    result = place.gap(dataset) if plant is None else None
+    predictions = workspace.predictions(dataset, recording, plant)
+    path = path or workspace.output(f"{recording.replace('#', '-')}.rrd", dataset)
+    result = workspace.gap(dataset) if plant is None else None
     write_rerun(path, dataset, recording, predictions, result.maps if result is not None else ())
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")

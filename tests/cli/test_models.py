@@ -170,7 +170,7 @@ def test_diff(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_diff_of_models_of_different_make(place: Path) -> None:
     models = ModelVersions(Workspace(place))
-    models.place.add_network(Store(place).load("crane"), forward(), NetworkRecipe())
+    models.workspace.add_network(Store(place).load("crane"), forward(), NetworkRecipe())
     found = models.diff("crane-forward@1", "crane-forward@3")
     assert {change.after for change in found.geometry if change.after == change.after} == set(), "a network has no geometry"
     assert [entry.points > 4000 for entry in found.predictions] == [True] * 3
