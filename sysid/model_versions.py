@@ -18,7 +18,7 @@ from sysid.validate import ValidationReport
 from sysid.versions import (
     Card,
     DriftReport,
-    Exported,
+    ExportedFile,
     ModelDiff,
     ModelLineage,
     PromotionPolicy,
@@ -29,7 +29,7 @@ from sysid.versions import (
     lineage_of,
     policy_checks,
 )
-from sysid.versions.lineage import Use
+from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by
 from sysid.workspace import Workspace
@@ -74,7 +74,7 @@ class ModelVersions:
         if version.kind not in NETWORKS:
             if path is not None:
                 raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
-            checks = _trained(version, champion) if version.kind == "policy" else _proven(version)
+            checks = _policy_check(version, champion) if version.kind == "policy" else _plant_check(version)
             return decide(self.workspace.models, version.reference, champion, checks, {"by": "sysid models promote"}, word)
         rules = policy or PromotionPolicy()
         try:
@@ -108,7 +108,7 @@ class ModelVersions:
 
     def export(
         self, reference: str, folder: Path | None = None, precision: Precision = "float32"
-    ) -> tuple[Path, tuple[Exported, ...]]:
+    ) -> tuple[Path, tuple[ExportedFile, ...]]:
         """Write a network as ONNX; default folder: ``exports/NAME@V`` of the workspace."""
         version = self.workspace.models.find(reference)
         target = folder or self.workspace.output(f"exports/{version.reference}")
@@ -158,7 +158,7 @@ class ModelVersions:
             raise StoreError(f"model {version.reference}", found, f"{str(digest)[:12]}…, which it was fitted on")
         return dataset
 
-    def _uses(self, version: ModelVersion) -> tuple[Use, ...]:
+    def _uses(self, version: ModelVersion) -> tuple[ResultUse, ...]:
         """Gap results that tested or created this version."""
         found = []
         for dataset in self.workspace.root.entries("results"):
@@ -167,11 +167,11 @@ class ModelVersions:
                 roles = (("tested it", values["plant"]["before"]), ("created it", values["plant"]["after"]))
             except (OSError, ValueError, KeyError, TypeError, StoreError):
                 continue  # damaged, or a link: reported by the commands that use the result
-            found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
+            found += [ResultUse("gap result", dataset, how) for how, plant in roles if plant == version.reference]
         return tuple(found)
 
 
-def _trained(version: ModelVersion, champion: ModelVersion | None) -> tuple[Check, ...]:
+def _policy_check(version: ModelVersion, champion: ModelVersion | None) -> tuple[Check, ...]:
     """The check of a trained policy: its error while it stays at a target may not exceed the champion's."""
     own = _hold_error(version)
     if own is None:
@@ -192,7 +192,7 @@ def _hold_error(version: ModelVersion) -> float | None:
 _PLANTS = "Plants are evaluated by the proof of `sysid gap --add`."
 
 
-def _proven(version: ModelVersion) -> tuple[Check, ...]:
+def _plant_check(version: ModelVersion) -> tuple[Check, ...]:
     """The recorded checks of a plant: an earlier champion passes, a plant without a proof fails."""
     if any(decision.promoted for decision in version.decisions):
         return (Check("promoted before", "passed", f"{version.reference} was promoted before"),)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from sysid.cli.output import Printer
     from sysid.registry import Promotion
-    from sysid.versions import DriftReport, Exported, ModelDiff, ModelLineage
+    from sysid.versions import DriftReport, ExportedFile, ModelDiff, ModelLineage
 
 #: Largest number of listed parameters of a geometry.
 MAX_PARAMETERS = 20
@@ -91,7 +91,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
 
 
-def show_exported(out: Printer, folder: Path, files: tuple[Exported, ...]) -> None:
+def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -> None:
     """The files, and their agreement with the version."""
     rows = [
         (

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sysid.datasets import DatasetDiff, Lineage, VacuumResult
     from sysid.datasets.versions.diff import Names, ValueChange
     from sysid.registry import ModelVersion
-    from sysid.versions.lineage import Relative
+    from sysid.versions.lineage import RelatedVersion
 
 #: Largest number of listed figures; JSON has all.
 MAX_FIGURES = 20
@@ -112,7 +112,7 @@ def show_chain(out: Printer, found: Lineage) -> None:
         out.line(f"{role:<9} {', '.join(names)}")
 
 
-def model_line(role: str, model: ModelVersion | Relative) -> str:
+def model_line(role: str, model: ModelVersion | RelatedVersion) -> str:
     """One model version in a lineage, with its role."""
     aliases = f"  ({', '.join(model.aliases)})" if model.aliases else ""
     return f"{role:<9} {model.reference}  {model.kind}  {model.digest[:12]}{aliases}"

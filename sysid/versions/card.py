@@ -28,7 +28,7 @@ from sysid.versions.lineage import ModelLineage
 
 #: Kinds that `sysid models export` writes: networks without history.
 EXPORTED = ("actuator", "motion", "forward")
-WHAT = {
+DESCRIPTIONS = {
     "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron per direction and axis.",
     "history": "Actuator networks with history: cylinder displacement to joint angle and back along a motion; a static "
     "perceptron and a recurrent part per direction and axis.",
@@ -56,7 +56,7 @@ def card_of(
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
     details = what_policy(version, policy) if policy is not None else what_network(model)
-    blocks = [CardBlock("What it is", (WHAT.get(version.kind, version.kind), *details))]
+    blocks = [CardBlock("What it is", (DESCRIPTIONS.get(version.kind, version.kind), *details))]
     if report is not None:
         blocks += [figures(report), *baselines(report), *error_maps(report), *uncertainty(report)]
     elif version.metrics:

@@ -13,7 +13,7 @@ from sysid.registry import ModelVersion, ancestors, descendants
 
 
 @dataclass(frozen=True)
-class Relative:
+class RelatedVersion:
     """Another model version in a lineage."""
 
     reference: str
@@ -23,7 +23,7 @@ class Relative:
 
 
 @dataclass(frozen=True)
-class Use:
+class ResultUse:
     """A stored result that uses the version: kind of result, dataset version, kind of use."""
 
     what: str
@@ -53,9 +53,9 @@ class ModelLineage:
     dataset_digest: str
     missing: str
     source: Lineage | None
-    parents: tuple[Relative, ...]
-    children: tuple[Relative, ...]
-    uses: tuple[Use, ...]
+    parents: tuple[RelatedVersion, ...]
+    children: tuple[RelatedVersion, ...]
+    uses: tuple[ResultUse, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, schema 1."""
@@ -64,7 +64,9 @@ class ModelLineage:
         return {"schema": 1, **values}
 
 
-def lineage_of(version: ModelVersion, versions: Sequence[ModelVersion], store: Store, uses: Sequence[Use] = ()) -> ModelLineage:
+def lineage_of(
+    version: ModelVersion, versions: Sequence[ModelVersion], store: Store, uses: Sequence[ResultUse] = ()
+) -> ModelLineage:
     """Follow the lineage of a version both ways.
 
     Args:
@@ -109,5 +111,5 @@ def _dataset(version: ModelVersion) -> tuple[str, str]:
     return (str(name), str(version.lineage.get("dataset_digest", ""))) if isinstance(name, str) else ("", "")
 
 
-def _relative(version: ModelVersion) -> Relative:
-    return Relative(version.reference, version.kind, version.digest, version.aliases)
+def _relative(version: ModelVersion) -> RelatedVersion:
+    return RelatedVersion(version.reference, version.kind, version.digest, version.aliases)

@@ -31,7 +31,7 @@ POINTS, BEYOND = 4096, 0.5
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportedFile:
     """One ONNX file and its agreement with the version.
 
     Args:
@@ -71,7 +71,7 @@ def export_onnx(
     folder: Path,
     about: Mapping[str, str] | None = None,
     precision: Precision = "float32",
-) -> tuple[Exported, ...]:
+) -> tuple[ExportedFile, ...]:
     """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, ``policy.onnx``, ``boom.to_joint.onnx`` …
 
     ONNX Runtime evaluates every file on random inputs inside and beyond the fitted range; if a prediction differs from the
@@ -189,7 +189,7 @@ def _content(part: _OnnxSource, precision: Precision, about: Mapping[str, str]) 
     return bytes(file.SerializeToString())
 
 
-def _compared(part: _OnnxSource, content: bytes, precision: Precision, runtime: Any) -> Exported:
+def _compared(part: _OnnxSource, content: bytes, precision: Precision, runtime: Any) -> ExportedFile:
     options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
@@ -214,7 +214,7 @@ def _compared(part: _OnnxSource, content: bytes, precision: Precision, runtime: 
             remedy = "Export it with --precision float64." if precision == "float32" else ""
             found = f"{name} differs by {difference:.3g} from the version itself"
             raise StoreError(f"ONNX of {part.name}", found, f"at most {most:.3g} (rounding of {precision})", remedy)
-    return Exported(
+    return ExportedFile(
         file=f"{part.name}.onnx",
         inputs=part.inputs,
         outputs=part.outputs,

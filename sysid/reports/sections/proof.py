@@ -10,7 +10,7 @@ from markupsafe import Markup
 from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections.summary import closings, dumbbells
+from sysid.reports.sections.summary import dumbbells, signal_gaps
 
 #: Name of a condition → text.
 CONDITIONS = {
@@ -79,7 +79,7 @@ def _chance(value: float) -> str:
 
 def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
     units = inputs.dataset.units
-    there, plain = (closings(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
+    there, plain = (signal_gaps(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
     rows = []
     for world, compiled in zip(there, plain, strict=True):
         factor, unit = display.shown_unit(world.unit)

@@ -22,7 +22,7 @@ from sysid.signals import point_signals
 
 
 @dataclass(frozen=True)
-class Closing:
+class SignalGap:
     """One line of the before/after table: a signal, or the position of a point (Euclidean norm of its coordinates)."""
 
     name: str
@@ -57,7 +57,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         }
     gap = inputs.gap
     only = bool(gap.settings.get("localise_only"))
-    lines = closings(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
+    lines = signal_gaps(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
@@ -116,11 +116,11 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     return cards
 
 
-def closings(
+def signal_gaps(
     before: Mapping[str, float], after: Mapping[str, float], noise_floor: Mapping[str, float], units: Mapping[str, str]
-) -> list[Closing]:
+) -> list[SignalGap]:
     """Signals in their order, with the coordinates of each point combined to one distance."""
-    lines: list[Closing] = []
+    lines: list[SignalGap] = []
     for signal in before:
         owner = signal.rpartition(".")[0]
         if owner in ("ee", "tool"):
@@ -129,10 +129,10 @@ def closings(
                 values = [
                     math.sqrt(sum(source.get(n, math.nan) ** 2 for n in names)) for source in (before, after, noise_floor)
                 ]
-                lines.append(Closing(f"{words.owner_name(owner)} position", "m", *values))
+                lines.append(SignalGap(f"{words.owner_name(owner)} position", "m", *values))
             continue
         numbers = [source.get(signal, math.nan) for source in (before, after, noise_floor)]
-        lines.append(Closing(words.signal_name(signal), units.get(signal, "1"), *numbers))
+        lines.append(SignalGap(words.signal_name(signal), units.get(signal, "1"), *numbers))
     return lines
 
 
@@ -199,7 +199,7 @@ def _still_open(gap: GapResult) -> list[str]:
     return [f"Largest remaining error: {words.signal_name(worst)}, {display.ratio(left[worst])} its noise floor."]
 
 
-def _sentences(gap: GapResult, lines: list[Closing]) -> list[str]:
+def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:
     """The gap of the tip position, or of the signal with the largest gap, as a sentence."""
     scored = [line for line in lines if math.isfinite(line.before) and line.noise_floor > 0.0]
     if not scored:
@@ -218,7 +218,7 @@ def _sentences(gap: GapResult, lines: list[Closing]) -> list[str]:
     return [text]
 
 
-def _row(line: Closing) -> dict[str, Any]:
+def _row(line: SignalGap) -> dict[str, Any]:
     factor, unit = display.shown_unit(line.unit)
     values = [factor * value for value in (line.before, line.after, line.noise_floor)]
     decimals = display.decimals_for(values)
@@ -226,7 +226,7 @@ def _row(line: Closing) -> dict[str, Any]:
     return {"name": line.name, "unit": unit, "before": before, "after": after, "noise_floor": floor, "closed": line.closed}
 
 
-def dumbbells(lines: list[Closing], repaired: bool) -> str:
+def dumbbells(lines: list[SignalGap], repaired: bool) -> str:
     """Before and after as multiples of the noise floor on one logarithmic axis (inline SVG)."""
     scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not scored:
