@@ -1,8 +1,7 @@
-"""Side by side with neighbouring tools, on the same logs, alternating: `make bench` writes reports/bench/result.json.
+"""Compares time and memory with other tools on the same logs: `make bench` writes reports/bench/result.json and docs/speed.md.
 
-The figures are ratios of times measured in turn on one machine (above 1: ours is better); absolute times depend on the machine.
-The command line is measured here, logs and the plant in benchmarks/. docs/speed.md shows the result.
-`make bench PARTS="readers memory"` measures some of it and leaves the rest as it was.
+The figures are ratios of times measured alternately on one machine; above 1, sysid is better. The parts are in benchmarks/.
+`make bench PARTS="readers memory"` measures these parts and keeps the rows of the others.
 """
 
 from __future__ import annotations
@@ -70,8 +69,8 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """The result as two tables of a page: ratios, and memory against the size of a bag."""
-    lines = ["| work | beside | ratio (lowest to highest) | ours | theirs |", "| --- | --- | --- | --- | --- |"]
-    sizes = ["", "| bag | size | messages | read | most memory | for each message |", "| --- | --- | --- | --- | --- | --- |"]
+    lines = ["| work | compared with | ratio (lowest to highest) | sysid | other |", "| --- | --- | --- | --- | --- |"]
+    sizes = ["", "| bag | size | messages | read | peak memory | per message |", "| --- | --- | --- | --- | --- | --- |"]
     for entry in rows:
         ratio, unit = entry["ratio"], entry["unit"]
         if "bag" in entry:

@@ -28,26 +28,26 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
     recipe = recipe or NetworkRecipe()  # the paper's
     place, out = open_workspace(workspace), Printer()
     folder = place.root.make("demo")
-    station = PipelineProgress(out)
+    step = PipelineProgress(out)
 
-    with station("ingest") as progress:
+    with step("ingest") as progress:
         dataset = ingest(logs, workspace, progress=progress)
-    with station("fit actuator") as progress:
+    with step("fit actuator") as progress:
         actuator = fit_actuator(dataset, recipe, progress)
-    with station("fit forward") as progress:
+    with step("fit forward") as progress:
         forward = fit_forward(dataset, recipe, progress)
     networks: tuple[Model, ...] = (actuator, forward)
-    with station("validate"):
+    with step("validate"):
         reports = [validate_model(network, dataset, recipe=recipe) for network in networks]
         versions = [place.add_network(dataset, n, recipe, report) for n, report in zip(networks, reports, strict=True)]
-    with station("simulate"):
+    with step("simulate"):
         plant = place.plant(dataset)  # machine.toml, its URDF, and the actuator networks as linkages
-    with station("gap") as progress:
+    with step("gap") as progress:
         gap = find_gap(dataset, plant, place.models, add=True, progress=progress)
         kept = place.keep_gap(dataset, gap).parent
-    with station("report"):
+    with step("report"):
         page = write_report(folder / "report.html", place.report_inputs(dataset))
-    with station("view"):
+    with step("view"):
         recording = gap.held_out_recordings[0]
         simulated = place.predictions(dataset, recording)
         film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
@@ -64,11 +64,11 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         "models": [version.reference for version in versions],
         "networks": network_errors(reports),
         "gap": gap.to_json(),
-        "seconds": station.seconds,
+        "seconds": step.seconds,
         "files": {"report": page, "rerun": film},
     }
     write_json(folder / "result.json", result)
-    out.block(f"\nReport   {page}\nRerun    {film}   (look at it: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
+    out.block(f"\nReport   {page}\nRerun    {film}   (view: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -1,10 +1,10 @@
 """System identification for machines: logs in, named sim-to-real gaps out.
 
-The public API is the sub-packages, in the order in which data walks through them::
+The public API is the sub-packages, in processing order::
 
     sysid.logs → sysid.datasets → sysid.networks, sysid.plant → sysid.gap → sysid.reports, sysid.view
 
-Importing this package loads none of them. :func:`load` alone stands here: a stored dataset version as one pandas table.
+Importing this package loads none of them. :func:`load` returns a stored dataset version as one pandas table.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Python processes that this one starts: they import what this one would, never what lies in the current folder.
+"""Child Python processes that do not import modules from the current folder.
 
-``python -m`` and ``python -c`` look for modules in the current folder first, and so do the processes of :mod:`multiprocessing`
-before they take the path of their parent. A ``numpy.py`` beside somebody's logs would run. ``-P`` (``PYTHONSAFEPATH``,
-Python 3.11) takes that folder out.
+``python -m``, ``python -c`` and the processes of :mod:`multiprocessing` search the current folder first, so that a ``numpy.py``
+beside a user's logs would be executed. ``-P`` (``PYTHONSAFEPATH``, Python 3.11) removes that folder from the path.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ def python_command(*words: str) -> list[str]:
 
 
 def child_environment() -> dict[str, str]:
-    """The environment of a Python process: this one's, and what keeps its own children safe too."""
+    """This process's environment, with the safe path also for the child's own children."""
     return {**os.environ, SAFE_PATH: "1"}
 
 

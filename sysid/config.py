@@ -1,4 +1,4 @@
-"""Settings: frozen dataclasses filled from TOML; an unknown key, a wrong type or a missing file is an error that says where."""
+"""Settings: frozen dataclasses filled from TOML; unknown keys, wrong types and missing files are errors with their location."""
 
 from __future__ import annotations
 
@@ -32,14 +32,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file into a dictionary.
 
     Raises:
-        SettingsError: the file is missing, is no text of a settings file, is not TOML, or is nested beyond the bounds of
-            :mod:`sysid.parse`.
+        SettingsError: the file is missing, is not text, is not TOML, or is nested beyond the bounds of :mod:`sysid.parse`.
     """
     return toml_values(settings_text(path), path)
 
 
 def settings_text(path: Path, what: str = "a TOML file") -> str:
-    """The text of a file that a person named.
+    """The text of a file that the user named.
 
     Raises:
         SettingsError: the file is missing, is a folder, a device or a pipe, is not UTF-8, or is too large.
@@ -78,7 +77,7 @@ def parse_settings(values: dict[str, Any], cls: type[T], where: object) -> T:
         SettingsError: an unknown or missing key, or a value of the wrong type.
     """
     try:
-        # The checker does not take a class for hashable, which every class is.
+        # mypy does not accept a class as hashable.
         result: T = _adapter(typing.cast(Any, cls)).validate_python(values)
         return result
     except ValidationError as error:
@@ -110,7 +109,7 @@ def _dotted(path: tuple[int | str, ...]) -> str:
 
 
 def _keys_at(cls: Any, path: tuple[int | str, ...]) -> list[str]:
-    """The field names of the dataclass that ``path`` leads to inside ``cls``; empty where it is no dataclass."""
+    """The field names of the dataclass at ``path`` inside ``cls``; empty if that is no dataclass."""
     for part in path:
         if typing.get_origin(cls) is dict:
             cls = get_args(cls)[1]

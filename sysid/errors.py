@@ -1,4 +1,4 @@
-"""Errors a user can cause. Every message says where, what was found, what was expected, what to do."""
+"""Errors that a user can cause; every message says where, what was found, what was expected, what to do."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterable
 
 
 class SysidError(Exception):
-    """Root of all errors that the toolkit raises on purpose.
+    """Base class of all errors that the toolkit raises on purpose.
 
     Args:
-        where: file, line, key or object the problem was met in.
-        found: what stands there.
-        expected: what should stand there (may be empty).
-        remedy: what the user can do about it (may be empty).
+        where: file, line, key or object with the problem.
+        found: what was found there.
+        expected: what was expected (may be empty).
+        remedy: what the user can do (may be empty).
     """
 
     def __init__(self, where: object, found: str, expected: str = "", remedy: str = "") -> None:
@@ -29,12 +29,12 @@ class SysidError(Exception):
         super().__init__(message)
 
     def __reduce__(self) -> tuple[type[SysidError], tuple[str, str, str, str]]:
-        """So that it comes back whole from another process."""
+        """Keeps all fields when the error is passed between processes."""
         return type(self), (self.where, self.found, self.expected, self.remedy)
 
 
 class InputError(SysidError):
-    """A file that a user brought cannot be used as it is."""
+    """A file of the user cannot be used as it is."""
 
 
 class SettingsError(SysidError):
@@ -50,7 +50,7 @@ class StoreError(SysidError):
 
 
 class StorageError(StoreError):
-    """The disk or object store under the workspace failed: full, read-only, out of reach. No mistake of the user."""
+    """The disk or object store of the workspace failed (full, read-only, unreachable); not a mistake of the user."""
 
 
 class ExcitationError(SysidError):

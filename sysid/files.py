@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and values in the types of JSON."""
+"""Atomic, durable writes of files, and values in the types of JSON."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sysid.errors import StorageError
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error.
+    """A path beside ``path`` to write to, which replaces ``path`` when the block ends without an error.
 
-    What was written is on the disk before it takes that place: a power cut leaves the old content or the new one.
+    The content is synced before it replaces ``path``: a power cut leaves the old content or the new one.
     """
     half = path.with_name(f".{path.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
     try:
@@ -30,9 +30,9 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def on_disk(path: Path) -> None:
-    """Wait until a file's content, or the names in a folder, are on the disk.
+    """Sync a file's content, or the names in a folder, to the disk.
 
-    A rename survives a power cut only once its folder is there; other systems than POSIX do not offer that for folders.
+    A rename survives a power cut only after its folder is synced, which only POSIX systems offer.
     """
     if os.name != "posix" and path.is_dir():
         return
@@ -44,7 +44,7 @@ def on_disk(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it that are missing; each is on the disk, by name, when this returns."""
+    """Make a folder and its missing parents, and sync their names to the disk."""
     absent = [folder for folder in (path, *path.parents) if not folder.exists()]
     for folder in reversed(absent):
         folder.mkdir(exist_ok=True)
@@ -52,13 +52,13 @@ def make_folder(path: Path) -> None:
 
 
 def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
-    """Put ``content`` in the place of ``path``, on the disk when this returns; the folder is made when it is missing.
+    """Replace ``path`` by ``content`` and sync it; a missing folder is made.
 
     Args:
         what, remedy: for the message.
 
     Raises:
-        StorageError: the disk is full or fails; what was there before stays whole.
+        StorageError: the disk is full or fails; the old content is unchanged.
     """
     try:
         make_folder(path.parent)
@@ -70,7 +70,7 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
 
 
 def json_text(value: Mapping[str, Any]) -> str:
-    """``value`` as readable JSON with a newline at the end; what JSON has no number for (NaN, infinity) becomes null."""
+    """``value`` as indented JSON with a newline at the end; NaN and infinity become null."""
     return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -80,7 +80,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
         return [plain(item) for item in value]
-    if isinstance(value, float):  # before what has `tolist`: numpy.float64 is a float
+    if isinstance(value, float):  # before the test for `tolist`: numpy.float64 is a float
         return float(value) if math.isfinite(value) else None
     if isinstance(value, (bool, int, str)) or value is None:
         return value

@@ -1,25 +1,25 @@
-"""Text from files, shown to people: what a terminal would obey becomes visible, and no line has no end.
+"""Text from files for a terminal: control and format characters escaped, length bounded.
 
 A name in a log, a manifest or a registry may hold escape sequences that move the cursor, write to the clipboard, or hide the
-rest of a line; directional marks let ``a`` look like ``b``. Python's own escapes (``\\x1b``, ``\\u202e``) take their place.
+rest of a line, or directional marks that reorder letters. They are replaced by Python's escapes (``\\x1b``, ``\\u202e``).
 """
 
 from __future__ import annotations
 
 import unicodedata
 
-#: Characters of one name that are shown; a whole printed line may be longer.
-MOST_NAME = 200
-MOST_LINE = 20_000
+#: Largest number of characters of a name, and of a printed line.
+MAX_NAME = 200
+MAX_LINE = 20_000
 #: Control, format (directional marks, zero-width), surrogate, private, unassigned; line and paragraph separators.
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
-def visible(text: object, most: int = MOST_LINE, keep: str = "") -> str:
-    """``text`` with every character that is not shown as itself written out, cut after ``most`` characters.
+def visible(text: object, most: int = MAX_LINE, keep: str = "") -> str:
+    """``text`` with every hidden character escaped, cut after ``most`` characters.
 
     Args:
-        keep: characters that stay what they are, as a line break in text of several lines.
+        keep: characters that are not escaped, such as line breaks.
     """
     words = str(text)
     left_out = len(words) - most
@@ -30,8 +30,8 @@ def visible(text: object, most: int = MOST_LINE, keep: str = "") -> str:
     return f"{words}… ({left_out} characters more)" if left_out > 0 else words
 
 
-def shown(value: object, most: int = MOST_NAME) -> str:
-    """A value in quotes, as ``repr`` gives it, for messages; bounded, and safe for a terminal."""
+def shown(value: object, most: int = MAX_NAME) -> str:
+    """``repr`` of a value for messages, escaped and bounded."""
     try:
         words = repr(value[: most + 1] if isinstance(value, str | bytes | list | tuple) else value)
     except ValueError:  # an integer of more digits than Python converts
@@ -40,7 +40,7 @@ def shown(value: object, most: int = MOST_NAME) -> str:
 
 
 def escaped_json(text: str) -> str:
-    """JSON with every hidden character of its texts as ``\\uXXXX``: the same values, and safe for a terminal."""
+    """JSON with every hidden character of its texts as ``\\uXXXX``: the same values, safe for a terminal."""
     if text.isascii():  # JSON itself escapes the control characters of ASCII, but DEL
         return text.replace("\x7f", "\\u007f")
     return "".join(letter if letter in "\n\t\r" or not _hidden(letter) else _as_utf16(letter) for letter in text)

@@ -1,6 +1,6 @@
-"""What can be asked and decided about the model versions of a workspace: promote, follow, compare, hand on.
+"""Operations on the model versions of a workspace: promote, lineage, diff, drift, export, card.
 
-:mod:`sysid.versions` does the work on values; this finds the datasets, models and results that it is about.
+It loads the datasets, models and results for the functions of :mod:`sysid.versions`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sysid.validate import ValidationReport
 from sysid.versions import (
     Card,
     DriftReport,
-    Exported,
+    ExportedFile,
     ModelDiff,
     ModelLineage,
     PromotionPolicy,
@@ -29,7 +29,7 @@ from sysid.versions import (
     lineage_of,
     policy_checks,
 )
-from sysid.versions.lineage import Use
+from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by
 from sysid.workspace import Workspace
@@ -43,7 +43,7 @@ class ModelVersions:
     >>> versions.promote("autolog-forward@3", load_policy(Path("policy.toml"))).promoted
     """
 
-    place: Workspace
+    workspace: Workspace
 
     def promote(
         self,
@@ -53,138 +53,138 @@ class ModelVersions:
         word: str = "",
         dataset: str | None = None,
     ) -> Promotion:
-        """Let the name alone mean this version, if it passes; recorded with it either way.
+        """Make this version the champion if it passes, and record the decision with it.
 
-        A network is evaluated by the policy, on the held-out rows of one dataset version; a plant by the proof that is recorded
-        with it, and one that was in use before may be set back; a policy by how far off it stays from targets.
+        A network is evaluated by ``policy`` on the held-out rows of one dataset version. A plant is evaluated by its recorded
+        proof; an earlier champion passes. A trained policy is evaluated by its recorded error while it stays at a target.
 
         Args:
             policy: for networks; default: no worse than the champion.
             path: the policy's file, for the record and for messages.
-            word: promotes it whatever the checks say.
+            word: the user's reason to promote it regardless of the checks.
             dataset: to evaluate networks on; default: the one that this version was fitted on.
 
         Raises:
-            StoreError: no such version, or a dataset that is gone.
+            StoreError: no such version, or its dataset is missing.
             SettingsError: a policy that does not fit the version.
-            ExcitationError: the dataset has nothing to evaluate it on, and there is no word.
+            ExcitationError: the dataset has no rows to evaluate it on, and no ``word`` is given.
         """
-        version = self.place.models.find(reference)
-        until_now = self.place.models.promoted(version.name)
+        version = self.workspace.models.find(reference)
+        champion = self.workspace.models.promoted(version.name)
         if version.kind not in NETWORKS:
             if path is not None:
                 raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
-            checks = _trained(version, until_now) if version.kind == "policy" else _proven(version)
-            return decide(self.place.models, version.reference, until_now, checks, {"by": "sysid models promote"}, word)
+            checks = _policy_check(version, champion) if version.kind == "policy" else _plant_check(version)
+            return decide(self.workspace.models, version.reference, champion, checks, {"by": "sysid models promote"}, word)
         rules = policy or PromotionPolicy()
         try:
             data = self._dataset(version, dataset)
-            checks = self._evaluated(version, until_now, rules, data, path or "policy")
+            checks = self._evaluated(version, champion, rules, data, path or "policy")
             judged = evaluated_by(rules, version.kind, path, data.reference)
         except (ExcitationError, StoreError) as reason:
             if not word:
                 raise
             checks, judged = (Check("figures", "failed", f"not evaluated: {reason}"),), {"by": "nothing"}
-        return decide(self.place.models, version.reference, until_now, checks, judged, word)
+        return decide(self.workspace.models, version.reference, champion, checks, judged, word)
 
     def lineage(self, reference: str) -> ModelLineage:
-        """Where a version comes from, to the raw files, and what came of it."""
-        version = self.place.models.find(reference)
-        return lineage_of(version, self.place.models.list(), self.place.datasets, self._uses(version))
+        """The sources of a version, to the raw files, and what was made from it."""
+        version = self.workspace.models.find(reference)
+        return lineage_of(version, self.workspace.models.list(), self.workspace.datasets, self._uses(version))
 
     def diff(self, before: str, after: str) -> ModelDiff:
-        """How two versions differ."""
-        return diff_versions(self.place.models.load(before), self.place.models.load(after))
+        """The differences of two versions."""
+        return diff_versions(self.workspace.models.load(before), self.workspace.models.load(after))
 
     def drift(self, reference: str, dataset: Dataset) -> DriftReport:
-        """Whether a network still fits the machine, by the recordings of ``dataset`` that are new to it.
+        """Test for drift on the recordings of ``dataset`` that are not in the network's own dataset.
 
         Raises:
-            StoreError: the dataset that it was fitted on is gone.
-            ExcitationError: nothing in ``dataset`` is new to it and measures what it predicts.
+            StoreError: the dataset that it was fitted on is missing.
+            ExcitationError: no such recording measures what it predicts.
         """
-        version = self.place.models.find(reference)
-        return drift_of(self.place.network(version.reference), self._dataset(version), dataset, version.reference)
+        version = self.workspace.models.find(reference)
+        return drift_of(self.workspace.network(version.reference), self._dataset(version), dataset, version.reference)
 
     def export(
         self, reference: str, folder: Path | None = None, precision: Precision = "float32"
-    ) -> tuple[Path, tuple[Exported, ...]]:
+    ) -> tuple[Path, tuple[ExportedFile, ...]]:
         """Write a network as ONNX; default folder: ``exports/NAME@V`` of the workspace."""
-        version = self.place.models.find(reference)
-        target = folder or self.place.output(f"exports/{version.reference}")
+        version = self.workspace.models.find(reference)
+        target = folder or self.workspace.output(f"exports/{version.reference}")
         about = {"reference": version.reference, "digest": version.digest}
         policy = version.kind == "policy"
-        network = self.place.policy(version.reference) if policy else self.place.network(version.reference)
+        network = self.workspace.policy(version.reference) if policy else self.workspace.network(version.reference)
         return target, export_onnx(network, target, about, precision)
 
     def card(self, reference: str) -> Card:
-        """What there is to know of a version, on one page."""
-        version = self.place.models.find(reference)
-        network = self.place.network(version.reference) if version.kind in NETWORKS else None
-        policy = self.place.policy(version.reference) if version.kind == "policy" else None
+        """The card of a version."""
+        version = self.workspace.models.find(reference)
+        network = self.workspace.network(version.reference) if version.kind in NETWORKS else None
+        policy = self.workspace.policy(version.reference) if version.kind == "policy" else None
         return card_of(version, self.lineage(version.reference), network, self._report(version), policy)
 
     def _report(self, version: ModelVersion) -> ValidationReport | None:
-        """On the dataset that it was fitted on; None where that cannot be had."""
+        """The evaluation on the dataset that it was fitted on; None if that is not available."""
         if version.kind not in NETWORKS:
             return None
         try:
-            return self.place.validation(version.reference, self._dataset(version))
+            return self.workspace.validation(version.reference, self._dataset(version))
         except (StoreError, ExcitationError):
             return None
 
     def _evaluated(
-        self, version: ModelVersion, until_now: ModelVersion | None, policy: PromotionPolicy, data: Dataset, where: object
+        self, version: ModelVersion, champion: ModelVersion | None, policy: PromotionPolicy, data: Dataset, where: object
     ) -> tuple[Check, ...]:
-        rival = None
-        if until_now is not None and until_now.reference != version.reference:
-            rival = self.place.validation(until_now.reference, data)
-        return policy_checks(policy, self.place.validation(version.reference, data), rival, where)
+        other = None
+        if champion is not None and champion.reference != version.reference:
+            other = self.workspace.validation(champion.reference, data)
+        return policy_checks(policy, self.workspace.validation(version.reference, data), other, where)
 
     def _dataset(self, version: ModelVersion, reference: str | None = None) -> Dataset:
         """The dataset version that a network was fitted on, by digest, or a named one.
 
         Raises:
-            StoreError: it is gone, or its name means another one here.
+            StoreError: it is missing, or another dataset has its name.
         """
         if reference is not None:
-            return self.place.dataset(reference)
+            return self.workspace.dataset(reference)
         named, digest = version.lineage.get("dataset"), version.lineage.get("dataset_digest")
         if not isinstance(named, str):
             raise StoreError(f"model {version.reference}", "its lineage names no dataset version", "one to evaluate it on")
-        dataset = self.place.dataset(named)
+        dataset = self.workspace.dataset(named)
         if digest not in (None, dataset.digest):
-            found = f"{named} has digest {dataset.digest[:12]}… here"
+            found = f"{named} has digest {dataset.digest[:12]}…"
             raise StoreError(f"model {version.reference}", found, f"{str(digest)[:12]}…, which it was fitted on")
         return dataset
 
-    def _uses(self, version: ModelVersion) -> tuple[Use, ...]:
-        """Answers of the gap workflow that questioned or made this version, or whose plant rests on it."""
+    def _uses(self, version: ModelVersion) -> tuple[ResultUse, ...]:
+        """Gap results that tested or created this version."""
         found = []
-        for dataset in self.place.root.entries("results"):
+        for dataset in self.workspace.root.entries("results"):
             try:
-                values = parse_json(self.place.root.read(f"results/{dataset}/gap/{RESULT}"))
-                roles = (("questioned it", values["plant"]["before"]), ("made it", values["plant"]["after"]))
+                values = parse_json(self.workspace.root.read(f"results/{dataset}/gap/{RESULT}"))
+                roles = (("tested it", values["plant"]["before"]), ("created it", values["plant"]["after"]))
             except (OSError, ValueError, KeyError, TypeError, StoreError):
-                continue  # damaged, or a link: `sysid gap` says so where it is read for what is in it
-            found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
+                continue  # damaged, or a link: reported by the commands that use the result
+            found += [ResultUse("gap result", dataset, how) for how, plant in roles if plant == version.reference]
         return tuple(found)
 
 
-def _trained(version: ModelVersion, until_now: ModelVersion | None) -> tuple[Check, ...]:
-    """Of a policy: staying at a target, it may not be farther off than the one in use."""
-    own = _off(version)
+def _policy_check(version: ModelVersion, champion: ModelVersion | None) -> tuple[Check, ...]:
+    """The check of a trained policy: its error while it stays at a target may not exceed the champion's."""
+    own = _hold_error(version)
     if own is None:
         return (Check("staying at a target", "failed", "no figures are recorded with it"),)
-    rival = _off(until_now) if until_now is not None and until_now.reference != version.reference else None
-    if until_now is None or rival is None:
-        return (Check("staying at a target", "passed", f"{1e3 * own:.2f} mm off, and nothing to compare it with"),)
-    told = f"{1e3 * own:.2f} mm off, {until_now.reference} {1e3 * rival:.2f} mm"
-    return (Check("staying at a target", "passed" if own <= rival else "failed", told),)
+    other = _hold_error(champion) if champion is not None and champion.reference != version.reference else None
+    if champion is None or other is None:
+        return (Check("staying at a target", "passed", f"error {1e3 * own:.2f} mm; there is no champion to compare with"),)
+    text = f"error {1e3 * own:.2f} mm, {champion.reference} {1e3 * other:.2f} mm"
+    return (Check("staying at a target", "passed" if own <= other else "failed", text),)
 
 
-def _off(version: ModelVersion) -> float | None:
-    """Root mean square distance from a target at which a policy stays [m]; None where it is not recorded."""
+def _hold_error(version: ModelVersion) -> float | None:
+    """RMS distance of a policy from a target at which it stays [m]; None if it is not recorded."""
     figures = [version.metrics.get(f"hold_rmse_{axis}") for axis in "xyz"]
     return math.sqrt(sum(value**2 for value in figures if value is not None)) if None not in figures else None
 
@@ -192,10 +192,10 @@ def _off(version: ModelVersion) -> float | None:
 _PLANTS = "Plants are evaluated by the proof of `sysid gap --add`."
 
 
-def _proven(version: ModelVersion) -> tuple[Check, ...]:
-    """What is recorded of a plant or policy: it was in use before, or its proof failed, or nothing was ever asked of it."""
+def _plant_check(version: ModelVersion) -> tuple[Check, ...]:
+    """The recorded checks of a plant: an earlier champion passes, a plant without a proof fails."""
     if any(decision.promoted for decision in version.decisions):
-        return (Check("in use before", "passed", f"{version.reference} was promoted before"),)
+        return (Check("promoted before", "passed", f"{version.reference} was promoted before"),)
     if version.decisions:
         return version.decisions[-1].checks
-    return (Check("proof", "failed", f"nothing is recorded that speaks for {version.reference}; {_PLANTS}"),)
+    return (Check("proof", "failed", f"no proof of {version.reference} is recorded; {_PLANTS}"),)

@@ -1,7 +1,6 @@
-"""Names that come from files: what one may look like before it becomes part of a path, a key or a query.
+"""Checks of names that become part of a path, a key or a query.
 
-A name is checked where it is read (manifest, registry row, recipe, command line), not only where it is made: files from
-somebody else were not made here.
+A name is checked where it is read (manifest, registry row, recipe, command line), because files may come from others.
 """
 
 from __future__ import annotations
@@ -14,15 +13,15 @@ from sysid.foreign import shown
 
 #: Of models, policies, and files of a model.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
-#: What a file system takes in one name [bytes]; a version number and a suffix are added to it.
-MOST_BYTES = 200
+#: Largest length of a name [bytes]: below the file system's 255, because a version number and a suffix are added.
+MAX_BYTES = 200
 
 
 def check_name(name: Any, role: str = "model name") -> str:
-    """``name`` unless it could not be stored, or could be mistaken for a path or a version.
+    """``name`` if it can be stored and cannot be mistaken for a path or a version.
 
     Raises:
-        SettingsError: with what a name may look like.
+        SettingsError: another name; the message states the rules.
     """
     if not isinstance(name, str) or not is_name(name):
         raise SettingsError(role, shown(name), "letters, digits, '.', '_' and '-', a letter or digit first, at most 128")
@@ -35,13 +34,13 @@ def is_name(name: str) -> bool:
 
 
 def check_dataset_name(name: Any, role: str = "dataset name", remedy: str = "") -> str:
-    """As :func:`check_name`, with letters of every alphabet.
+    """As :func:`check_name`, but with letters of every alphabet.
 
     Raises:
-        SettingsError: with what a name may look like.
+        SettingsError: another name; the message states the rules.
     """
     if not isinstance(name, str) or not is_dataset_name(name):
-        expected = f"letters, digits, '-', '_' and '.', at most {MOST_BYTES} bytes"
+        expected = f"letters, digits, '-', '_' and '.', at most {MAX_BYTES} bytes"
         raise SettingsError(role, shown(name), expected, remedy)
     return name
 
@@ -49,17 +48,17 @@ def check_dataset_name(name: Any, role: str = "dataset name", remedy: str = "") 
 def is_dataset_name(name: str) -> bool:
     """Whether :func:`check_dataset_name` takes it."""
     good = bool(name) and not name.startswith(".") and all(letter.isalnum() or letter in "-_." for letter in name)
-    return good and len(name.encode("utf-8", "replace")) <= MOST_BYTES
+    return good and len(name.encode("utf-8", "replace")) <= MAX_BYTES
 
 
 def check_file_name(name: Any, role: str) -> str:
-    """``name`` unless it cannot be the name of one file: of a recording, a stream, a file beside ``machine.toml``.
+    """``name`` if it can be the name of one file (recording, stream, file beside ``machine.toml``).
 
     Raises:
         SettingsError: empty, ``.``, ``..``, with ``/``, ``\\``, control characters, or too long.
     """
     good = isinstance(name, str) and name.isprintable() and not set(name) & {"/", "\\"}
-    if not good or name in ("", ".", "..") or len(name.encode("utf-8", "replace")) > MOST_BYTES:
-        expected = f"the name of one file: no '/', '\\' or control character, at most {MOST_BYTES} bytes"
+    if not good or name in ("", ".", "..") or len(name.encode("utf-8", "replace")) > MAX_BYTES:
+        expected = f"the name of one file: no '/', '\\' or control character, at most {MAX_BYTES} bytes"
         raise SettingsError(role, shown(name), expected)
     return str(name)

@@ -1,7 +1,7 @@
-"""The one check of numbers from files: finite, of the right sign, in the right order, and of a size that a machine can have.
+"""Checks of numbers from files: finite, sign, order, and a range that any machine stays in.
 
-Types for the fields of settings dataclasses, which :mod:`sysid.config` fills, and :func:`number` and :func:`interval` for what
-is no TOML. A range is wide: it refuses what only a mistake of units, sign or typing gives.
+Types for the fields of settings dataclasses (see :mod:`sysid.config`), and :func:`number` and :func:`interval` for other files.
+The ranges are wide: only mistakes of units, sign or typing are refused.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
-#: Anything in SI units: no length, angle, speed, force, mass or offset of a machine is beyond it.
+#: Bound of every length, angle, speed, force, mass and offset, in SI units.
 LARGEST = 1e9
 
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0.0, le=LARGEST)]
-#: At least 1e-12: what is divided by it stays finite.
+#: At least 1e-12, so that quotients stay finite.
 Positive = Annotated[float, Field(ge=1e-12, le=LARGEST)]
 #: A count of a converter, before it is scaled.
 Raw = Annotated[float, Field(ge=-1e15, le=1e15)]
 #: Samples a second.
 Rate = Annotated[float, Field(ge=1e-3, le=1e6)]
-#: A factor that turns one unit into another, or raw counts into a unit; its sign is free, zero is none.
+#: A conversion factor between units, or from raw counts to a unit; of either sign, not zero.
 Factor = Annotated[float, AfterValidator(_not_zero), Field(ge=-1e15, le=1e15)]
 #: Lower end, then upper end.
 Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 
 
 def number(text: Any, kind: Any, where: object) -> float:
-    """The number that ``text`` says.
+    """``text`` as a number of type ``kind``.
 
     Args:
         kind: one of the types above.
 
     Raises:
-        SettingsError: text that is no number, NaN, infinity, or a number that is no ``kind``.
+        SettingsError: not a number, NaN, infinity, or outside ``kind``.
     """
     try:
         value: float = _adapter(kind).validate_python(text)
@@ -61,7 +61,7 @@ def number(text: Any, kind: Any, where: object) -> float:
 
 
 def interval(low: float, high: float, where: object) -> tuple[float, float]:
-    """``(low, high)`` where that is their order; one of them may be infinite.
+    """``(low, high)`` if ``low < high``; either may be infinite.
 
     Raises:
         SettingsError: NaN, reversed or equal.
@@ -76,8 +76,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind, config=ConfigDict(allow_inf_nan=False))
 
 
-def expected_of(said: str) -> str:
-    """What pydantic expected, as the second half of a message: ``Input should be a valid string`` → ``a valid string``."""
-    said = said.removeprefix("Value error, ").removeprefix("Input should be ")
-    said = f"a number {said}" if said.startswith(("greater than", "less than")) else said
-    return said[:1].lower() + said[1:]
+def expected_of(message: str) -> str:
+    """The expectation in pydantic's message: ``Input should be a valid string`` → ``a valid string``."""
+    message = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    message = f"a number {message}" if message.startswith(("greater than", "less than")) else message
+    return message[:1].lower() + message[1:]

@@ -1,8 +1,7 @@
-"""TOML and JSON from files, in bounds: depth, size of numbers, text that UTF-8 has; whatever is beyond them is a ValueError.
+"""TOML and JSON from files with bounded depth, integers and text; anything beyond the bounds is a ValueError.
 
-The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next
-walk over the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be
-written again.
+The parsers of the standard library raise RecursionError only at some depths, and accept integers that no float holds and
+unpaired surrogates that cannot be written again.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-#: Nested tables and lists; nothing that the project writes or reads goes beyond 12.
-MOST_DEPTH = 64
-#: Bytes of a settings file, its text or a description; the largest URDF of the ROS drivers has 100 kB.
-MOST_BYTES = 8 * 2**20
+#: Nested tables and lists; the project's own files have at most 12 levels.
+MAX_DEPTH = 64
+#: Bytes of a settings file or a description; the largest URDF of the ROS drivers has 100 kB.
+MAX_BYTES = 8 * 2**20
 _LARGEST = 2**63
 
-#: Words, texts and single signs: what a line of TOML is made of.
+#: A word, a quoted text or a single sign of TOML.
 _TOKEN = re.compile(r"[\w-]+|\"[^\"\n]*\"|'[^'\n]*'|\S")
 
 
@@ -43,7 +42,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: not TOML, or beyond the bounds.
     """
-    if _longest_key(text) > MOST_DEPTH:
+    if _longest_key(text) > MAX_DEPTH:
         raise _too_deep()
     try:
         values: dict[str, Any] = _bounded(tomllib.loads(text))
@@ -53,10 +52,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _longest_key(text: str) -> int:
-    """Parts of the longest dotted key: it makes a table for every dot, and tomllib's time and memory grow with their square.
-
-    A comment with as many words between dots counts, too.
-    """
+    """Number of parts of the longest dotted key (in comments too): tomllib's time and memory grow with its square."""
     longest = parts = 0
     before = ""
     for match in _TOKEN.finditer(text):
@@ -68,23 +64,23 @@ def _longest_key(text: str) -> int:
     return longest
 
 
-def read_text(path: Path, most: int = MOST_BYTES) -> str:
-    """A text file that a person named, in UTF-8.
+def read_text(path: Path) -> str:
+    """A text file in UTF-8.
 
     Raises:
-        ValueError: not UTF-8, larger than ``most``, or no regular file (a device, a pipe).
+        ValueError: not UTF-8, larger than :data:`MAX_BYTES`, or no regular file (a device, a pipe).
         OSError: missing, or not readable.
     """
-    # Not to wait for whoever writes to a pipe.
+    # O_NONBLOCK: do not wait for the writer of a pipe.
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         state = os.fstat(file.fileno())
         if stat.S_ISDIR(state.st_mode):
             raise IsADirectoryError(21, "is a folder", str(path))
         if not stat.S_ISREG(state.st_mode):
             raise ValueError("no regular file")
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f"more than {most} bytes")
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise ValueError(f"more than {MAX_BYTES} bytes")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -92,9 +88,9 @@ def read_text(path: Path, most: int = MOST_BYTES) -> str:
 
 
 def _bounded(value: Any) -> Any:
-    """``value`` unless something in it is beyond the bounds; walked without recursion."""
+    """``value`` if everything in it is within the bounds; traversed without recursion."""
     level = [value]
-    for _ in range(MOST_DEPTH + 1):
+    for _ in range(MAX_DEPTH + 1):
         below: list[Any] = []
         for item in level:
             if isinstance(item, dict):
@@ -112,4 +108,4 @@ def _bounded(value: Any) -> Any:
 
 
 def _too_deep() -> ValueError:
-    return ValueError(f"nested deeper than {MOST_DEPTH} levels")
+    return ValueError(f"nested deeper than {MAX_DEPTH} levels")

@@ -1,4 +1,4 @@
-"""Small line pictures as SVG, the same on every machine: coordinates are rounded to a tenth of a pixel."""
+"""Line plots as SVG, identical on every computer: coordinates are rounded to a tenth of a pixel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 240, 64, 12, 26, 36
 
 @dataclass(frozen=True)
 class PictureCurve:
-    """One curve: ``x`` and ``y`` (n,), NaN breaks it."""
+    """One curve: ``x`` and ``y`` (n,), interrupted at NaN."""
 
     label: str
     x: Array
@@ -26,7 +26,7 @@ class PictureCurve:
 
 
 def svg(title: str, x_label: str, y_label: str, lines: Sequence[PictureCurve], equal: bool = False) -> str:
-    """The picture as text; ``equal`` gives both axes the same scale."""
+    """The plot as SVG text; ``equal`` gives both axes the same scale."""
     x = np.concatenate([line.x for line in lines])
     y = np.concatenate([line.y for line in lines])
     (x0, x1), (y0, y1) = (float(np.nanmin(x)), float(np.nanmax(x))), _span(y)
@@ -37,7 +37,7 @@ def svg(title: str, x_label: str, y_label: str, lines: Sequence[PictureCurve], e
         y0, y1 = _around(0.5 * (y0 + y1), scale * high)
 
     def place(xs: Array, ys: Array) -> str:
-        stride = max(1, len(xs) // 350)  # finer than a picture can show
+        stride = max(1, len(xs) // 350)  # the resolution of the plot
         xs, ys = xs[::stride], ys[::stride]
         px = LEFT + (xs - x0) / (x1 - x0) * wide
         py = TOP + (y1 - ys) / (y1 - y0) * high
@@ -87,7 +87,7 @@ def ticks(low: float, high: float, count: int = 4) -> list[float]:
 
 
 def _named(low: float, high: float, count: int) -> list[tuple[float, str]]:
-    """Round values inside a range, and what they are called."""
+    """Round values inside a range, and their labels."""
     found = ticks(low, high, count)
     decimals = max(0, -math.floor(math.log10(found[1] - found[0]) + 1e-9)) if len(found) > 1 else 2
     return [(value, f"{value:.{decimals}f}".replace("-", "−") if abs(value) > 1e-12 else "0") for value in found]

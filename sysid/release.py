@@ -1,4 +1,4 @@
-"""The version of the toolkit, below everything that records it."""
+"""The version of the toolkit."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A root: one folder, and files below it that are opened, written, listed and removed without following a link.
+"""A folder whose files are opened, written, listed and removed without following links.
 
-As Go's ``os.Root``, stricter in one thing: a link below the root is refused, wherever it leads. Each folder on the way is
-opened by the descriptor of the one above it (``openat`` with ``O_NOFOLLOW``), so that what is checked is what is used. The root
-itself may be reached through links: whoever runs the command named it.
+Like Go's ``os.Root``, but every link below the root is refused. Each folder on a path is opened relative to the descriptor of
+its parent (``openat`` with ``O_NOFOLLOW``), so that no path is exchanged between check and use. The root itself may be
+reached through links, because the user named it.
 
 Paths are relative to the root and use ``/``; an absolute path, ``..`` or a null character is refused.
 """
@@ -27,20 +27,20 @@ from sysid.foreign import shown
 
 Kind = Literal["file", "folder", "link", "other"]
 
-#: What Linux takes in one name.
-MOST_BYTES = 255
+#: Largest length of a name on Linux.
+MAX_BYTES = 255
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _REMEDY = "Links inside a workspace are not followed. Move what it leads to here, or mount it (mount --bind)."
 
 
 @dataclass(frozen=True)
 class Root:
-    """Everything below ``folder``; nothing is made before something is written."""
+    """The files below ``folder``, which is created by the first write."""
 
     folder: Path
 
     def kind(self, path: str) -> Kind | None:
-        """What lies at ``path``; None where nothing does.
+        """The kind of entry at ``path``; None if there is none.
 
         Raises:
             StoreError: a link on the way to it.
@@ -55,19 +55,20 @@ class Root:
             return None
 
     def entries(self, folder: str) -> dict[str, Kind]:
-        """Name → kind of what lies in ``folder``, by name; empty where there is no such folder.
+        """Name → kind of the entries in ``folder``, sorted by name; empty if there is no such folder.
 
         Raises:
             StoreError: ``folder`` is a link, or one is on the way to it.
         """
         try:
             with self._opened(self._parts(folder)) as descriptor, os.scandir(descriptor) as found:
-                return {entry.name: _kind(entry.stat(follow_symlinks=False).st_mode) for entry in sorted(found, key=_name)}
+                kinds = {entry.name: _kind(entry.stat(follow_symlinks=False).st_mode) for entry in found}
+            return dict(sorted(kinds.items()))
         except (FileNotFoundError, NotADirectoryError):
             return {}
 
     def path(self, path: str) -> Path:
-        """``path`` for a library that reads or writes by path: neither it nor a folder on the way is a link.
+        """``path`` for libraries that need one; neither it nor a folder on the way is a link.
 
         Raises:
             StoreError: a link.
@@ -77,7 +78,7 @@ class Root:
         return self.folder / path
 
     def output(self, path: str) -> Path:
-        """:meth:`path` of a file to be written; its folder is made.
+        """:meth:`path` of a file to be written; its folder is created.
 
         Raises:
             StoreError: a link.
@@ -86,7 +87,7 @@ class Root:
         return self.path(path)
 
     def make(self, folder: str) -> Path:
-        """Make a folder and those above it; each is on the disk, by name, when this returns.
+        """Create a folder and its parents, and sync their names to the disk.
 
         Raises:
             StoreError: a link on the way.
@@ -106,7 +107,7 @@ class Root:
         parts = self._parts(path)
         with self._opened(parts[:-1]) as above, self._named(path):
             try:
-                # Not to wait for whoever writes to a pipe.
+                # O_NONBLOCK: do not wait for the writer of a pipe.
                 descriptor = os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=above)
             except OSError as error:
                 raise (self._refused(path) if error.errno == errno.ELOOP else error) from None
@@ -121,11 +122,11 @@ class Root:
             return file.read()
 
     def create(self, path: str) -> BinaryIO:
-        """A new file to write bytes to; its folder is made.
+        """A new file to write bytes to; its folder is created.
 
         Raises:
             StoreError: a link on the way.
-            FileExistsError: something is there, a link included.
+            FileExistsError: the path exists, also as a link.
         """
         self.make(path.rpartition("/")[0])
         parts = self._parts(path)
@@ -134,7 +135,7 @@ class Root:
             return os.fdopen(os.open(parts[-1], flags, 0o666, dir_fd=above), "wb")
 
     def write(self, path: str, content: bytes) -> None:
-        """Put ``content`` in the place of ``path``: whole and on the disk, or not at all."""
+        """Replace ``path`` by ``content`` atomically, and sync it."""
         folder, _, name = path.rpartition("/")
         half = f"{folder}/.{name}.{uuid.uuid4().hex[:8]}.part".lstrip("/")
         try:
@@ -144,14 +145,14 @@ class Root:
             self.remove(half)
 
     def write_new(self, path: str, content: bytes) -> None:
-        """A new file that is on the disk when this returns."""
+        """Create a file and sync it."""
         with self.create(path) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
 
     def rename(self, path: str, to: str) -> None:
-        """Give a file or folder another name; a file that has it is replaced. On the disk when this returns.
+        """Rename a file or folder, replacing a file at ``to``, and sync the folder.
 
         Raises:
             StoreError: a link on the way to either; or ``path`` is one.
@@ -163,10 +164,10 @@ class Root:
             os.fsync(below)
 
     def link(self, path: str, to: str) -> None:
-        """A second name for a file (a hard link).
+        """Create a hard link.
 
         Raises:
-            FileExistsError: ``to`` is there.
+            FileExistsError: ``to`` exists.
         """
         self.path(path)
         source, target = self._parts(path), self._parts(to)
@@ -174,7 +175,7 @@ class Root:
             os.link(source[-1], target[-1], src_dir_fd=above, dst_dir_fd=below, follow_symlinks=False)
 
     def remove(self, path: str) -> None:
-        """Remove a file, or a folder with all it holds, if it is there; links in that folder go, what they lead to stays.
+        """Remove a file or a folder tree if it exists; links in the tree are removed, not followed.
 
         Raises:
             StoreError: a link on the way to it, or it is one.
@@ -192,7 +193,7 @@ class Root:
                 os.unlink(parts[-1], dir_fd=above)
 
     def settle(self, folder: str) -> None:
-        """Return when all that is in ``folder``, and its name, are on the disk."""
+        """Sync all files below ``folder``, and its name."""
         with self._opened(self._parts(folder)) as top:
             for _, _, names, descriptor in os.fwalk(".", dir_fd=top, follow_symlinks=False):
                 for name in names:
@@ -206,12 +207,12 @@ class Root:
         self.sync(folder.rpartition("/")[0])
 
     def sync(self, folder: str) -> None:
-        """Return when the names in ``folder`` are on the disk."""
+        """Sync the names in ``folder``."""
         with self._opened(self._parts(folder)) as descriptor:
             os.fsync(descriptor)
 
     def weight(self, folder: str) -> tuple[int, float]:
-        """Bytes of the files below ``folder``, and seconds since the last change in it."""
+        """Total size of the files below ``folder`` [bytes], and time since the last change in it [s]."""
         size, last = 0, 0.0
         with self._opened(self._parts(folder)) as top:
             for _, _, names, descriptor in os.fwalk(".", dir_fd=top, follow_symlinks=False):
@@ -226,8 +227,8 @@ class Root:
         parts = tuple(path.split("/")) if path else ()
         if any(part in ("", ".", "..") or "\0" in part for part in parts):
             raise StoreError(f"workspace {self.folder}", f"path {shown(path)} leaves it", "a path inside it")
-        if any(_length(part) > MOST_BYTES for part in parts):
-            raise StoreError(f"workspace {self.folder}", f"path {shown(path)}", f"at most {MOST_BYTES} bytes a name")
+        if any(_length(part) > MAX_BYTES for part in parts):
+            raise StoreError(f"workspace {self.folder}", f"path {shown(path)}", f"at most {MAX_BYTES} bytes a name")
         return parts
 
     @contextmanager
@@ -264,7 +265,7 @@ class Root:
 
     @contextmanager
     def _named(self, path: str) -> Iterator[None]:
-        """Errors of the system with the whole path."""
+        """System errors with the whole path."""
         try:
             yield
         except OSError as error:
@@ -276,18 +277,14 @@ class Root:
 
 
 def _length(name: str) -> int:
-    """Bytes of a name on the disk; beyond all bounds where it has none (half a surrogate pair)."""
+    """Bytes of a name on the disk; above the bound if it cannot be encoded (unpaired surrogate)."""
     try:
         return len(os.fsencode(name))
     except UnicodeEncodeError:
-        return MOST_BYTES + 1
+        return MAX_BYTES + 1
 
 
 def _kind(mode: int) -> Kind:
     if stat.S_ISLNK(mode):
         return "link"
     return "file" if stat.S_ISREG(mode) else "folder" if stat.S_ISDIR(mode) else "other"
-
-
-def _name(entry: os.DirEntry[str]) -> str:
-    return entry.name

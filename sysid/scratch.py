@@ -1,10 +1,8 @@
-"""Large arrays in scratch files that are mapped into memory, so that a log may be larger than the memory of the machine.
+"""Large arrays in memory-mapped scratch files, so that a log may be larger than the computer's memory.
 
-What does not fit into the first :data:`FREE` bytes lies in a file without a name. Its pages are page cache: where memory is
-short the operating system writes them to the disk and takes them back, which it cannot do with the memory of a process. The
-file vanishes with the process, however that ends, and the room of an array is given back when the array goes.
-
-Without :func:`scratch_in` around the caller every function here makes plain arrays in memory.
+Arrays beyond the first :data:`FREE` bytes are stored in an unnamed file. Its pages are page cache, which the operating system
+can write to the disk and reclaim when memory is short. The file disappears with the process, and the space of an array is
+released with the array. Outside of :func:`scratch_in` every function here returns plain arrays in memory.
 """
 
 from __future__ import annotations
@@ -28,27 +26,27 @@ from sysid.errors import StorageError
 
 Values = npt.NDArray[Any]
 
-#: Bytes of arrays that stay in memory altogether, and the size from which an array counts at all.
+#: Total bytes of arrays that stay in memory, and the size from which an array is counted.
 FREE, SMALLEST = 32 * 2**20, 2**16
-#: Bytes of a file that are mapped at a time; a larger array has a mapping of its own.
+#: Bytes of a mapping; a larger array has its own.
 SEGMENT = 64 * 2**20
-#: Bytes of arrays that are gone whose room is kept for the next ones: new pages cost more than the work on them.
-IDLE = 512 * 2**20
-#: Values that are worked on at a time.
+#: Largest total size of the free list [bytes]: new pages cost more than the computation on them.
+MAX_FREE_LIST = 512 * 2**20
+#: Values of a block of computation.
 PIECE = 2**16
-#: Sizes in files are multiples of this, a multiple of the page size.
+#: Granularity of sizes in files [bytes], a multiple of the page size.
 _ROUND = 2**16
-#: File systems that cannot reserve room for a file: arrays stay in memory.
+#: Errors of file systems that cannot reserve space: arrays stay in memory.
 _UNABLE = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV)
 
 
 class ScratchSegment:
-    """A stretch of a scratch file in memory.
+    """A mapped section of a scratch file.
 
     Args:
         file: the file's descriptor.
-        start: of the stretch [B], a multiple of the page size.
-        length: of the stretch [B].
+        start: offset in the file [B], a multiple of the page size.
+        length: size [B].
     """
 
     def __init__(self, file: int, start: int, length: int) -> None:
@@ -57,71 +55,71 @@ class ScratchSegment:
         self._map = mmap.mmap(file, length, offset=start)
         self.address = int(np.frombuffer(self._map, np.uint8).__array_interface__["data"][0])
 
-    def array(self, offset: int, count: int, kind: npt.DTypeLike, idle: Idle | None = None) -> Values:
-        """``count`` values from ``offset`` [B] of the segment on; when the array goes its room is ``idle``, else given back."""
+    def array(self, offset: int, count: int, kind: npt.DTypeLike, free: FreeList | None = None) -> Values:
+        """``count`` values from ``offset`` [B] of the segment on; afterwards their space goes to ``free``, or to the disk."""
         values = np.ndarray(count, kind, self._map, offset)
         if count:
-            weakref.finalize(values, self._gone, offset, _whole_pages(values.nbytes), idle).atexit = False
+            weakref.finalize(values, self._release, offset, _whole_pages(values.nbytes), free).atexit = False
         return values
 
-    def _gone(self, offset: int, size: int, idle: Idle | None) -> None:
-        if os.getpid() != self._process:  # a forked process may have the same array, which is still in use here
+    def _release(self, offset: int, size: int, free: FreeList | None) -> None:
+        if os.getpid() != self._process:  # in a forked process: the parent still uses the array
             return
-        if idle is None or not idle.keep(self, offset, size):
-            self.give_back(offset, size)
+        if free is None or not free.add(self, offset, size):
+            self.punch_hole(offset, size)
 
-    def give_back(self, offset: int, size: int) -> None:
-        """Give the room of an array back to the disk."""
-        with contextlib.suppress(OSError, ValueError):  # a file system without holes: with the file
+    def punch_hole(self, offset: int, size: int) -> None:
+        """Return the space of an array to the disk."""
+        with contextlib.suppress(OSError, ValueError):  # a file system without holes
             self._map.madvise(mmap.MADV_REMOVE, offset, min(size, self.length - offset))
 
     def leave(self) -> None:
-        """Take its pages out of the process; they stay in the page cache."""
+        """Unmap its pages from the process; they stay in the page cache."""
         self._map.madvise(mmap.MADV_DONTNEED)
 
     def share(self, shared: bool) -> None:
-        """Whether a process that is forked now has the segment as well."""
+        """Whether processes forked from now on inherit the segment."""
         self._map.madvise(mmap.MADV_DOFORK if shared else mmap.MADV_DONTFORK)
 
 
-class Idle:
-    """Rooms of arrays that are gone, to be used again for arrays of the same size."""
+class FreeList:
+    """Free blocks of the scratch file, reused for arrays of the same size."""
 
     def __init__(self) -> None:
         self.total = 0
         self.closed = False
-        self._rooms: dict[int, list[tuple[ScratchSegment, int]]] = {}
+        self._blocks: dict[int, list[tuple[ScratchSegment, int]]] = {}
 
-    def keep(self, segment: ScratchSegment, offset: int, size: int) -> bool:
-        """Whether the room is kept."""
-        if self.closed or self.total + size > IDLE:
+    def add(self, segment: ScratchSegment, offset: int, size: int) -> bool:
+        """Keep a block; False if the list is full or closed."""
+        if self.closed or self.total + size > MAX_FREE_LIST:
             return False
         self.total += size
-        self._rooms.setdefault(size, []).append((segment, offset))
+        self._blocks.setdefault(size, []).append((segment, offset))
         return True
 
     def take(self, size: int) -> tuple[ScratchSegment, int] | None:
-        """A room of this size: its segment and where it lies in it."""
-        rooms = self._rooms.get(size)
-        if not rooms:
+        """A block of this size: its segment and offset."""
+        blocks = self._blocks.get(size)
+        if not blocks:
             return None
         self.total -= size
-        return rooms.pop()
+        return blocks.pop()
 
     def close(self) -> None:
-        """Give all back, and keep none from now on."""
+        """Return all blocks to the disk, and keep none from now on."""
         self.closed = True
-        for size, rooms in self._rooms.items():
-            for segment, offset in rooms:
-                segment.give_back(offset, size)
-        self._rooms.clear()
+        for size, blocks in self._blocks.items():
+            for segment, offset in blocks:
+                segment.punch_hole(offset, size)
+        self._blocks.clear()
 
 
 class Scratch:
     """Arrays of one process, in memory or in one scratch file.
 
     Args:
-        folder: where the file is made when it is needed; it or a folder above it is there.
+        folder: of the file, which is created on demand; the folder or one of its parents exists.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -130,19 +128,19 @@ class Scratch:
         self._end = 0
         self._held = 0
         self._segment: ScratchSegment | None = None
-        self._idle = Idle()
+        self._free_blocks = FreeList()
         self._segments: weakref.WeakSet[ScratchSegment] = weakref.WeakSet()
 
     @property
     def file(self) -> IO[bytes] | None:
-        """The scratch file, made at the first call; None where none can be made: arrays then stay in memory."""
+        """The scratch file, created at the first call; None if that fails: arrays then stay in memory."""
         if self._file is None:
-            with contextlib.suppress(OSError):  # what is to be stored there fails as well, and says why
+            with contextlib.suppress(OSError):  # later writes to this folder fail with their own message
                 self._file = tempfile.TemporaryFile(prefix=".scratch-", dir=self.folder, buffering=0)  # noqa: SIM115
         return self._file
 
     def empty(self, count: int, kind: npt.DTypeLike) -> Values:
-        """An array (count,) whose values are to be written.
+        """An uninitialised array (count,).
 
         Raises:
             StorageError: the disk is full.
@@ -161,13 +159,13 @@ class Scratch:
         return values
 
     def close(self) -> None:
-        """No more arrays; those there are stay, and their file with them."""
-        self._idle.close()
+        """Create no more arrays; existing ones keep their file."""
+        self._free_blocks.close()
         if self._file is not None:
             self._file.close()
 
     def place(self, values: Values) -> int | None:
-        """Where in the file the array lies [B]; None where it is in memory, or not in one piece."""
+        """Offset of the array in the file [B]; None if it is in memory, or not contiguous."""
         address = int(values.__array_interface__["data"][0])
         if values.ndim != 1 or not values.flags.c_contiguous or not len(values):
             return None
@@ -177,17 +175,17 @@ class Scratch:
         return None
 
     def adopt(self, segment: ScratchSegment) -> None:
-        """Treat a segment of another process's file as one of this scratch."""
+        """Add a segment of another process's file."""
         self._segments.add(segment)
 
     def leave(self) -> None:
-        """Take all mapped arrays out of the process; what is used again is mapped again."""
+        """Unmap the pages of all arrays; pages that are used again are mapped again."""
         for segment in tuple(self._segments):
             segment.leave()
 
     @contextmanager
     def unshared(self) -> Iterator[None]:
-        """A process that is forked within, and ends within, has none of the arrays in files: it could change them here."""
+        """Processes that are forked and end within do not inherit the mapped arrays, so that they cannot change them."""
         segments = tuple(self._segments)
         for segment in segments:
             segment.share(False)
@@ -205,13 +203,13 @@ class Scratch:
         file = self.file
         if file is None:
             return None
-        room = self._idle.take(size)
-        if room is not None:
-            return room[0].array(room[1], count, kind, self._idle)
+        block = self._free_blocks.take(size)
+        if block is not None:
+            return block[0].array(block[1], count, kind, self._free_blocks)
         segment = self._segment
         try:
             if segment is None or segment.used + size > segment.length:
-                # Mappings grow with what there is already: each takes a descriptor.
+                # Mappings grow with the file, because each takes a descriptor.
                 length = _whole_pages(max(SEGMENT, size, self._end // 8)) if size < SEGMENT // 2 else size
                 os.ftruncate(file.fileno(), self._end + length)
                 segment = ScratchSegment(file.fileno(), self._end, length)
@@ -219,7 +217,7 @@ class Scratch:
                 self._segments.add(segment)
                 if size < SEGMENT // 2:
                     self._segment = segment
-            # Reserved before it is written: a page without room on the disk would end the process.
+            # Reserved before writing: a page without space on the disk would kill the process.
             os.posix_fallocate(file.fileno(), segment.start + segment.used, size)
         except OSError as error:
             if error.errno == errno.ENOMEM:
@@ -230,7 +228,7 @@ class Scratch:
             expected = f"{size / 2**20:.0f} MiB more, about three times the numbers of the logs in all"
             raise StorageError(self.folder, found, expected, "Make room on the disk and run the command again.") from None
         segment.used += size
-        return segment.array(segment.used - size, count, kind, self._idle)
+        return segment.array(segment.used - size, count, kind, self._free_blocks)
 
 
 _current: ContextVar[Scratch | None] = ContextVar("scratch", default=None)
@@ -238,7 +236,7 @@ _current: ContextVar[Scratch | None] = ContextVar("scratch", default=None)
 
 @contextmanager
 def scratch_in(folder: Path) -> Iterator[Scratch]:
-    """Large arrays that are made within lie in a scratch file in ``folder``, for as long as they are used, also after it."""
+    """Large arrays created within are stored in a scratch file in ``folder`` for their lifetime, also after the block."""
     scratch = Scratch(folder)
     with contextlib.closing(scratch), used(scratch):
         yield scratch
@@ -246,7 +244,7 @@ def scratch_in(folder: Path) -> Iterator[Scratch]:
 
 @contextmanager
 def used(scratch: Scratch) -> Iterator[None]:
-    """Large arrays that are made within belong to ``scratch``."""
+    """Large arrays created within belong to ``scratch``."""
     token = _current.set(scratch)
     try:
         yield
@@ -260,7 +258,7 @@ def current() -> Scratch | None:
 
 
 def empty(count: int, kind: npt.DTypeLike = np.float64) -> Values:
-    """An array (count,) whose values are to be written.
+    """An uninitialised array (count,).
 
     Raises:
         StorageError: the disk of the scratch file is full.
@@ -277,15 +275,15 @@ def filled(count: int, value: float, kind: npt.DTypeLike = np.float64) -> Values
 
 
 def pieces(count: int) -> Iterator[tuple[int, int]]:
-    """(first, last + 1) of each piece of ``count`` values."""
+    """(first, last + 1) of each block of ``count`` values."""
     return ((first, min(first + PIECE, count)) for first in range(0, count, PIECE))
 
 
 def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLike = np.float64) -> Values:
-    """An array (count,) that is computed some thousand values at a time, so that nothing between takes memory.
+    """An array (count,) that is computed block by block, so that intermediate results stay small.
 
     Args:
-        piece: (first, last + 1) → the values of these places.
+        piece: (first, last + 1) → the values at these indices.
     """
     values = empty(count, kind)
     for first, last in pieces(count):
@@ -294,7 +292,7 @@ def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLik
 
 
 def chosen(values: Values, mask: npt.NDArray[np.bool_]) -> Values:
-    """``values[mask]``; the array itself, not a copy, where all are chosen."""
+    """``values[mask]``; the array itself, not a copy, if all are selected."""
     count = int(np.count_nonzero(mask))
     if count == len(values):
         return values
@@ -307,12 +305,12 @@ def chosen(values: Values, mask: npt.NDArray[np.bool_]) -> Values:
 
 
 def leave() -> None:
-    """Take mapped arrays out of the process: page cache is then all that they are. What is used again is mapped again."""
+    """Unmap the pages of the caller's scratch arrays; pages that are used again are mapped again."""
     scratch = _current.get()
     if scratch is not None:
         scratch.leave()
 
 
 def _whole_pages(size: int) -> int:
-    """Rounded up, so that arrays that differ by a few values take each other's room."""
+    """``size`` rounded up, so that arrays of similar size share free blocks."""
     return -(-size // _ROUND) * _ROUND

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-#: What follows the axis name, in the order in which the machine produces it.
+#: What follows the axis name, in the order of the signal chain.
 AXIS_QUANTITIES = ("command", "cylinder", "joint")
 POINTS = ("ee", "tool")
-COORDINATES = ("x", "y", "z")
 
 
 def split_signal(signal: str) -> tuple[str, str]:
@@ -25,6 +24,6 @@ def point_signals(point: str) -> tuple[str, str, str]:
 
 
 def canonical_signals(axes: tuple[str, ...]) -> tuple[str, ...]:
-    """All signal names a machine with these axes can have, without ``time``."""
+    """All signal names of a machine with these axes, without ``time``."""
     per_axis = [axis_signal(axis, quantity) for axis in axes for quantity in AXIS_QUANTITIES]
     return (*per_axis, *point_signals("ee"), *point_signals("tool"))

@@ -1,4 +1,4 @@
-"""Conversion to SI at the edge. Inside the toolkit every number is m, rad, s, N, N·m or kg."""
+"""Conversion to SI on input; inside the toolkit every number is in m, rad, s, N, N·m or kg."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?(?:(?<=\S)\[\d+\])?)\s*(?:\[(?P<uni
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """``"boom.cylinder [mm]"`` → ``("boom.cylinder", "mm")``; the unit is None where none is given.
+    """``"boom.cylinder [mm]"`` → ``("boom.cylinder", "mm")``; the unit is None if none is given.
 
-    A number right behind the name is an element, not a unit: ``"q[2] [deg]"`` → ``("q[2]", "deg")``.
+    A number directly after the name is an index, not a unit: ``"q[2] [deg]"`` → ``("q[2]", "deg")``.
     """
     match = _HEADER.match(header)
     return (header.strip(), None) if match is None else (match["name"], match["unit"])

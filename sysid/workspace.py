@@ -1,7 +1,7 @@
-"""A workspace: the dataset versions, model versions and results of one place, and what belongs to what.
+"""A workspace: stores and finds the dataset versions, model versions and results of one location.
 
-The stations themselves (``ingest``, ``fit_actuator``, ``find_gap``, …) are plain functions on values. This is the clerk who
-files what they return, and finds it again for the next one: it keeps the command line and the pipelines short.
+The processing steps (``ingest``, ``fit_actuator``, ``find_gap``, …) are functions of values; the workspace stores their
+results and loads them for the next step.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sysid.networks import (
 )
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, made_from_dataset
+from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, dataset_descendants
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
@@ -42,7 +42,7 @@ from sysid.rl.policy import load_policy
 from sysid.root import Root
 from sysid.validate import ValidationReport, validate_model
 
-#: What the figures of a report depend on.
+#: Packages whose versions a report states.
 SOFTWARE = ("numpy", "scipy", "numba", "torch", "pandas", "deltalake", "mlflow-skinny")
 
 
@@ -60,7 +60,7 @@ class Workspace:
 
     @property
     def folder(self) -> Path:
-        """Where models, results and reports live."""
+        """The folder of models, results and reports."""
         return self.local if "://" in str(self.location) else Path(self.location)
 
     @property
@@ -77,10 +77,10 @@ class Workspace:
         return Registry(self.folder)
 
     def dataset(self, reference: str | None = None) -> Dataset:
-        """``name``, ``name@3``, or the only dataset there is.
+        """The dataset ``name`` or ``name@3``; without a reference the only one of the workspace.
 
         Raises:
-            StoreError: there is no such dataset, or several and none was named.
+            StoreError: no such dataset, or no reference and not exactly one dataset.
         """
         if reference is None:
             names = sorted({entry.name for entry in self.datasets.list()})
@@ -92,7 +92,7 @@ class Workspace:
 
     def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
         """The model versions that were made from a dataset version, directly or through another model."""
-        return made_from_dataset(self.models.list(), reference, digest)
+        return dataset_descendants(self.models.list(), reference, digest)
 
     def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> VacuumResult:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
@@ -101,17 +101,17 @@ class Workspace:
             references, keep, dry_run: see :func:`sysid.datasets.versions.vacuum.vacuum`.
 
         Raises:
-            StoreError: no such version, or the registry cannot be asked; nothing is removed then.
+            StoreError: no such version, or the registry cannot be read; nothing is removed then.
         """
         versions: list[ModelVersion] = []
         for entry in self.models.survey():
             if isinstance(entry, DamagedModel):
-                expected = "a registry that says what every model was made from"
+                expected = "a registry with the sources of every model"
                 raise StoreError(entry.error.where, entry.error.found, expected, "Nothing was removed: repair it first.")
             versions.append(entry)
 
         def users(reference: str, digest: str) -> list[str]:
-            return [f"{version.kind} {version.reference}" for version in made_from_dataset(versions, reference, digest)]
+            return [f"{version.kind} {version.reference}" for version in dataset_descendants(versions, reference, digest)]
 
         return vacuum(self.datasets, users, references, keep, dry_run)
 
@@ -125,8 +125,10 @@ class Workspace:
         return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics)
 
     def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
-        """The network of ``kind`` fitted on this dataset version, else on any version of the dataset: the champion if it is
-        one of them, else the newest."""
+        """The network of ``kind`` fitted on this dataset version, else on any version of the dataset.
+
+        Of several, the champion, else the newest.
+        """
         versions = [version for version in self.models.versions(f"{dataset.name}-{kind}") if version.kind == kind]
         exact = [version for version in versions if version.lineage.get("dataset_digest") == dataset.digest]
         return max(exact or versions, key=lambda version: (CHAMPION in version.aliases, version.version), default=None)
@@ -135,7 +137,7 @@ class Workspace:
         """The network ``name@version``, of any kind.
 
         Raises:
-            StoreError: there is none, or it is a plant or policy.
+            StoreError: no such version, or a plant or policy.
         """
         version = self.models.load(reference)
         if version.kind not in NETWORKS:
@@ -146,31 +148,31 @@ class Workspace:
         """The policy ``name@version``.
 
         Raises:
-            StoreError: there is none, or it is a model of another kind.
+            StoreError: no such version, or of another kind.
         """
         return load_policy(self.models.load(reference))
 
     def linkages(self, dataset: Dataset) -> dict[str, ActuatorNetwork]:
-        """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted.
+        """The fitted cylinder ↔ joint maps by axis; empty if none were fitted.
 
-        Where only networks with history were, it is their static parts.
+        If only networks with history were fitted, their static parts.
         """
         version = self.linkage_version(dataset)
         return static_networks(self.network(version.reference)) if version is not None else {}
 
     def linkage_version(self, dataset: Dataset) -> ModelVersion | None:
-        """The version whose static maps are the linkages."""
+        """The version of :meth:`linkages`."""
         return self.network_version(dataset, "actuator") or self.network_version(dataset, "history")
 
     def validation(self, reference: str, dataset: Dataset) -> ValidationReport:
-        """Evaluate a registered network on a dataset, with the recipe it was fitted by."""
+        """Evaluate a registered network on a dataset, with the recipe of its fit."""
         version = self.models.find(reference)
         values = version.lineage.get("recipe")
         recipe = parse_recipe(dict(values), reference) if isinstance(values, Mapping) else None
         return validate_model(self.network(reference), dataset, recipe=recipe, name=version.reference)
 
     def plant(self, dataset: Dataset, reference: str | None = None) -> Plant:
-        """A registered plant, or the nominal one that the dataset's ``machine.toml`` describes.
+        """A registered plant, or the nominal one of the dataset's ``machine.toml``.
 
         Raises:
             StoreError: no such plant.
@@ -190,9 +192,9 @@ class Workspace:
         return plant
 
     def simulation(self, dataset: Dataset, reference: str | None = None) -> Plant:
-        """What is to stand for the machine: a named plant, else the promoted one, else the nominal one.
+        """The plant that simulates the machine: a named one, else the promoted one, else the nominal one.
 
-        :meth:`plant` without a name is the nominal one, since that is what the gap workflow questions.
+        In contrast, :meth:`plant` without a name returns the nominal one, which the gap workflow tests.
 
         Raises:
             StoreError: no such plant.
@@ -202,7 +204,7 @@ class Workspace:
         return self.plant(dataset, promoted.reference if promoted is not None else reference)
 
     def results(self, dataset: Dataset) -> Path:
-        """Folder for what was computed on a dataset version.
+        """Folder of the results of a dataset version.
 
         Raises:
             StoreError: it is a link.
@@ -210,7 +212,7 @@ class Workspace:
         return self.root.path(_results(dataset))
 
     def output(self, path: str, dataset: Dataset | None = None) -> Path:
-        """Where a file is to be written, relative to the workspace, or to the results of a dataset version; its folder is made.
+        """Path of a file to be written, relative to the workspace or the results of a dataset version; its folder is created.
 
         Raises:
             StoreError: it is a link, or a folder on the way is one.
@@ -218,19 +220,18 @@ class Workspace:
         return self.root.output(f"{_results(dataset)}/{path}" if dataset is not None else path)
 
     def keep_gap(self, dataset: Dataset, result: GapResult) -> Path:
-        """File the answer of the gap workflow; the newest one of a dataset version is kept."""
+        """Store a gap result; it replaces the earlier one of the dataset version."""
         return save_gap(self.root.path(f"{_results(dataset)}/gap"), result)
 
     def gap(self, dataset: Dataset) -> GapResult | None:
-        """The newest answer of the gap workflow on this dataset version."""
+        """The stored gap result of this dataset version."""
         return load_gap(self.root.path(f"{_results(dataset)}/gap"))
 
     def predictions(self, dataset: Dataset, recording: str, plant: str | None = None) -> dict[str, pd.DataFrame]:
-        """Free runs of one recording: of one named plant; else ``before`` and ``after`` the newest gap result; else of what
-        :meth:`simulation` gives.
+        """Free runs of one recording: of a named plant, else those of the stored gap result, else of :meth:`simulation`.
 
         Returns:
-            Name → table of predicted signals, as :func:`sysid.view.write_rerun` takes them.
+            Name (``before``, ``after`` or the plant's) → table of predicted signals, for :func:`sysid.view.write_rerun`.
         """
         source = dataset.recording(recording)
         if plant is not None:
@@ -246,10 +247,10 @@ class Workspace:
         return {simulation.reference or "before": free_run(simulation, source)}
 
     def report_inputs(self, dataset: Dataset, result: GapResult | None = None) -> ReportInputs:
-        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`; dated now.
+        """The content of the report on a dataset version, for :func:`sysid.reports.build_report`.
 
         Args:
-            result: an answer of the gap workflow that is not filed; else the newest one that is.
+            result: a gap result that is not stored; default: the stored one.
         """
         result = result if result is not None else self.gap(dataset)
         versions = [self.network_version(dataset, kind) for kind in NETWORKS]
@@ -260,20 +261,20 @@ class Workspace:
             try:
                 validations.append(self.validation(version.reference, dataset))
             except ExcitationError:
-                continue  # nothing held out measures its signals: the version is listed without figures
+                continue  # no held-out recording measures its signals: listed without figures
         return ReportInputs(
             dataset=dataset,
             gap=result,
             validations=tuple(validations),
             versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
-            excitation=excitation_report(dataset, self._questioned(dataset, result)),
+            excitation=excitation_report(dataset, self._tested_plant(dataset, result)),
             clocks=clock_residuals(self.datasets.channels(dataset.reference), dataset.clocks),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )
 
-    def _questioned(self, dataset: Dataset, result: GapResult | None) -> Plant:
-        """The plant that a gap result questions; the nominal one where there is none, or a simulator of one's own."""
+    def _tested_plant(self, dataset: Dataset, result: GapResult | None) -> Plant:
+        """The plant that a gap result tests; the nominal one without a result, or for a user's simulator."""
         reference = result.plant_before if result is not None else ""
         known = "@" in reference and any(version.reference == reference for version in self.models.list("plant"))
         return self.plant(dataset, reference if known else None)
@@ -297,10 +298,10 @@ def _note(version: ModelVersion) -> VersionNote:
 
 
 def open_workspace(location: str | os.PathLike[str]) -> Workspace:
-    """The workspace at ``location``; nothing is made before something is written.
+    """The workspace at ``location``, which is created by the first write.
 
     Raises:
-        SettingsError: a file stands in its place.
+        SettingsError: ``location`` is a file.
     """
     text = os.fspath(location)
     if "://" not in text and Path(text).exists() and not Path(text).is_dir():

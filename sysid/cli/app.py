@@ -1,4 +1,4 @@
-"""``sysid``: the group of verbs, and how a mistake of the user ends (one paragraph, exit status 2, never a traceback)."""
+"""``sysid``: the command group, and the translation of errors to exit statuses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sysid.release import __version__
 
 @dataclass(frozen=True)
 class Verb:
-    """Where a verb lives and what ``sysid --help`` says about it without importing it."""
+    """Location of a verb's command, and its line in ``sysid --help``."""
 
     location: str
     help: str
@@ -28,11 +28,11 @@ class Verb:
 
 #: In the order of work. ``location`` is ``module:command``.
 VERBS: dict[str, Verb] = {
-    "init": Verb("sysid.cli.init:init", "Lay out the folders for a machine of your own."),
+    "init": Verb("sysid.cli.init:init", "Create the folders and templates for a machine."),
     "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
     "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
     "fit": Verb("sysid.cli.fit:fit", "Fit the actuator, motion or forward networks of a dataset."),
-    "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
+    "validate": Verb("sysid.cli.validate:validate", "Evaluate a fitted network on held-out recordings."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
     "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
@@ -40,12 +40,12 @@ VERBS: dict[str, Verb] = {
     "run": Verb("sysid.cli.run:run", "Run a task on a machine: supervised, recorded, stoppable."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
-    "demo": Verb("sysid.cli.demo:demo", "Run the whole line on the logs that ship."),
+    "demo": Verb("sysid.cli.demo:demo", "Run the whole workflow on the shipped logs."),
 }
 
 
 class LazyGroup(click.Group):
-    """A group that imports a verb's module when the verb is called, and lists them all without importing any."""
+    """A group that imports the module of a verb only when the verb is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -79,11 +79,11 @@ class LazyGroup(click.Group):
     default="./workspace",
     show_default=True,
     metavar="DIR",
-    help="Where datasets, models and reports live (or SYSID_WORKSPACE).",
+    help="Folder of datasets, models and reports (or SYSID_WORKSPACE).",
 )
 @click.pass_context
 def app(ctx: click.Context, workspace: str) -> None:
-    """System identification for machines: logs in, named sim-to-real gaps out.
+    """System identification: explains differences between the logs of a machine and its simulation.
 
     A dataset or model is named NAME (its newest version) or NAME@VERSION.
     """
@@ -91,9 +91,9 @@ def app(ctx: click.Context, workspace: str) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and leave the process.
+    """Run the command line and exit.
 
-    Exit status: 0 done, 1 the machine failed us (disk full, no permission), 2 a mistake of the user, 130 interrupted.
+    Exit status: 0 done, 1 the computer failed (disk full, no permission), 2 a mistake of the user, 130 interrupted.
     """
     with safe_children():
         status = _run(None if argv is None else list(argv))
@@ -104,7 +104,7 @@ def _run(argv: list[str] | None) -> int:
     try:
         status = app.main(args=argv, prog_name="sysid", standalone_mode=False)
         if isinstance(status, int) and status:
-            return status  # of a verb that says by it how its work ended
+            return status  # set by the verb
     except SysidError as error:
         return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:
@@ -113,14 +113,14 @@ def _run(argv: list[str] | None) -> int:
         click.echo(visible(shown.getvalue(), keep="\n"), err=True, nl=False)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        return _complain("interrupted; nothing half-written is left visible, the same command starts again", 130)
+        return _complain("interrupted; no partial result is visible, and the command can be repeated", 130)
     except BrokenPipeError:
-        # The reader of our output went away (`sysid datasets | head`): nothing to say, and nowhere to say it.
+        # The reader of the output has closed it (`sysid datasets | head`).
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
         if error.filename is None and error.errno is None:
-            raise  # not about a file: a fault of the program, which must show its traceback
+            raise  # not about a file: a bug, which needs its traceback
         return _complain(f"{error.filename or 'system'}: {error.strerror or error}", 1)
     return 0
 

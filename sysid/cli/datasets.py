@@ -1,4 +1,4 @@
-"""``sysid datasets [NAME]``: what the workspace holds, what one version is made of, and what may be done with versions."""
+"""``sysid datasets``: list, show, compare and manage dataset versions."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ class ReferenceGroup(click.Group):
 
 @click.group(cls=ReferenceGroup, subcommand_metavar="[NAME[@VERSION] | VERB …]")
 def datasets() -> None:
-    """List dataset versions, show one, or say what is to be done with them.
+    """List, show, compare and manage dataset versions.
 
-    `sysid datasets` lists them, `sysid datasets NAME[@VERSION]` shows one, with --quality what it is good for. With --json FILE
-    the result is written as JSON as well.
+    `sysid datasets` lists them, `sysid datasets NAME[@VERSION]` shows one, with --quality its coverage and excitation. With
+    --json FILE the result is written as JSON as well.
     """
 
 
 @datasets.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--quality", is_flag=True, help="What NAME is good for: coverage, noise, and a verdict for every effect.")
+@click.option("--quality", is_flag=True, help="Coverage, noise, and an excitation verdict for every effect.")
 @json_option
 @click.pass_obj
-def show(workspace: str, reference: str | None, quality: bool, json_file: str | None) -> None:
+def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
     from sysid.datasets import Store
 
     if quality:
         from sysid.cli.quality import show_quality
 
-        show_quality(workspace, reference, json_file)
+        show_quality(location, reference, json_file)
         return
 
     out = Printer(json_file)
-    store = Store(workspace)
+    store = Store(location)
     if reference is not None:
         dataset = store.load(reference)
         show_dataset(out, dataset)
@@ -57,7 +57,7 @@ def show(workspace: str, reference: str | None, quality: bool, json_file: str | 
     entries = store.list()
     write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
     if not entries:
-        out.line(f"No datasets in {workspace} yet: sysid ingest PATH makes one.")
+        out.line(f"No datasets in {location} yet: sysid ingest PATH creates one.")
         return
     rows = [
         (entry.reference, entry.machine, entry.recordings, f"{entry.seconds:.0f}", entry.created, entry.digest[:12])
@@ -75,43 +75,43 @@ def show(workspace: str, reference: str | None, quality: bool, json_file: str | 
 @click.argument("after", metavar="B")
 @json_option
 @click.pass_obj
-def diff_versions(workspace: str, before: str, after: str, json_file: str | None) -> None:
-    """Say how version B differs from version A.
+def diff_versions(location: str, before: str, after: str, json_file: str | None) -> None:
+    """Show how version B differs from version A.
 
-    Raw files, recipe and machine, clocks, roles, signals and units, how far the tables differ, and figures of quality.
+    Raw files, recipe and machine, clocks, roles, signals and units, values of the tables, and figures of quality.
     """
     from sysid.cli.version_tables import show_diff
     from sysid.datasets import Store, diff
 
-    found = diff(Store(workspace), before, after)
+    found = diff(Store(location), before, after)
     show_diff(Printer(json_file), found)
     write_json(json_file, found.to_json())
 
 
 @datasets.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--fit", multiple=True, metavar="GLOB", help="Recordings that fit; may be given several times.")
-@click.option("--select", multiple=True, metavar="GLOB", help="Recordings that select.")
-@click.option("--held-out", multiple=True, metavar="GLOB", help="Recordings that prove.")
+@click.option("--fit", multiple=True, metavar="GLOB", help="Recordings for the fit; may be repeated.")
+@click.option("--select", multiple=True, metavar="GLOB", help="Recordings for model selection.")
+@click.option("--held-out", multiple=True, metavar="GLOB", help="Recordings for the proof.")
 @json_option
 @click.pass_obj
 def split(
-    workspace: str,
+    location: str,
     reference: str,
     fit: tuple[str, ...],
     select: tuple[str, ...],
     held_out: tuple[str, ...],
     json_file: str | None,
 ) -> None:
-    """Make a version with other roles of the recordings; the tables are not copied.
+    """Create a version with other roles of the recordings; the tables are not copied.
 
-    Recordings that no option names keep their roles. Roles of a version never change: this makes a new one.
+    Recordings that no option names keep their roles.
     """
     from sysid.datasets import Store
     from sysid.datasets.splits import with_roles
 
     out = Printer(json_file)
-    store = Store(workspace)
+    store = Store(location)
     manifest = store.manifest(reference)
     base = f"{manifest['name']}@{manifest['version']}"
     roles = with_roles(manifest["splits"], {"fit": fit, "select": select, "held_out": held_out}, base)
@@ -125,15 +125,15 @@ def split(
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def lineage(workspace: str, reference: str, json_file: str | None) -> None:
-    """Show where a version comes from, and the models that were made from it."""
+def lineage(location: str, reference: str, json_file: str | None) -> None:
+    """Show the sources of a version, and the models made from it."""
     from sysid.cli.version_tables import show_lineage
     from sysid.datasets import lineage as lineage_of
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    found = lineage_of(place.datasets, reference)
-    models = place.made_from(found.dataset, found.digest)
+    workspace = open_workspace(location)
+    found = lineage_of(workspace.datasets, reference)
+    models = workspace.made_from(found.dataset, found.digest)
     show_lineage(Printer(json_file), found, models)
     write_json(json_file, {**found.to_json(), "models": [{"model": m.reference, "kind": m.kind} for m in models]})
 
@@ -141,17 +141,17 @@ def lineage(workspace: str, reference: str, json_file: str | None) -> None:
 @datasets.command()
 @click.argument("references", metavar="[NAME[@VERSION]]…", nargs=-1)
 @click.option("--keep", type=int, default=None, metavar="N", help="Remove all but the newest N versions of each dataset.")
-@click.option("--dry-run", is_flag=True, help="Only say what would be removed.")
-@click.option("--yes", is_flag=True, help="Remove it. Not needed where versions are named.")
+@click.option("--dry-run", is_flag=True, help="Only list what would be removed.")
+@click.option("--yes", is_flag=True, help="Remove it. Not needed if versions are named.")
 @json_option
 @click.pass_obj
 def vacuum(
-    workspace: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
+    location: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
 ) -> None:
-    """Remove left-overs of interrupted work, and versions; never one that a model was made from.
+    """Remove left-overs of interrupted work, and versions, but none that a model was made from.
 
-    NAME@VERSION is removed; NAME alone limits the work to that dataset. Without a version named and without --yes nothing is
-    removed, only said.
+    NAME@VERSION is removed; NAME alone limits the command to that dataset. Without a named version and without --yes, what
+    would be removed is only listed.
     """
     from sysid.cli.version_tables import show_vacuumed
     from sysid.workspace import open_workspace
@@ -160,35 +160,26 @@ def vacuum(
         raise SettingsError("sysid datasets vacuum", "--dry-run with --yes", "one of them")
     named = any("@" in reference for reference in references)
     if named and keep is not None and not (yes or dry_run):
-        raise SettingsError(
-            "sysid datasets vacuum", "versions and --keep", "--yes as well", "Add --yes, or look with --dry-run."
-        )
-    place = open_workspace(workspace)
-    asked = dry_run or not (named or yes)
-    found = place.vacuum(references, keep=keep, dry_run=asked)
-    show_vacuumed(Printer(json_file), found, place.models.uri, hint=asked and not dry_run)
+        raise SettingsError("sysid datasets vacuum", "versions and --keep", "--yes as well", "Add --yes or --dry-run.")
+    workspace = open_workspace(location)
+    only_list = dry_run or not (named or yes)
+    found = workspace.vacuum(references, keep=keep, dry_run=only_list)
+    show_vacuumed(Printer(json_file), found, workspace.models.uri, hint=only_list and not dry_run)
     removed = [{"what": item.what, "size": item.size} for item in found.removed]
     kept = [{"what": item.what, "reason": item.reason} for item in found.kept]
     write_json(json_file, {"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})
     refused = [item for item in found.kept if item.what in references]
     if refused:
-        raise StoreError(refused[0].what, f"not removed: {refused[0].reason}", "a version that nothing was made from")
+        raise StoreError(refused[0].what, f"not removed: {refused[0].reason}", "a version without models made from it")
 
 
 def _entry(entry: Any) -> dict[str, Any]:
-    return {
-        "dataset": entry.reference,
-        "machine": entry.machine,
-        "recordings": entry.recordings,
-        "seconds": entry.seconds,
-        "created": entry.created,
-        "digest": entry.digest,
-        "damage": entry.damage,
-    }
+    keys = ("machine", "recordings", "seconds", "created", "digest", "damage")
+    return {"dataset": entry.reference, **{key: getattr(entry, key) for key in keys}}
 
 
 def tables(store: Store, reference: str) -> list[dict[str, Any]]:
-    """Where other tools find the Delta tables of a version."""
+    """Locations of the Delta tables of a version, for other tools."""
     return [
         {"recordings": list(part.recordings), "samples": part.samples, "channels": part.channels}
         for part in store.tables(reference)
@@ -196,7 +187,7 @@ def tables(store: Store, reference: str) -> list[dict[str, Any]]:
 
 
 def describe(dataset: Dataset) -> dict[str, Any]:
-    """A dataset version for machines; :func:`sysid.cli.tables.show_dataset` is for people."""
+    """A dataset version as JSON values."""
     from dataclasses import asdict
 
     return {

@@ -1,4 +1,4 @@
-"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package runs from, and of no other place."""
+"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package is installed from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PIPELINE = "pipelines/first_look.py"
 @json_option
 @click.pass_obj
 def demo(workspace: str, json_file: str | None) -> None:
-    """Run the whole line on the logs that ship: datasets/autolog."""
+    """Run the whole workflow on the shipped logs in datasets/autolog."""
     module = _load(find_pipeline(CHECKOUT))
     result: Path = module.main(Path(workspace))
     write_json_text(json_file, result.read_text("utf-8"))
@@ -29,14 +29,14 @@ def find_pipeline(checkout: Path) -> Path:
     """The pipeline of a checkout.
 
     Raises:
-        SettingsError: the package does not run from one.
+        SettingsError: the package is not installed from a checkout.
     """
     from sysid.errors import SettingsError
 
     path = checkout / PIPELINE
-    # Beside an installed package lie other packages, which may be named `pipelines` too.
+    # The folder of installed packages may contain another package named `pipelines`.
     if not path.is_file() or not (checkout / "pyproject.toml").is_file():
-        remedy = "Clone the repository and type `make demo`; a pipeline of your own is run as `python FILE`."
+        remedy = "Clone the repository and type `make demo`; run your own pipeline with `python FILE`."
         raise SettingsError("sysid demo", f"no {PIPELINE} in {checkout}", "sysid to be installed from its repository", remedy)
     return path
 

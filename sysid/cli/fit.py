@@ -1,4 +1,4 @@
-"""``sysid fit actuator|motion|forward NAME``: networks of a dataset, fitted, evaluated and registered."""
+"""``sysid fit actuator|motion|forward NAME``: fits, evaluates and registers networks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sysid.cli.tables import show_calibration, show_directions, show_errors
 )
 @json_option
 @click.pass_obj
-def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
+def fit(location: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
     """Fit the networks of a dataset: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → boom tip).
 
-    With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks remember where the cylinder came from.
+    With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks depend on past motion.
 
-    A fit that is interrupted (Ctrl-C, SIGTERM, power) goes on where it was when the same command is given again.
+    An interrupted fit (Ctrl-C, SIGTERM, power) resumes when the same command is repeated.
     """
     from sysid.errors import ExcitationError
     from sysid.networks import (
@@ -40,21 +40,21 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     from sysid.validate import validate_model
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     settings = load_recipe(recipe)
     begin = time.perf_counter()
     with progress_bar(f"fit {kind}") as progress:
         actuator = fit_history if settings.actuator.model == "history" else fit_actuator
         model = {"actuator": actuator, "motion": fit_motion, "forward": fit_forward}[kind](
-            dataset, settings, progress, Checkpoints(place.root.path("training"))
+            dataset, settings, progress, Checkpoints(workspace.root.path("training"))
         )
     seconds = time.perf_counter() - begin
     try:
         report = validate_model(model, dataset, recipe=settings)
     except ExcitationError as reason:
         report, not_evaluated = None, str(reason)
-    version = place.add_network(dataset, model, settings, report)
+    version = workspace.add_network(dataset, model, settings, report)
     out = Printer(json_file)
     if isinstance(model, StructuredForward) and isinstance(model.structure, Calibration):
         show_calibration(out, model.structure)
@@ -63,6 +63,6 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         show_directions(out, report)
     else:
         out.line(f"Not evaluated: {not_evaluated}")
-    out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")
+    out.line(f"{version.reference} in {workspace.folder} ({seconds:.1f} s)")
     result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
     write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

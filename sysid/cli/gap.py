@@ -1,4 +1,4 @@
-"""``sysid gap NAME``: where simulation and machine disagree, which effect is missing, how much of the gap it closes."""
+"""``sysid gap NAME``: locates the gap between simulation and machine, and names the missing effects."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to question; else the nominal one.")
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
 @click.option(
     "--simulator",
     default=None,
     metavar="FILE.py:NAME",
-    help="Question a simulator of your own: an object with simulate(recording), or its class.",
+    help="Test a simulator of your own: an object with simulate(recording), or its class.",
 )
-@click.option("--localise", is_flag=True, help="Only say where they disagree.")
+@click.option("--localise", is_flag=True, help="Only locate the gap.")
 @click.option(
     "--add", is_flag=True, help="Store the repaired simulation as a new plant version; promote it if the proof is good enough."
 )
-@click.option(
-    "--world/--no-world", default=None, help="Prove it in the PyBullet world as well. With --add it is; else it is not."
-)
+@click.option("--world/--no-world", default=None, help="Run the proof also in the PyBullet world. Default: only with --add.")
 @click.option(
     "--carry",
     is_flag=True,
-    help="Fit a bounded residual network to what has no name, where it lowers held-out errors. It is no physics.",
+    help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors.",
 )
 @click.option(
     "--forms",
@@ -42,7 +40,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @json_option
 @click.pass_obj
 def gap(
-    workspace: str,
+    location: str,
     reference: str,
     plant: str | None,
     simulator: str | None,
@@ -53,7 +51,7 @@ def gap(
     forms: Forms,
     json_file: str | None,
 ) -> None:
-    """Name the effects that the simulation lacks, and prove it on recordings that no fit has seen."""
+    """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.own_simulator import load_simulator
     from sysid.errors import SettingsError
     from sysid.gap import find_gap
@@ -62,27 +60,30 @@ def gap(
     from sysid.reports import write_report
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
         raise SettingsError(
-            "sysid gap", "--localise and --carry", "one of them", "A residual network is fitted to what a search leaves."
+            "sysid gap",
+            "--localise and --carry",
+            "one of them",
+            "A residual network is fitted to the error that the search leaves.",
         )
-    questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
+    tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
     out = Printer(json_file)
-    if isinstance(questioned, Plant) and plant is not None and "@" not in plant:
-        out.line(f"`{plant}` means {questioned.reference}.")
-    linked = questioned.linkages if isinstance(questioned, Plant) else dataset.machine.axis_names
+    if isinstance(tested, Plant) and plant is not None and "@" not in plant:
+        out.line(f"`{plant}` means {tested.reference}.")
+    linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names
     for axis in dataset.machine.axes:
         if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
-            out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} makes one.")
+            out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} fits one.")
     with progress_bar("gap") as progress:
         result = find_gap(
             dataset,
-            questioned,
-            registry=place.models,
+            tested,
+            registry=workspace.models,
             add=add,
             world=world,
             localise_only=localise,
@@ -94,17 +95,17 @@ def gap(
     folder = None
     if localise:
         show_localised(out, result, dataset)
-        page = write_report(place.output("localise.html", dataset), place.report_inputs(dataset, result))
+        page = write_report(workspace.output("localise.html", dataset), workspace.report_inputs(dataset, result))
         out.line(f"With the maps: {page}")
     else:
-        folder = place.keep_gap(dataset, result).parent
+        folder = workspace.keep_gap(dataset, result).parent
         show_gap(out, result, dataset)
         show_world(out, result, dataset)
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
             out.line(f"record: {experiment.words}")
             out.line(f"        {planned['file']}")
         if result.plant_after:
-            show_repair(out, result, dataset, folder, workspace)
+            show_repair(out, result, dataset, folder, location)
         elif simulator is not None:
             for note in result.notes:
                 out.line(f"note: {note}")
@@ -112,5 +113,5 @@ def gap(
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
-        out.line(f"Look at it: sysid --workspace {workspace} report {dataset.reference}")
+        out.line(f"Report: sysid --workspace {location} report {dataset.reference}")
     write_json(json_file, result.to_json(folder))

@@ -1,4 +1,4 @@
-"""``sysid ingest PATH…``: raw logs become a new version of a dataset."""
+"""``sysid ingest PATH…``: creates a dataset version from raw logs."""
 
 from __future__ import annotations
 
@@ -22,20 +22,18 @@ if TYPE_CHECKING:
 @click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
 @click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
 @click.option(
-    "--append", "to", default=None, metavar="NAME[@VERSION]", help="Only read what NAME does not hold yet, and add it."
+    "--append", "to", default=None, metavar="NAME[@VERSION]", help="Only read recordings that NAME does not hold, and add them."
 )
 @click.option(
     "--role", default=None, metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's."
 )
-@click.option("--inspect", is_flag=True, help="Only show what is in the files, and draft a recipe for them.")
+@click.option("--inspect", is_flag=True, help="Only show the content of the files, and draft a recipe.")
 @click.option(
     "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
 )
 @click.option("--reader", default=None, help="With --inspect: read the files as this format.")
 @click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
-@click.option(
-    "--propose-frame", is_flag=True, help="Only print where the capture frame stands, from the survey named in the recipe."
-)
+@click.option("--propose-frame", is_flag=True, help="Only print the capture frame that follows from the recipe's survey.")
 @json_option
 @click.pass_obj
 def ingest(
@@ -55,10 +53,10 @@ def ingest(
 ) -> None:
     """Turn raw logs into a new dataset version.
 
-    PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. The same files again give the same version.
+    PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. Equal files give the same version.
 
-    With --append the new version holds the recordings of NAME, untouched and in their roles, and those of PATH that NAME does
-    not hold: with --role, else by the splits of the recipe, else they fit. Machine and recipe are those of NAME.
+    With --append the new version holds the recordings of NAME, unchanged and with their roles, and those of PATH that NAME does
+    not hold. Their role is --role, else that of the recipe's splits, else fit. Machine and recipe are those of NAME.
     """
     if propose_frame:
         from sysid.cli.ingest_frame import propose
@@ -74,7 +72,7 @@ def ingest(
         if value is not None:
             raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
     if to is not None and name is not None:
-        raise SettingsError("--name", f"{name!r} with --append", "one of them", "A version that is added to keeps its name.")
+        raise SettingsError("--name", f"{name!r} with --append", "one of them", "The new version keeps the name.")
     if role is not None and to is None:
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
@@ -94,11 +92,11 @@ def ingest(
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
     if to is not None and dataset.version == before:
-        out.line(f"{dataset.reference} holds all of these recordings: nothing was added.")
+        out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")
     elif to is not None:
         for added in store.tables(dataset.reference)[-1].recordings:
             as_role = f" as {dataset.splits[added]}" if added in dataset.splits else ""
             out.line(f"added to {dataset.name}@{before}: {added}{as_role}")
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
-    out.line(f"What it is good for: sysid --workspace {workspace} datasets {dataset.reference} --quality")
+    out.line(f"Coverage and excitation: sysid --workspace {workspace} datasets {dataset.reference} --quality")
     write_json(json_file, {**describe(dataset), "seconds": seconds})

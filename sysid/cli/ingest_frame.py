@@ -1,4 +1,4 @@
-"""``sysid ingest --propose-frame PATH…``: where the capture frame stands, from a survey. Nothing is stored."""
+"""``sysid ingest --propose-frame PATH…``: the capture frame from a survey. Nothing is stored."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, js
 
 def _show(out: Printer, item: SurveyResult) -> None:
     proposal = item.proposal
-    what = "static markers" if proposal.method == "markers" else "points that turn"
-    left = f"{1e3 * proposal.rms_m:.2f} mm RMS left, {1e3 * proposal.max_m:.2f} mm at most"
+    what = "static markers" if proposal.method == "markers" else "rotating points"
+    left = f"residual {1e3 * proposal.rms_m:.2f} mm RMS, {1e3 * proposal.max_m:.2f} mm maximum"
     out.line(f"{item.source}: from {len(proposal.names)} {what} ({', '.join(proposal.names)}): {left}")
     rows = [
         (
@@ -69,8 +69,8 @@ def _show(out: Printer, item: SurveyResult) -> None:
     for text in proposal.notes:
         out.line(f"note: {text}")
     of = "frame" if proposal.method == "markers" else "axis"
-    out.line(f"The recipe's own {of} is {1e3 * item.moved_m:.2f} mm and {math.degrees(item.turned_rad):.3f}° from it.")
-    out.line("For the recipe, if you agree (it is never applied by itself):")
+    out.line(f"The recipe's own {of} differs by {1e3 * item.moved_m:.2f} mm and {math.degrees(item.turned_rad):.3f}°.")
+    out.line("To use it, copy these lines to the recipe:")
     out.line()
     out.block(proposal.lines)
     out.line()

@@ -1,4 +1,4 @@
-"""``sysid ingest --inspect PATH…``: what is in log files, and a recipe drafted for them. Nothing is stored."""
+"""``sysid ingest --inspect PATH…``: content of log files, and a drafted recipe. Nothing is stored."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, progress_bar, write_json
+from sysid.cli.output import Printer, progress_bar, size_text, write_json
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 
 if TYPE_CHECKING:
     from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary
 
-#: More streams or fields than this are counted, not listed; --json has them all.
+#: Largest numbers of listed streams and fields; --json has all.
 MAX_STREAMS, MAX_FIELDS = 40, 24
-#: Stamps from 1990 on are taken for Unix time.
+#: Stamps from 1990 on are interpreted as Unix time [ns].
 _UNIX = 631_152_000 * 10**9
 
 
@@ -29,7 +29,7 @@ def inspect_paths(
     dbc: Path | None,
     json_file: str | None,
 ) -> None:
-    """Show every log file below ``paths``, print the drafted recipe, and write it to ``draft`` where that is given.
+    """Show every log file below ``paths``, and print the drafted recipe or write it to ``draft``.
 
     Raises:
         InputError: a path without log files.
@@ -53,14 +53,14 @@ def inspect_paths(
             summaries.append(inspect_file(path, reader, dbc))
     in_folders = any(file not in paths and file.parent not in paths for file in files)
     text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft), in_folders)
-    if draft is not None:  # before anything is shown: who pages through it may stop early
+    if draft is not None:  # before printing, which a pager may end early
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
     out = Printer(json_file)
     for summary in summaries:
         _show(out, summary)
     if draft is not None:
-        out.line(f"drafted {draft}: fill in what stands in <…>, then sysid ingest PATH --recipe {draft}")
+        out.line(f"drafted {draft}: fill in the parts in <…>, then sysid ingest PATH --recipe {draft}")
     else:
         out.line("A recipe to fill in (--draft R.toml writes it to a file):")
         out.line()
@@ -69,14 +69,14 @@ def inspect_paths(
 
 
 def _machine_entry(machine: Path | None, draft: Path | None) -> str:
-    """The machine as the drafted recipe names it: relative to the recipe."""
+    """The path of the machine in the drafted recipe, relative to the recipe."""
     if machine is None:
         return "machine.toml"
     return Path(os.path.relpath(machine, draft.parent if draft is not None else machine.parent)).as_posix()
 
 
 def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
-    """The folder of the recordings as the drafted recipe names it; None where it is not below the recipe."""
+    """The folder of the recordings in the drafted recipe; None if it is not below the recipe."""
     if draft is None or len(paths) != 1 or not paths[0].is_dir():
         return None
     relative = Path(os.path.relpath(paths[0], draft.parent)).as_posix()
@@ -101,13 +101,13 @@ def _log_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _show(out: Printer, file: FileSummary) -> None:
-    out.line(f"{file.path}: {file.reader}, {_size(file.size)}, {_count(len(file.streams), 'stream')}")
+    out.line(f"{file.path}: {file.reader}, {size_text(file.size)}, {_count(len(file.streams), 'stream')}")
     if file.refusal:
-        out.line(f"cannot be ingested as it is: {file.refusal}")
+        out.line(f"cannot be ingested: {file.refusal}")
     for loss in file.losses:
         out.line(f"lost: {loss}")
     for key, value in file.stated.items():
-        out.line(f"the recipe has to state {key}; shown here with {value!r}")
+        out.line(f"the recipe must state {key}; shown here with {value!r}")
     timed = [stream for stream in file.streams if stream.clocks]
     if timed:
         header = ("stream", "type", "samples", "seconds", "rate [Hz]", "jitter [ms]", "gaps", "clocks")
@@ -116,9 +116,9 @@ def _show(out: Printer, file: FileSummary) -> None:
             out.line(f"{len(timed) - MAX_STREAMS} more streams")
     fields = [(stream.name, field) for stream in file.streams for field in stream.fields]
     if len(fields) > MAX_FIELDS and any(field.high > field.low for _, field in fields):
-        still = sum(not field.high > field.low for _, field in fields)
-        if still:
-            out.line(f"{_count(still, 'field')} that never change or hold no number are not shown")
+        constant = sum(not field.high > field.low for _, field in fields)
+        if constant:
+            out.line(f"{_count(constant, 'field')} with constant or no numbers not shown")
         fields = [(stream, field) for stream, field in fields if field.high > field.low]
     rows = [(stream, *_field_row(field)) for stream, field in fields]
     if rows:
@@ -129,7 +129,7 @@ def _show(out: Printer, file: FileSummary) -> None:
 
 
 def _thinned(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """The first rows, the name of a stream only where it begins."""
+    """The first rows, with the name of a stream only in its first row."""
     shown = rows[:MAX_FIELDS]
     return [("" if number and shown[number - 1][0] == row[0] else row[0], *row[1:]) for number, row in enumerate(shown)]
 
@@ -138,7 +138,7 @@ def _stream_row(stream: StreamSummary) -> tuple[str, ...]:
     first = stream.clocks[0]
     gaps = "none" if not first.gaps else f"{first.gaps}, longest {first.longest_gap_s:.3g} s at {first.longest_gap_at_s:.1f} s"
     if first.backwards:
-        gaps += f"; back in time {first.backwards} times"
+        gaps += f"; {first.backwards} backward steps"
     clocks = "; ".join(_clock(clock) for clock in stream.clocks)
     steady = (f"{first.rate_hz:.2f}", f"{1e3 * first.jitter_s:.2f}") if first.rate_hz > 0.0 else ("", "")
     numbers = (f"{first.seconds:.1f}", *steady)
@@ -151,7 +151,7 @@ def _clock(clock: ClockSummary) -> str:
         return f"{clock.name} from {begin[:19] or f'{clock.first_ns * 1e-9:.6g} s'}"
     middle, low, high = clock.behind_s
     if abs(middle) > 3600.0:
-        return f"{clock.name} of another epoch"
+        return f"{clock.name} with another epoch"
     return f"{clock.name} {1e3 * middle:+.2f} ms ({1e3 * low:+.2f} … {1e3 * high:+.2f})"
 
 
@@ -163,13 +163,6 @@ def _field_row(field: FieldSummary) -> tuple[str, ...]:
         f"{field.high:.6g}",
         f"{100.0 * field.missing:.1f} %" if field.missing else "",
     )
-
-
-def _size(size: int) -> str:
-    for unit, limit in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= limit:
-            return f"{size / limit:.1f} {unit}"
-    return f"{size} bytes"
 
 
 def _count(number: int, what: str) -> str:

@@ -1,4 +1,4 @@
-"""``sysid init DIR``: the folders of a workspace, with a machine description and a recipe to fill in."""
+"""``sysid init DIR``: folders for a machine, with templates of its description and recipe."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sysid.errors import SettingsError
 from sysid.root import Root
 
 FOLDERS = {
-    "datasets": "One folder a machine: machine.toml, recipe.toml, raw logs under logs/<recording>/. Read by sysid.datasets.",
+    "datasets": "One folder per machine: machine.toml, recipe.toml, raw logs under logs/<recording>/. Read by sysid.datasets.",
     "pipelines": "Whole workflows as short Python files that use the public API of sysid.",
-    "rl": "One folder a machine: training and runner recipes. Read by sysid.rl.",
-    "reports": "Reference results, each with the command, seed and versions that made it. Shown by sysid.reports.",
+    "rl": "One folder per machine: training and runner recipes. Read by sysid.rl.",
+    "reports": "Reference results, each with its command, seed and versions. Shown by sysid.reports.",
 }
 
 MACHINE = """\
-# The machine: its axes in kinematic order, and what the nominal simulation already knows. SI units throughout.
+# The machine: its axes in kinematic order, and the effects of the nominal simulation. SI units throughout.
 schema = 1
 name = "{name}"
 rate_hz = 100.0                  # grid that all signals are resampled to
@@ -53,7 +53,7 @@ machine = "machine.toml"         # relative to this file; paths never leave this
 logs = "logs"                    # logs/<recording>/<files>, each file with its own clock
 
 # [splits]                       # else chosen automatically, by recording
-# held_out = ["day-2-*"]         # what the final proof uses and no fit ever sees
+# held_out = ["day-2-*"]         # used only for the final proof
 
 [[streams]]
 files = "*.csv"                  # inside each recording's folder: logs/<recording>/
@@ -70,7 +70,7 @@ domain = "machine"               # files of one clock share a domain; every othe
 @click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
 @json_option
 def init(directory: Path, name: str | None, json_file: str | None) -> None:
-    """Lay out DIR for a machine of your own. Files that exist are left alone."""
+    """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _as_name(directory.resolve().name)
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")

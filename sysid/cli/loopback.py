@@ -1,4 +1,4 @@
-"""Serves a few pages to this computer alone: nothing but these, to nobody who does not ask for this computer."""
+"""HTTP server for a fixed set of pages on the loopback interface; requests for other host names are refused."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from urllib.parse import unquote, urlsplit
 from sysid.errors import SysidError
 
 HOST = "127.0.0.1"
-#: Gives the bytes of a page; OSError or SysidError where it is gone, or has become a link.
+#: Reads a page; raises OSError or SysidError if it is missing, or is a link.
 Page = Callable[[], bytes]
-#: No page runs a script, loads anything, or is shown inside another one.
+#: No scripts, no external content, no embedding.
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-#: A request that does not come is not waited for longer [s].
-PATIENCE_S = 10.0
+#: Time limit for a request [s].
+TIMEOUT_S = 10.0
 
 
 def page_server(pages: Mapping[str, Page], port: int = 0) -> ThreadingHTTPServer:
     """A server on the loopback interface, not yet running.
 
     Args:
-        pages: path of the address (``/``, ``/cards/arm@1.html``) → what reads it, anew for every request.
-        port: 0 takes a free one.
+        pages: URL path (``/``, ``/cards/arm@1.html``) → function that reads the page for each request.
+        port: 0 selects a free one.
 
     Raises:
         OSError: the port is taken.
     """
 
     class Handler(BaseHTTPRequestHandler):
-        timeout = PATIENCE_S
+        timeout = TIMEOUT_S
 
         def do_GET(self) -> None:
-            # A page elsewhere may point its own name to this address; it then asks for that name.
+            # Against DNS rebinding: a page elsewhere may resolve its own name to this address.
             try:
                 host = urlsplit(f"//{self.headers.get('Host', '')}").hostname
                 page = pages.get(unquote(urlsplit(self.path).path))
@@ -61,6 +61,6 @@ def page_server(pages: Mapping[str, Page], port: int = 0) -> ThreadingHTTPServer
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-            """Quiet: the terminal belongs to the person who started it."""
+            """Log nothing."""
 
     return ThreadingHTTPServer((HOST, port), Handler)

@@ -1,4 +1,4 @@
-"""What is printed of model versions: a promotion, a lineage, two that differ, an export, a drift."""
+"""Console text of model versions: promotion, lineage, differences, export, drift."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ if TYPE_CHECKING:
 
     from sysid.cli.output import Printer
     from sysid.registry import Promotion
-    from sysid.versions import DriftReport, Exported, ModelDiff, ModelLineage
+    from sysid.versions import DriftReport, ExportedFile, ModelDiff, ModelLineage
 
-#: Parameters of a geometry that are listed, those that moved most first.
-MOST_PARAMETERS = 20
+#: Largest number of listed parameters of a geometry.
+MAX_PARAMETERS = 20
 
 
 def show_promotion(out: Printer, found: Promotion, word: str = "") -> None:
-    """What was asked, and what the name alone means now."""
+    """The conditions, and the champion now."""
     name = found.version.partition("@")[0]
     for check in found.checks:
         out.line(f"  {check.status:<8}  {check.text}")
     if not found.promoted:
-        meant = f"`{name}` alone goes on meaning {found.current}" if found.current else "nothing of this name is promoted"
-        out.line(f"Not promoted; {meant}.")
+        champion = f"`{name}` alone still means {found.current}" if found.current else "no version of this name is promoted"
+        out.line(f"Not promoted; {champion}.")
         return
     if word:
-        out.line(f"By an explicit word: {word}")
+        out.line(f"Promoted regardless of the checks: {word}")
     instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
-    out.line(f"`{name}` alone means {found.version} from now on{instead}.")
+    out.line(f"`{name}` alone now means {found.version}{instead}.")
 
 
 def show_model_lineage(out: Printer, found: ModelLineage) -> None:
-    """The chain of a model version: what it was made from, to the raw files, and what came of it."""
+    """The lineage of a model version: its sources, to the raw files, and what was made from it."""
     known = f"  ({', '.join(found.aliases)})" if found.aliases else ""
     out.line(f"{found.model}{known}  {found.kind}  {found.digest}")
     for parent in found.parents:
@@ -54,12 +54,12 @@ def show_model_lineage(out: Printer, found: ModelLineage) -> None:
 
 
 def show_model_diff(out: Printer, found: ModelDiff) -> None:
-    """How two versions differ, what weighs most first."""
+    """Differences of two versions, predictions first."""
     from sysid.versions.outputs import shown
 
     out.line(f"{found.before} → {found.after}")
     if found.empty:
-        out.line("The same: nothing differs." if found.same_content else "Nothing differs but the way they were made.")
+        out.line("No differences." if found.same_content else "Equal content, created in different ways.")
         return
     for word, outputs in (("added", found.outputs.added), ("removed", found.outputs.removed)):
         for output in outputs:
@@ -68,7 +68,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     for entry in found.predictions:
         at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
         if not entry.points:
-            at = "the fitted ranges do not meet"
+            at = "the fitted ranges do not overlap"
         rows.append((entry.output, shown(entry.largest, entry.unit), shown(entry.rms, entry.unit), at))
     if rows:
         out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
@@ -79,20 +79,20 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     only = [change for change in found.geometry if not math.isfinite(change.sigmas)]
     if only:
         who = found.after if math.isnan(only[0].before) else found.before
-        out.line(f"geometry: {len(only)} parameters of {who} alone")
+        out.line(f"geometry: {len(only)} parameters only in {who}")
     largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
         (change.parameter, shown(change.before, change.unit), shown(change.after, change.unit), f"{change.sigmas:.1f}")
-        for change in largest[:MOST_PARAMETERS]
+        for change in largest[:MAX_PARAMETERS]
     ]
     if rows:
         out.table(("geometry", "before", "after", "differs by sigmas"), rows, right=(1, 2, 3))
-    if len(largest) > MOST_PARAMETERS:
-        out.line(f"geometry: {len(largest) - MOST_PARAMETERS} more differ (--json FILE has them all)")
+    if len(largest) > MAX_PARAMETERS:
+        out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
 
 
-def show_exported(out: Printer, folder: Path, files: tuple[Exported, ...]) -> None:
-    """The files, and how closely each agrees with the version itself."""
+def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -> None:
+    """The files, and their agreement with the version."""
     rows = [
         (
             str(folder / entry.file),
@@ -103,16 +103,14 @@ def show_exported(out: Printer, folder: Path, files: tuple[Exported, ...]) -> No
         )
         for entry in files
     ]
-    header = ("file", "from", "to", "differs by", "rounding allows")
+    header = ("file", "from", "to", "difference", "allowed")
     out.table(header, rows, right=(3, 4))
     points, kind = files[0].points, files[0].precision
-    out.line(
-        f"Run by ONNX Runtime at {points} random inputs, half of them beyond the fitted range; numbers are {kind}, SI units."
-    )
+    out.line(f"Evaluated by ONNX Runtime at {points} random inputs, half of them beyond the fitted range; {kind}, SI units.")
 
 
 def show_drift(out: Printer, found: DriftReport) -> None:
-    """Whether a version still fits, output by output."""
+    """The test for drift of each output."""
     from sysid.reports.display import percent
     from sysid.versions.drift import OUTSIDE_SHARE
     from sysid.versions.outputs import shown
@@ -135,21 +133,21 @@ def show_drift(out: Printer, found: DriftReport) -> None:
             )
         )
     here = (f"rmse, {found.own}", "its worst recording", f"rmse, {found.dataset}", "ratio (95 %)")
-    out.table(("output", "rows", "compared", *here, "by chance", ""), rows, right=(2, 3, 4, 5, 6, 7))
+    out.table(("output", "rows", "compared", *here, "p-value", ""), rows, right=(2, 3, 4, 5, 6, 7))
     for item in found.inputs:
         if item.outside > OUTSIDE_SHARE:
             (low, high), (least, most) = item.fitted, item.found
             out.line(
                 f"{item.signal} ({item.rows}): {percent(item.outside)} of the rows beyond the fitted {low:.4g} … {high:.4g}"
-                f" {item.unit}; they reach {least:.4g} … {most:.4g}"
+                f" {item.unit}; the new range is {least:.4g} … {most:.4g}"
             )
     if found.known:
-        out.line(f"Left out, since {found.own} holds them too: {', '.join(found.known)}")
+        out.line(f"Left out, because they are also in {found.own}: {', '.join(found.known)}")
     grown = [f"{entry.output} ({entry.rows})" for entry in found.outputs if entry.verdict == "drifted"]
-    said = {
-        "fits": "fits: its errors are what they were, inside the ranges that it was fitted on.",
-        "beyond its ranges": "fits where it was fitted, but is asked beyond its ranges. Fit it again with these recordings.",
-        "drifted": f"no longer fits: larger errors in {', '.join(grown)}, beyond chance.",
-        "not comparable": "cannot be evaluated: too few rows of its own or of the new ones.",
+    verdict = {
+        "fits": "fits: inside its ranges its errors have not grown significantly.",
+        "beyond its ranges": "fits inside its ranges, but recordings exceed them. Fit it again with these recordings.",
+        "drifted": f"no longer fits: significantly larger errors in {', '.join(grown)}.",
+        "not comparable": "cannot be evaluated: too few rows on either side.",
     }[found.verdict]
-    out.line(f"{found.model} on {found.dataset} {said}")
+    out.line(f"{found.model} on {found.dataset} {verdict}")

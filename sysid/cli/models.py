@@ -1,4 +1,4 @@
-"""``sysid models [MODEL]``: networks and plants in the registry, what one is, and what may be done with versions."""
+"""``sysid models``: list, show, promote, compare, export and repair model versions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from sysid.model_versions import ModelVersions
     from sysid.registry import DamagedModel, ModelVersion
 
-RESIDUAL_NOTE = "contains unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
+RESIDUAL_NOTE = "contains unnamed_residual: a bounded network fitted to the recordings, without a physical cause."
 ANYWAY = "'WHY'"
 
 
 @click.group(cls=ReferenceGroup, subcommand_metavar="[NAME[@VERSION] | VERB …]")
 def models() -> None:
-    """List model and plant versions, show one, or say what is to be done with them.
+    """List, show and manage the versions of networks, plants and policies.
 
     `sysid models` lists them, `sysid models NAME[@VERSION]` shows one. With --json FILE the result is written as JSON as well.
     """
@@ -36,12 +36,12 @@ def models() -> None:
 @click.option("--kind", default=None, help="actuator, history, motion, forward, plant or policy only.")
 @json_option
 @click.pass_obj
-def show(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
+def show(location: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
     """List model versions, or show one."""
     from sysid.registry import DamagedModel
     from sysid.workspace import open_workspace
 
-    registry = open_workspace(workspace).models
+    registry = open_workspace(location).models
     out = Printer(json_file)
     if reference is not None:
         version = registry.find(reference)
@@ -63,7 +63,7 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
     rows = [{"reference": entry.reference, "damage": str(entry.error)} for entry in damaged]
     write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
     if not found:
-        out.line(f"No models in {workspace} yet: sysid fit makes networks, sysid gap makes plants.")
+        out.line(f"No models in {location} yet: sysid fit creates networks, sysid gap creates plants.")
         return
     out.table(("model", "kind", "made from", "aliases", "content"), [_row(entry) for entry in found])
     if any(map(_has_residual, versions)):
@@ -83,27 +83,27 @@ def _row(entry: ModelVersion | DamagedModel) -> tuple[str, ...]:
 
 
 @models.command()
-@click.option("--accept", is_flag=True, help="Take what was changed by hand as it stands.")
+@click.option("--accept", is_flag=True, help="Accept what was changed by hand.")
 @json_option
 @click.pass_obj
-def repair(workspace: str, accept: bool, json_file: str | None) -> None:
-    """Mend the registry: finish what was half made, migrate old tables, make lost ones anew from the files of the models.
+def repair(location: str, accept: bool, json_file: str | None) -> None:
+    """Repair the registry: migrate old tables, rebuild lost ones from the model files.
 
-    Aliases and figures that were changed by hand are set back to what was recorded. Exit status 2 where something is left.
+    Aliases and figures that were changed by hand are restored. Exit status 2 if something cannot be restored.
     """
     from dataclasses import asdict
 
     from sysid.workspace import open_workspace
 
-    found = open_workspace(workspace).models.repair(accept)
+    found = open_workspace(location).models.repair(accept)
     out = Printer(json_file)
     for line in found.done:
         out.line(line)
     if not found.done and not found.left:
-        out.line("The registry is whole: nothing to mend.")
+        out.line("The registry is valid: nothing to repair.")
     write_json(json_file, {"schema": 1, **asdict(found)})
     if found.left:
-        raise StoreError(f"model registry of {workspace}", " ".join(found.left))
+        raise StoreError(f"model registry of {location}", " ".join(found.left))
 
 
 @models.command()
@@ -113,17 +113,17 @@ def repair(workspace: str, accept: bool, json_file: str | None) -> None:
     type=click.Path(path_type=Path),
     default=None,
     metavar="P.toml",
-    help="What a network has to show. Default: no worse than the champion.",
+    help="Conditions for a network. Default: no worse than the champion.",
 )
 @click.option("--on", "dataset", default=None, metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
-@click.option("--anyway", "word", default="", metavar="WHY", help="Promote it whatever the checks say; WHY is recorded.")
+@click.option("--anyway", "word", default="", metavar="WHY", help="Promote it regardless of the checks; WHY is recorded.")
 @json_option
 @click.pass_obj
-def promote(workspace: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
-    """Let the name alone mean this version from now on, if it passes.
+def promote(location: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
+    """Make this version the one that the name alone means, if it passes.
 
-    Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision stays with
-    the version, also where it is refused; exit status 2 then.
+    Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision is stored
+    with the version. Exit status 2 if it is refused.
     """
     from dataclasses import asdict
 
@@ -133,25 +133,25 @@ def promote(workspace: str, reference: str, policy: Path | None, dataset: str | 
     if "@" not in reference:
         raise SettingsError("sysid models promote", reference, "one version, as in autolog@1")
     rules = load_policy(policy)
-    found = _versions(workspace).promote(reference, rules, policy, word.strip(), dataset)
+    found = _versions(location).promote(reference, rules, policy, word.strip(), dataset)
     show_promotion(Printer(json_file), found, word.strip())
     write_json(json_file, {"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
     if not found.promoted:
-        remedy = f"To promote it all the same: sysid models promote {found.version} --anyway {ANYWAY}"
+        remedy = f"To promote it regardless: sysid models promote {found.version} --anyway {ANYWAY}"
         failed = [check for check in found.checks if check.status == "failed"]
-        told = failed[0].text if len(failed) == 1 else f"{len(failed)} of {len(found.checks)} conditions do not hold"
-        raise StoreError(found.version, f"not promoted: {told if failed else found.reason}", "a version that passes", remedy)
+        result = failed[0].text if len(failed) == 1 else f"{len(failed)} of {len(found.checks)} conditions do not hold"
+        raise StoreError(found.version, f"not promoted: {result if failed else found.reason}", "a version that passes", remedy)
 
 
 @models.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def lineage(workspace: str, reference: str, json_file: str | None) -> None:
-    """Show where a version comes from, to the raw files, and what was made from it."""
+def lineage(location: str, reference: str, json_file: str | None) -> None:
+    """Show the sources of a version, to the raw files, and what was made from it."""
     from sysid.cli.model_tables import show_model_lineage
 
-    found = _versions(workspace).lineage(reference)
+    found = _versions(location).lineage(reference)
     show_model_lineage(Printer(json_file), found)
     write_json(json_file, found.to_json())
 
@@ -161,14 +161,14 @@ def lineage(workspace: str, reference: str, json_file: str | None) -> None:
 @click.argument("after", metavar="B")
 @json_option
 @click.pass_obj
-def diff_two(workspace: str, before: str, after: str, json_file: str | None) -> None:
-    """Say how version B differs from version A.
+def diff_two(location: str, before: str, after: str, json_file: str | None) -> None:
+    """Show how version B differs from version A.
 
-    Predictions over the range that both were fitted on, recipe, dataset, figures, files, and the geometry of forward models.
+    Predictions over the common range, recipe, dataset, figures, files, and the geometry of forward models.
     """
     from sysid.cli.model_tables import show_model_diff
 
-    found = _versions(workspace).diff(before, after)
+    found = _versions(location).diff(before, after)
     show_model_diff(Printer(json_file), found)
     write_json(json_file, found.to_json())
 
@@ -180,18 +180,18 @@ def diff_two(workspace: str, before: str, after: str, json_file: str | None) -> 
 @json_option
 @click.pass_obj
 def export(
-    workspace: str,
+    location: str,
     reference: str,
     out: Path | None,
     precision: Literal["float32", "float64"],
     json_file: str | None,
 ) -> None:
-    """Write a network as ONNX, run it, and keep it only if it predicts the same."""
+    """Write a network as ONNX, and keep it only if it predicts the same."""
     from dataclasses import asdict
 
     from sysid.cli.model_tables import show_exported
 
-    folder, files = _versions(workspace).export(reference, out, precision)
+    folder, files = _versions(location).export(reference, out, precision)
     show_exported(Printer(json_file), folder, files)
     write_json(json_file, {"schema": 1, "folder": str(folder), "files": [asdict(entry) for entry in files]})
 
@@ -200,18 +200,18 @@ def export(
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F", help="F.md or F.html; else both in cards/.")
 @click.pass_obj
-def card(workspace: str, reference: str, out: Path | None) -> None:
-    """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
+def card(location: str, reference: str, out: Path | None) -> None:
+    """Write the card of a version: purpose, errors, limits, lineage, and how to load it."""
     from sysid.names import check_file_name
     from sysid.reports.model_pages import card_page
     from sysid.reports.pages import write_page
 
     if out is not None and out.suffix not in (".md", ".html"):
         raise SettingsError(f"--out {out}", f"suffix {out.suffix!r}", ".md or .html")
-    versions = _versions(workspace)
+    versions = _versions(location)
     found = versions.card(reference)
     names = [f"cards/{check_file_name(found.title, 'card')}{suffix}" for suffix in (".md", ".html")]
-    for path in (out,) if out is not None else tuple(map(versions.place.output, names)):
+    for path in (out,) if out is not None else tuple(map(versions.workspace.output, names)):
         text = found.markdown() if path.suffix == ".md" else card_page(found)
         Printer().line(str(write_page(path, text)))
 
@@ -222,7 +222,7 @@ def card(workspace: str, reference: str, out: Path | None) -> None:
 @click.option("--serve", is_flag=True, help="Serve it and the cards to this computer until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8642, show_default=True, help="For --serve.")
 @click.pass_obj
-def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) -> None:
+def ui(location: str, out: Path | None, show_it: bool, serve: bool, port: int) -> None:
     """Write one page about all versions: aliases, figures, lineage, decisions."""
     from datetime import datetime
 
@@ -230,21 +230,21 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     from sysid.reports.model_pages import models_page
     from sysid.reports.pages import write_page
 
-    place = _versions(workspace).place
-    path = out or place.output("models.html")
-    kinds = place.root.entries("cards")
+    workspace = _versions(location).workspace
+    path = out or workspace.output("models.html")
+    kinds = workspace.root.entries("cards")
     there = [name.removesuffix(".html") for name, kind in kinds.items() if kind == "file" and name.endswith(".html")]
     cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    found = place.models.survey()
+    found = workspace.models.survey()
     versions = [entry for entry in found if not isinstance(entry, DamagedModel)]
-    Printer().line(str(write_page(path, models_page(versions, str(workspace), created, cards))))
+    Printer().line(str(write_page(path, models_page(versions, str(location), created, cards))))
     for entry in found:
         if isinstance(entry, DamagedModel):
             click.echo(visible(f"damaged, and not on the page: {entry.error}"), err=True)
     if serve:
-        pages: dict[str, Page] = {"/": path.read_bytes if out is not None else partial(place.root.read, "models.html")}
-        pages |= {f"/cards/{name}.html": partial(place.root.read, f"cards/{name}.html") for name in there}
+        pages: dict[str, Page] = {"/": path.read_bytes if out is not None else partial(workspace.root.read, "models.html")}
+        pages |= {f"/cards/{name}.html": partial(workspace.root.read, f"cards/{name}.html") for name in there}
         _serve(pages, port, show_it)
     elif show_it:
         click.launch(path.resolve().as_uri())
@@ -265,11 +265,11 @@ def _serve(pages: dict[str, Page], port: int, show_it: bool) -> None:
         server.serve_forever()
 
 
-def _versions(workspace: str) -> ModelVersions:
+def _versions(location: str) -> ModelVersions:
     from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
 
-    return ModelVersions(open_workspace(workspace))
+    return ModelVersions(open_workspace(location))
 
 
 def _show_decisions(out: Printer, version: ModelVersion) -> None:

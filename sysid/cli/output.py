@@ -1,4 +1,4 @@
-"""What every verb prints: tables and lines for people on stdout, progress on stderr, JSON for machines."""
+"""Output of all verbs: text and tables on stdout, progress on stderr, JSON."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ json_option = click.option(
 
 
 #: Characters of one cell of a table.
-MOST_CELL = 1000
+MAX_CELL = 1000
 
 
 class Printer:
-    """Prints for people; on stderr when stdout carries JSON. What a terminal would obey is written out: ``sysid.foreign``."""
+    """Prints text on stdout, or on stderr if stdout carries JSON; control characters are escaped (``sysid.foreign``)."""
 
     def __init__(self, json_file: str | None = None) -> None:
         from rich.console import Console
 
-        # A pipe has no width of its own: wide enough that no reference or path is wrapped.
+        # A pipe has no width: 160 columns, so that references and paths are not wrapped.
         stream = sys.stderr if json_file == "-" else sys.stdout
         self.console = Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
 
     def line(self, text: str = "") -> None:
-        """One line: a line break in it is written out, since a name with one would forge the next line."""
+        """One line; line breaks in it are escaped, so that a name cannot forge a line."""
         self.console.print(visible(text), markup=False, soft_wrap=True)
 
     def block(self, text: str) -> None:
@@ -59,13 +59,13 @@ class Printer:
         for number, name in enumerate(header):
             table.add_column(Text(name), justify="right" if number in right else "left", overflow="fold")
         for row in rows:
-            table.add_row(*(Text(visible(cell, MOST_CELL)) for cell in row))
+            table.add_row(*(Text(visible(cell, MAX_CELL)) for cell in row))
         self.console.print(table)
 
 
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A callable ``progress(done, text)`` that drives a bar on stderr; silent where stderr is no terminal."""
+    """A callback that drives a progress bar on stderr, and does nothing if stderr is no terminal."""
     if not sys.stderr.isatty():
         yield lambda done, text: None
         return
@@ -81,25 +81,25 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TimeElapsedColumn(),
     )
     with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, title=escape(visible(title, MOST_CELL)))
+        task = bar.add_task("", total=1.0, title=escape(visible(title, MAX_CELL)))
 
         def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MOST_CELL)))
+            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MAX_CELL)))
 
         yield report
 
 
 def rerun_command(path: Path) -> str:
-    """What to type to look at a Rerun file: the viewer comes with the SDK, but its folder need not be on the PATH."""
+    """The command that shows a Rerun file; the viewer of the SDK need not be on the PATH."""
     beside = Path(sys.executable).with_name("rerun")
     viewer = "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
     return f"{viewer} {path}"
 
 
 class PipelineProgress:
-    """Runs the stations of a pipeline: a bar while one works, a line with its time when it is done.
+    """Progress of the steps of a pipeline: a bar while a step runs, then a line with its time.
 
-    >>> with stations("ingest") as progress:
+    >>> with steps("ingest") as progress:
     ...     dataset = ingest(logs, workspace, progress=progress)
     """
 
@@ -117,7 +117,7 @@ class PipelineProgress:
 
 
 def write_json(json_file: str | Path | None, value: Mapping[str, Any]) -> None:
-    """Write ``value`` whole or not at all; numbers that JSON does not have (NaN, infinity) become null.
+    """Write ``value`` atomically; NaN and infinity become null.
 
     Raises:
         SettingsError: the folder of the file does not exist.
@@ -126,7 +126,7 @@ def write_json(json_file: str | Path | None, value: Mapping[str, Any]) -> None:
 
 
 def write_json_text(json_file: str | Path | None, text: str) -> None:
-    """:func:`write_json` of text that is JSON already."""
+    """As :func:`write_json`, for JSON text."""
     if json_file is None:
         return
     if json_file == "-":
@@ -137,3 +137,42 @@ def write_json_text(json_file: str | Path | None, text: str) -> None:
         raise SettingsError(f"--json {path}", f"no folder {path.parent}", "a file in an existing folder")
     with written_whole(path) as half:
         half.write_text(text, "utf-8")
+
+
+def size_text(count: float) -> str:
+    """A number of bytes with its unit, as in ``1.5 MB``."""
+    if count < 1000.0:
+        return f"{count:.0f} bytes"
+    for unit in ("kB", "MB"):
+        count /= 1000.0
+        if count < 1000.0:
+            return f"{count:.1f} {unit}"
+    return f"{count / 1000.0:.1f} GB"
+
+
+def open_standard_streams() -> None:
+    """Open closed standard streams on the null device; else a device would get their descriptor and receive printed text."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - as long as the process
+
+
+@contextlib.contextmanager
+def closed_stdout_ignored(ignore: bool = True) -> Iterator[None]:
+    """Printing within to a closed stdout does not change the exit status, unless ``ignore`` is false."""
+    try:
+        yield
+        sys.stdout.flush()
+    except (OSError, SystemExit):  # rich raises SystemExit on a broken pipe
+        if not ignore:
+            raise
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+                continue
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(nowhere, stream.fileno())

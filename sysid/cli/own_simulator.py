@@ -1,4 +1,4 @@
-"""``--simulator FILE.py:NAME``: a simulator of the user's own, from the user's own file and nowhere else."""
+"""``--simulator FILE.py:NAME``: loads a user's simulator."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 def load_simulator(place: str) -> Simulator:
-    """The object ``NAME`` of a Python file; a class is made into an object without arguments.
+    """The object ``NAME`` of a Python file; a class is instantiated without arguments.
 
     The file's folder is searched for the modules that it imports.
 
     Raises:
         SettingsError: not ``FILE.py:NAME``.
-        InputError: no such file, it does not run, or NAME is no simulator.
+        InputError: no such file, an error in it, or NAME is no simulator.
     """
     from sysid.gap import Simulator
 

@@ -1,4 +1,4 @@
-"""``sysid datasets NAME --quality``: what a dataset is good for, before anything is fitted."""
+"""``sysid datasets NAME --quality``: coverage, noise, flags and excitation of a dataset, before any fit."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
     from sysid.datasets.quality import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
-#: Flags listed of one dataset; JSON has all of them.
-MOST_FLAGS = 12
+#: Largest number of listed flags; JSON has all.
+MAX_FLAGS = 12
 
 
-def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
-    """Print evidence, flags and the verdict for every effect; the same as JSON where it is asked for."""
+def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
+    """Print evidence, flags and the verdict for every effect, and write them as JSON."""
     from sysid.datasets.quality import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     evidence = evidence_of(dataset)
-    verdicts = excitation_report(dataset, place.plant(dataset))
+    verdicts = excitation_report(dataset, workspace.plant(dataset))
     flags = list(dataset.quality.get("flags", ()))
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
     show_excitation(out, verdicts, dataset)
-    out.line(f"Pictures: sysid --workspace {workspace} report {dataset.reference}")
+    out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
     write_json(
         json_file,
         {
@@ -47,7 +47,7 @@ def show_quality(workspace: str, reference: str | None, json_file: str | None) -
 
 
 def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> None:
-    """What each axis was asked to do and did, how much of joint space was visited, where the machine stood, how noisy it is."""
+    """Commands and motion of each axis, coverage of the joint space, phases of rest, noise."""
     from sysid.reports.display import percent, quantity
 
     spans = {span.axis: span for span in evidence.spans}
@@ -88,7 +88,7 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         longest = max(phase.seconds for phase in phases)
         out.line(
             f"at rest: {len(phases)} phases, {sum(p.seconds for p in phases):.0f} s in all, the longest {longest:.1f} s, "
-            f"in {len(evidence.postures)} clearly different posture{'s' if len(evidence.postures) != 1 else ''}"
+            f"in {len(evidence.postures)} different posture{'s' if len(evidence.postures) != 1 else ''}"
         )
     else:
         out.line("at rest: no phase of a second or more")
@@ -101,21 +101,21 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
 
 
 def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
-    """What ingest flagged: counted by kind, and the first of them."""
+    """Flags of the ingest: counts by kind, and the first ones."""
     from sysid.reports.flags import flag_lines, kinds_of
 
     lines = flag_lines(flags)
     if not lines:
         return
-    out.line(f"flagged (values stay as they are, unless it says otherwise): {kinds_of(lines)}")
-    for line in lines[:MOST_FLAGS]:
+    out.line(f"flagged (values are unchanged unless stated): {kinds_of(lines)}")
+    for line in lines[:MAX_FLAGS]:
         out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
-    if len(lines) > MOST_FLAGS:
-        out.line(f"  … and {len(lines) - MOST_FLAGS} more (the report and --json have them all)")
+    if len(lines) > MAX_FLAGS:
+        out.line(f"  … and {len(lines) - MAX_FLAGS} more (the report and --json have them all)")
 
 
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:
-    """For every effect and place: ready, not enough, or not observable with these sensors."""
+    """For every effect and location: ready, not enough, or not observable with these sensors."""
     from sysid.reports.verdicts import amount, by_effect, by_reason, place, request_text, spread
 
     for note in found.notes:
@@ -126,8 +126,7 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
     )
     out.line()
     out.line(
-        f"Could the recordings show it? {len(ready)} ready, {len(lacking)} not enough, "
-        f"{len(hidden)} cannot be shown ({counted})"
+        f"Excitation of the effects: {len(ready)} ready, {len(lacking)} not enough, {len(hidden)} cannot be shown ({counted})"
     )
     if lacking:
         rows = [(v.name, place(v), amount(v), v.unit) for v in lacking]

@@ -17,12 +17,12 @@ def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine:
     from sysid.reports.effect_units import shown
 
     if not repeats:
-        out.line("nothing was named in any of them")
+        out.line("no effect was named in any run")
         return
     words = {
         "consistent": "consistent",
-        "moves": "NOT consistent: value moves",
-        "sometimes": "NOT consistent: not named elsewhere",
+        "moves": "NOT consistent: value varies",
+        "sometimes": "NOT consistent: not named in all runs",
     }
     rows = []
     for item in repeats:

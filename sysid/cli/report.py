@@ -14,19 +14,19 @@ from sysid.cli.output import Printer, json_option, write_json
 @click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.html")
 @json_option
 @click.pass_obj
-def report(workspace: str, reference: str | None, path: Path | None, json_file: str | None) -> None:
+def report(location: str, reference: str | None, path: Path | None, json_file: str | None) -> None:
     """Write the HTML report of a dataset: one file that works without a network."""
     from sysid.reports import write_report
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
-    inputs = place.report_inputs(dataset)
-    path = path or place.output("report.html", dataset)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
+    inputs = workspace.report_inputs(dataset)
+    path = path or workspace.output("report.html", dataset)
     write_report(path, inputs)
     out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
     if inputs.gap is None:
-        out.line(f"It has no comparison with a simulation yet: sysid --workspace {workspace} gap {dataset.name}")
+        out.line(f"The report has no comparison with a simulation yet: sysid --workspace {location} gap {dataset.name}")
     verdict = inputs.gap.verdict if inputs.gap is not None else None
     write_json(json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, closed_stdout_ignored, json_option, open_standard_streams, write_json
 
 if TYPE_CHECKING:
     from sysid.errors import StorageError
@@ -24,11 +22,11 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RUNNER.toml")
-@click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
+@click.option("--dry-run", is_flag=True, help="Run all checks and the simulated machine; nothing is opened.")
 @click.option("--commission", is_flag=True, help="First motion of a machine: one axis at a time, compared with the plant.")
-@click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on simulated machines only.")
-@click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
-@click.option("--view", is_flag=True, help="Show the run in Rerun while it goes on, a second behind.")
+@click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; only on simulated machines.")
+@click.option("--seconds", type=click.FloatRange(0.1), default=None, help="Maximum duration of the run [s].")
+@click.option("--view", is_flag=True, help="Show the run in Rerun with a delay of one second.")
 @click.option("--log", "log", type=click.Path(file_okay=False, path_type=Path), default=None, help="Folder of recordings.")
 @json_option
 @click.pass_context
@@ -45,9 +43,9 @@ def run(
 ) -> None:
     """Run a recipe on its machine: track, hold, collect, replay, watch.
 
-    At the terminal: arm (then hold the dead-man switch to start), stop, reset (after a fault), quit, abort. Ctrl-C, any signal
-    that ends a process, and a terminal that closes stop within the limits and quit; a second signal aborts: neutral at once.
-    Exit status 1 where the run ended in a fault.
+    Commands at the terminal: arm (then hold the dead-man switch to start), stop, reset (after a fault), quit, abort. Ctrl-C,
+    other termination signals and a closed terminal stop within the limits and quit; a second signal aborts with neutral valves
+    at once. Exit status 1 if the run ended in a fault.
     """
     from dataclasses import replace
 
@@ -65,7 +63,7 @@ def run(
     from sysid.runner.transports import connect
     from sysid.workspace import open_workspace
 
-    _keep_descriptors()
+    open_standard_streams()
     settings = load_runner(recipe)
     if commission:
         settings = replace(settings, mode="commission")
@@ -74,12 +72,12 @@ def run(
     registry = open_workspace(ctx.obj).models
     assembly = assemble(settings, registry, recipe)
     printer = Printer(json_file)
-    with _whoever_reads():
-        _introduce(printer, assembly)
+    with closed_stdout_ignored():
+        _print_setup(printer, assembly)
     if dry_run:
         found = run_dry(assembly, seconds or 60.0)
         printer.line(f"Dry run of {found.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
-        _tell(printer, assembly, found.outcome, found.ranges)
+        _print_outcome(printer, assembly, found.outcome, found.ranges)
         write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
         return
     line = connect(assembly, registry)
@@ -88,9 +86,9 @@ def run(
         printer.line(f"  note: {text}")
     program = unattended or settings.transport["kind"] == "simulated"
     if program and not (line.simulated and isinstance(transport, Settable)):
-        raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
+        raise SettingsError("--unattended", "a real machine", "an operator: run without --unattended")
     ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
-    pair = Both(ranges)
+    pair = RecorderPair(ranges)
     console = Console()
     operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal(console)
     files = {"recipe": recipe, "machine": assembly.machine_file}
@@ -109,27 +107,27 @@ def run(
         pair.second = flight
         try:
             if view:
-                _show(flight.path)
+                show_log(flight.path)
             outcome = loop.run(mode.watch if isinstance(mode, Commission) else None)
         finally:
             ended = loop.outcome
             flight.add_metadata("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
             unwritten = _closed(flight)
     if console.lost:
-        outcome.notes.append(f"{console.lost} lines found no room at the terminal")
+        outcome.notes.append(f"{console.lost} lines could not be printed at the terminal")
     figures = _figures(assembly, outcome, ranges)
     failed: Exception | None = None
     kept: Path | None = None
     try:
         if isinstance(mode, Commission):
             kept = keep_record(assembly, mode, recipe, str(flight.path))
-        with _whoever_reads(json_file == "-"):
+        with closed_stdout_ignored(json_file == "-"):
             record = {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost}
             write_json(json_file, record | figures)
-    except (OSError, SysidError) as error:  # told after how the run ended, as what is missing of the log
+    except (OSError, SysidError) as error:  # raised after the outcome is printed
         failed = error
-    with _whoever_reads():
-        _tell(printer, assembly, outcome, ranges)
+    with closed_stdout_ignored():
+        _print_outcome(printer, assembly, outcome, ranges)
         if isinstance(mode, Commission) and kept is not None:
             _commissioned(printer, mode, kept)
         printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
@@ -139,36 +137,8 @@ def run(
         ctx.exit(1)
 
 
-def _keep_descriptors() -> None:
-    """Let standard input, output and error that were closed lead nowhere: else a line gets their number, and is printed to."""
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(descriptor, True)
-    os.close(descriptor)
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - as long as the process
-
-
-@contextlib.contextmanager
-def _whoever_reads(said: bool = True) -> Iterator[None]:
-    """Print inside; a reader that is gone changes neither the run nor its exit status. ``said`` false: errors are errors."""
-    try:
-        yield
-        sys.stdout.flush()
-    except (OSError, SystemExit):  # the latter is how the console library ends where a pipe is broken
-        if not said:
-            raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
-                continue
-            with contextlib.suppress(OSError, ValueError):
-                os.dup2(nowhere, stream.fileno())
-
-
 def _commissioned(out: Printer, mode: Commission, record: Path) -> None:
-    """What a commissioning found."""
+    """Results of a commissioning."""
     rows = [
         (f"{item.axis} {'+' if item.direction > 0 else '−'}", f"{item.command:.2f}", f"{1e3 * item.tip:.1f} mm",
          *((f"{item.gain:.2f}", f"{item.dead_band:+.2f}", f"{1e3 * item.delay:.0f} ms") if item.judged else ("", "", "")),
@@ -177,15 +147,15 @@ def _commissioned(out: Printer, mode: Commission, record: Path) -> None:
     ]  # fmt: skip
     out.table(("stroke", "command", "boom tip", "gain / plant", "dead-band", "delay", ""), rows, right=range(1, 6))
     for signal, (what, off) in mode.zeros.items():
-        out.line(f"  zero of {signal}: {1e3 * off:.1f} mm at the boom tip, by {what}")
+        out.line(f"  zero of {signal}: {1e3 * off:.1f} mm at the boom tip, checked by {what}")
     for signal in mode.driven:
         if signal not in mode.zeros:
-            out.line(f"  zero of {signal}: NOT SEEN by anything; accepted by the recipe")
+            out.line(f"  zero of {signal}: NOT CHECKED; accepted by the recipe")
     out.line(f"{record}   ({'commissioned' if mode.passed else 'NOT commissioned'})")
 
 
-def _show(log: Path) -> None:
-    """A viewer that follows the log: a process of its own, behind the loop, that a Ctrl-C of the runner does not end."""
+def show_log(log: Path) -> None:
+    """Start a viewer that follows the log, in a separate process that Ctrl-C does not end."""
     import subprocess
 
     from sysid.children import child_environment, python_command
@@ -197,7 +167,7 @@ def _show(log: Path) -> None:
 
 
 def _closed(flight: FlightLog) -> StorageError | None:
-    """Close the log; what is missing of it is told after how the run ended."""
+    """Close the log; returns its error, which is raised after the outcome is printed."""
     from sysid.errors import StorageError
 
     try:
@@ -207,8 +177,8 @@ def _closed(flight: FlightLog) -> StorageError | None:
     return None
 
 
-class Both:
-    """Two recorders; the first one never fails."""
+class RecorderPair:
+    """Two recorders; the first one does not fail."""
 
     def __init__(self, first: Any) -> None:
         self.first = first
@@ -224,7 +194,7 @@ class Both:
         return str(self.second.fault) if self.second is not None else ""
 
 
-def _introduce(out: Printer, assembly: Assembly) -> None:
+def _print_setup(out: Printer, assembly: Assembly) -> None:
     recipe, loaded, limits = assembly.recipe, assembly.loaded, assembly.limits
     out.line(f"{recipe.name}: {recipe.mode} on {assembly.machine.name} at {assembly.machine.rate_hz:g} Hz, "
              f"through {recipe.transport['kind']}")  # fmt: skip
@@ -248,16 +218,16 @@ def _introduce(out: Printer, assembly: Assembly) -> None:
         ends = zip("xyz", limits.fence_low, limits.fence_high, strict=True)
         out.line("fence of the end effector: " + ", ".join(f"{a} {low:.3f} … {high:.3f}" for a, low, high in ends) + " m")
     else:
-        out.line("no fence: the end effector may go wherever the joints allow ([limits.fence] bounds it)")
+        out.line("no fence: the joint limits alone bound the end effector ([limits.fence] adds one)")
 
 
-def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> None:
+def _print_outcome(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> None:
     if ranges.moving:
         rows = [
             (name, f"{low:.3f} … {high:.3f}", f"{command:.2f}")
             for name, low, high, command in zip(assembly.machine.axis_names, *ranges.joints, ranges.commands, strict=True)
         ]
-        out.table(("axis", "went over", "greatest command"), rows, right=(1, 2))
+        out.table(("axis", "range", "largest command"), rows, right=(1, 2))
         ends = ", ".join(f"{a} {low:.3f} … {high:.3f}" for a, low, high in zip("xyz", *ranges.ee, strict=True))
         out.line(f"end effector: {ends} m; {ranges.moving} cycles in motion: "
                  + ", ".join(f"{phase} {count}" for phase, count in ranges.phases.items()))  # fmt: skip
@@ -271,18 +241,18 @@ def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRe
              f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a cycle took p50 {spent.percentile(0.5):.0f}, "
              f"p99 {spent.percentile(0.99):.0f}, max {spent.largest_us:.0f} µs")  # fmt: skip
     for check, count in outcome.verdicts.most_common():
-        out.line(f"  {check} objected in {count} cycles")
+        out.line(f"  {check} violated in {count} cycles")
     for text in outcome.notes:
         out.line(f"  {text}")
     out.line(f"ended: {outcome.ended}; state {outcome.state}" + (f": {outcome.why}" if outcome.why else ""))
 
 
 def _tracked(assembly: Assembly) -> str:
-    """What was followed, by what, through what, and who says where the end effector was."""
+    """Path, source of setpoints, transport, and source of the end-effector position."""
     recipe, forward = assembly.recipe, next(item.reference for item in assembly.loaded.versions if item.kind == "forward")
     path = assembly.tracking.path.name if assembly.tracking is not None else "its target"
     setting = f"{path} by {recipe.versions.policy} through {recipe.transport['kind']}"
-    return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
+    return f"{setting}, measured by the machine's sensors and {forward} (including their errors)"
 
 
 def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> dict[str, Any]:

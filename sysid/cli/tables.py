@@ -1,4 +1,4 @@
-"""The tables of the verbs and pipelines: a dataset, the errors of a network, the answer of the gap workflow, a repair."""
+"""Console tables of verbs and pipelines: datasets, errors of networks, gap results, repairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sysid.networks import Calibration
     from sysid.validate import ValidationReport
 
-#: Below this multiple of the noise floor there was nothing to close.
+#: Below this multiple of the noise floor, no closed share is given.
 NOTHING_TO_CLOSE = 1.05
 
 
@@ -36,7 +36,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
         if clock.applied:
             half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
             text = f"{clock.offset_s:+.6f} s ± {half:.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
-            if clock.reason.startswith("piece "):  # it was set while it recorded
+            if clock.reason.startswith("piece "):  # the clock was reset during the recording
                 text = f"{text} ({clock.reason.partition(';')[0]})"
         else:
             text = f"not aligned: {clock.reason}"
@@ -47,7 +47,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
 
 
 def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, float] | None = None) -> None:
-    """One row an output: RMSE, 95 %, maximum, what sensor noise alone would give, and the best simpler model.
+    """One row per output: RMSE, 95 %, maximum, noise floor, and the best simpler model.
 
     ``paper`` adds a column with a published maximum [SI] by output.
     """
@@ -68,7 +68,7 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
 
 def show_directions(out: Printer, report: ValidationReport) -> None:
-    """Actuator networks by the direction of motion: what depends on it is play or hysteresis that a static map averages."""
+    """Errors of actuator networks by the direction of motion, which indicate backlash or hysteresis."""
     from sysid.reports.display import shown_unit
 
     rows = []
@@ -88,7 +88,7 @@ def show_directions(out: Printer, report: ValidationReport) -> None:
 
 
 def show_calibration(out: Printer, calibration: Calibration) -> None:
-    """How the calibrated geometry differs from the URDF, as far as the poses say, and what they leave open."""
+    """Differences of the calibrated geometry from the URDF, and combinations that the poses do not determine."""
     from sysid.reports.display import digits_for, quantity
 
     rows = []
@@ -106,9 +106,9 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """Every stage that is measured at both ends, what each owns of the whole gap, and when it happens."""
+    """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
     from sysid.reports.display import percent, quantity, ratio
-    from sysid.reports.sections.where import guilty, sentence, significant
+    from sysid.reports.sections.where import above_floor, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
     rows = []
@@ -126,14 +126,14 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
             shares.append((what, percent(share.share), owner_name(share.target), stage_name(share.stage)))
     if shares:
         out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
-    for item in guilty(result):
+    for item in above_floor(result):
         maps = [m for m in result.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
         if maps:
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
 
 
 def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """The verdict, what was named with its intervals, what could not be, and the gap before and after of every signal."""
+    """The verdict, named effects with intervals, ambiguous and unnamed errors, and the gap of every signal."""
     from sysid.reports.display import digits_for, percent
     from sysid.reports.effect_units import UNDETERMINED, shown, shown_parameters
     from sysid.reports.words import effect_sentence, headline
@@ -156,16 +156,16 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
     for tie in result.ambiguous:
         out.line("  cannot be distinguished: " + " / ".join(f"{name} ({target})" for name, target in tie))
     for item in result.unnamed:
-        out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
+        out.line(f"  unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
     show_residual_models(out, result, dataset)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
     for step in result.next_experiment:
         out.line(f"next: {step}")
-    out.line(f"proved on {', '.join(result.held_out_recordings)}")
+    out.line(f"held-out recordings: {', '.join(result.held_out_recordings)}")
 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """Residual networks: what each does to the held-out error of its stage, or why there is none."""
+    """Residual networks: held-out error of the stage without and with each, or why there is none."""
     from sysid.reports.display import quantity
 
     for item in result.carried:
@@ -176,7 +176,7 @@ def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> N
         before, after, floor = (quantity(value, unit) for value in (item.before, item.after, item.noise_floor))
         out.line(
             f"  bounded residual network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → "
-            f"{after} (noise floor {floor}). It is learned from the recordings, no physics."
+            f"{after} (noise floor {floor}). It is fitted to the recordings and has no physical cause."
         )
 
 
@@ -195,15 +195,15 @@ def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
 def show_repair(
     out: Printer, result: GapResult, dataset: Dataset, folder: Path | None = None, workspace: str | Path | None = None
 ) -> None:
-    """What ``--add`` changed in ``machine.toml``, whether it was promoted and why not, how to use it, and the way back.
+    """The change of ``machine.toml`` by ``--add``, the promotion with its checks, and commands to apply or undo it.
 
     Args:
-        folder: where the result and its ``machine.diff`` were filed.
-        workspace: for the commands to type.
+        folder: of the result and its ``machine.diff``.
+        workspace: for the printed commands.
     """
     command = "sysid" if workspace is None else f"sysid --workspace {workspace}"
     name = result.plant_after.partition("@")[0]
-    out.line(f"{result.plant_after} = {result.plant_before} repaired. What that changes in machine.toml (SI units):")
+    out.line(f"{result.plant_after} = {result.plant_before} repaired. Change of machine.toml (SI units):")
     out.line()
     for line in result.machine_diff.splitlines():
         out.line(f"  {line}".rstrip())
@@ -211,8 +211,8 @@ def show_repair(
     for item in result.carried:
         if item.accepted:
             out.line(
-                f"It also contains unnamed_residual ({item.stage} of {item.target}): a network, no physics, which machine.toml "
-                f"cannot hold; it is in {result.plant_after} alone."
+                f"It also contains unnamed_residual ({item.stage} of {item.target}), a network, which machine.toml cannot "
+                f"describe; it is only in {result.plant_after}."
             )
     if folder is not None and result.machine_diff:
         out.line(f"Apply it: patch machine.toml {folder / 'machine.diff'}, and ingest again.")
@@ -223,21 +223,19 @@ def show_repair(
         out.line(f"  {check.status:<8}  {check.name}: {check.text}")
     if found.promoted:
         instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
-        out.line(f"Promoted: `{name}` alone means {found.version} from now on{instead}.")
+        out.line(f"Promoted: `{name}` alone now means {found.version}{instead}.")
         back = found.previous if found.previous != found.version else result.plant_before
-        out.line(
-            f"Undo it:  {command} models promote {back}   (nothing was overwritten: {back} stays as it was, machine.toml too)"
-        )
+        out.line(f"Undo it:  {command} models promote {back}   ({back} and machine.toml are unchanged)")
     else:
         out.line(f"Not promoted: {found.reason}.")
-        meant = f"`{name}` alone goes on meaning {found.current}" if found.current else "Nothing of this name is promoted"
+        champion = f"`{name}` alone still means {found.current}" if found.current else "No version of this name is promoted"
         anyway = f"{command} models promote {found.version} --anyway 'WHY'"
-        out.line(f"{meant}; {found.version} is stored. To promote it all the same: {anyway}")
-    out.line(f"`sysid gap {dataset.name}` without --plant goes on questioning the simulation that machine.toml describes.")
+        out.line(f"{champion}; {found.version} is stored. To promote it regardless: {anyway}")
+    out.line(f"`sysid gap {dataset.name}` without --plant still tests the simulation that machine.toml describes.")
 
 
 def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """The held-out gap in the PyBullet world, before and after, beside that of the compiled plant."""
+    """The held-out gap in the PyBullet world and with the compiled plant, before and after."""
     from sysid.reports.display import quantity
 
     found = result.world_gap

@@ -1,4 +1,4 @@
-"""``sysid track POLICY``: a policy, or inverse kinematics, follows a path; errors, pictures, Rerun."""
+"""``sysid track POLICY``: tracking error of a policy or inverse kinematics on a path."""
 
 from __future__ import annotations
 
@@ -17,21 +17,19 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("policy")
 @click.option("--path", "path", default="helix", show_default=True, metavar="helix|circle|FILE", help="FILE: CSV with t,x,y,z.")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Which machine; else the policy's, or the only one.")
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Plant; else the policy's, or the only one.")
 @click.option("--forward", default=None, metavar="MODEL[@VERSION]", help="Forward model; else the policy's, or the plant's.")
 @click.option("--full", is_flag=True, help="Through cylinder controller, valves and plant; else joints follow at once.")
+@click.option("--lookahead", type=click.FloatRange(0.0, 5.0), default=None, metavar="S", help="Use targets S seconds ahead.")
 @click.option(
-    "--lookahead", type=click.FloatRange(0.0, 5.0), default=None, metavar="S", help="Show it targets S seconds ahead."
-)
-@click.option(
-    "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also follow with this; may be repeated."
+    "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also evaluate this baseline; may be repeated."
 )
 @click.option(
     "--candidates",
     type=click.IntRange(min=1),
     default=None,
     metavar="N",
-    help="A row more: N setpoints around the policy's, the best one by the forward model.",
+    help="Also evaluate the best of N setpoints around the policy's, by the forward model.",
 )
 @click.option(
     "--scatter",
@@ -42,11 +40,11 @@ if TYPE_CHECKING:
 )
 @click.option("--centre", type=(float, float, float), default=None, metavar="X Y Z", help="Of helix or circle [m].")
 @click.option("--untuned", is_flag=True, help="With a plain proportional controller below (--full), for comparison.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Where to write.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Output folder.")
 @json_option
 @click.pass_obj
 def track(
-    workspace: str,
+    location: str,
     policy: str,
     path: str,
     plant: str | None,
@@ -61,10 +59,10 @@ def track(
     out: Path | None,
     json_file: str | None,
 ) -> None:
-    """Follow a path and say how far off the end effector was, at each sample after the step that was to bring it there.
+    """Follow a path and report the tracking error of the end effector, sampled at the end of each step.
 
-    POLICY is a policy version, or one of the baselines: ik (bounded least-squares inverse kinematics on calibrated kinematics)
-    and ik-lookahead (the same, with targets ahead by the dead time of the machine).
+    POLICY is a policy version, or a baseline: ik (bounded least-squares inverse kinematics on calibrated kinematics) or
+    ik-lookahead (the same, with targets ahead by the dead time of the machine).
     """
     from sysid.control import proportional_tuning
     from sysid.errors import SettingsError
@@ -75,21 +73,21 @@ def track(
     from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
+    workspace = open_workspace(location)
     network, lineage = None, {}
     if policy not in BASELINES:
-        version = place.models.load(policy)
+        version = workspace.models.load(policy)
         network, lineage, policy = load_policy(version), dict(version.lineage), version.reference
         full = full or network.full
-    plant = plant or lineage.get("plant") or _only(place, "plant")
-    forward = forward or lineage.get("forward") or _forward_for(place, plant)
-    simulation, model = load_versions(place.models, plant, forward)
+    plant = plant or lineage.get("plant") or _only(workspace, "plant")
+    forward = forward or lineage.get("forward") or _forward_for(workspace, plant)
+    simulation, model = load_versions(workspace.models, plant, forward)
     if candidates is not None and network is None:
-        raise SettingsError("--candidates", f"with {policy}", "a policy version: around inverse kinematics nothing is nearer")
+        raise SettingsError("--candidates", f"with {policy}", "a policy version: candidates cannot improve inverse kinematics")
     if untuned and not full:
-        raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
+        raise SettingsError("--untuned", "without --full", "--full, which uses a controller")
     with progress_bar("track") as progress:
-        progress(0.0, f"a place for {path}")
+        progress(0.0, f"placing {path}")
         course: TrackingTask = plan_tracking(
             simulation, model, path, full=full, centre=centre, tuning=proportional_tuning(simulation) if untuned else None
         )
@@ -108,7 +106,7 @@ def track(
             runs.append(course.baseline(name))
         kind = "full" if full else "kinematic"
         name = check_file_name(f"{policy.replace('@', '-')}-{course.path.name}-{kind}", "path")
-        folder = out or place.root.make(f"tracks/{name}")
+        folder = out or workspace.root.make(f"tracks/{name}")
         files = write_results(folder, simulation.machine, runs)
     printer = Printer(json_file)
     _show(printer, runs)
@@ -120,14 +118,14 @@ def track(
     printer.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
     if full:
         axis, share = max(course.demand.items(), key=lambda item: item[1], default=("", 0.0))
-        much = ", more than it can: it falls behind" if share > 1.0 else ""
-        printer.line(f"The path asks the most of {axis}: {100.0 * share:.0f} % of its top speed{much}.")
+        much = ", which it cannot reach" if share > 1.0 else ""
+        printer.line(f"The axis with the highest demand is {axis}: {100.0 * share:.0f} % of its maximum speed{much}.")
     printer.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
-    printer.line(f"{folder}   (look at it: {rerun_command(files['rerun'])})")
+    printer.line(f"{folder}   (view: {rerun_command(files['rerun'])})")
     values: dict[str, Any] = {
         "schema": 1,
         "plant": simulation.reference,
-        "forward": place.models.find(forward).reference,
+        "forward": workspace.models.find(forward).reference,
         "full": full,
         "demand": course.demand if full else None,
         "controller": ("simple" if untuned else "tuned") if full else None,
@@ -157,7 +155,7 @@ def _show(out: Printer, runs: list[TrackingResult]) -> None:
     out.line("Errors in mm, end effector against target at the end of each step.")
 
 
-def _only(place: Workspace, kind: str) -> str:
+def _only(workspace: Workspace, kind: str) -> str:
     """The only model of a kind; its promoted version, or its newest.
 
     Raises:
@@ -165,15 +163,15 @@ def _only(place: Workspace, kind: str) -> str:
     """
     from sysid.errors import StoreError
 
-    names = sorted({version.name for version in place.models.list(kind)})
+    names = sorted({version.name for version in workspace.models.list(kind)})
     if len(names) != 1:
         listed = ", ".join(names) or "none"
-        raise StoreError(f"workspace {place.location}", f"{len(names)} models of kind {kind} ({listed})", f"--{kind} NAME")
+        raise StoreError(f"workspace {workspace.location}", f"{len(names)} models of kind {kind} ({listed})", f"--{kind} NAME")
     return names[0]
 
 
-def _forward_for(place: Workspace, plant: str) -> str:
+def _forward_for(workspace: Workspace, plant: str) -> str:
     """The forward model of the dataset that a plant was made from; its promoted version, or its newest."""
-    dataset = str(place.models.find(plant).lineage.get("dataset", "")).partition("@")[0]
-    names = {version.name for version in place.models.list("forward")}
-    return f"{dataset}-forward" if f"{dataset}-forward" in names else _only(place, "forward")
+    dataset = str(workspace.models.find(plant).lineage.get("dataset", "")).partition("@")[0]
+    names = {version.name for version in workspace.models.list("forward")}
+    return f"{dataset}-forward" if f"{dataset}-forward" in names else _only(workspace, "forward")

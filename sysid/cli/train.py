@@ -1,4 +1,4 @@
-"""``sysid train RECIPE``: a policy, trained on the versions that the recipe names, and registered."""
+"""``sysid train RECIPE``: trains and registers policies."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from sysid.errors import SettingsError
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RECIPE.toml")
 @click.option("--seed", type=click.IntRange(0), default=None, help="Instead of the recipe's.")
-@click.option("--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies, from that seed on, side by side.")
-@click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one a core.")
+@click.option(
+    "--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies with consecutive seeds, in parallel."
+)
+@click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one per core.")
 @click.option("--tensorboard", is_flag=True, help="Event files in WORKSPACE/tensorboard.")
-@click.option("--mlflow", metavar="URI", default=None, help="Also tell an MLflow server (or sqlite:///FILE).")
+@click.option("--mlflow", metavar="URI", default=None, help="Also log to an MLflow server (or sqlite:///FILE).")
 @json_option
 @click.pass_obj
 def train(
-    workspace: str,
+    location: str,
     recipe: Path,
     seed: int | None,
     seeds: int | None,
@@ -31,8 +33,8 @@ def train(
 ) -> None:
     """Train a policy that moves the end effector to a target, with the plant and forward model that the recipe names.
 
-    Training that is interrupted, be it by a kill or by power, goes on where it was when the same command is given again, to the
-    same bits. What was trained already is not trained again. Curves are in WORKSPACE/curves as JSON lines.
+    Interrupted training resumes, with bit-identical results, when the same command is repeated. Finished policies are not
+    trained again. Learning curves are in WORKSPACE/curves as JSON lines.
     """
     from dataclasses import replace
 
@@ -44,12 +46,12 @@ def train(
     out = Printer(json_file)
     if len(recipes) == 1:
         with progress_bar(f"train {settings.name}") as progress:
-            results = [_one(workspace, recipes[0], tensorboard, mlflow, progress)]
+            results = [_one(location, recipes[0], tensorboard, mlflow, progress)]
     else:
         from sysid.rl.seeds import side_by_side
 
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
-            calls = [(workspace, entry, tensorboard, mlflow) for entry in recipes]
+            calls = [(location, entry, tensorboard, mlflow) for entry in recipes]
             results = side_by_side(_one, calls, workers, progress)
     columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
@@ -57,7 +59,7 @@ def train(
     write_json(json_file, {"schema": 1, "policies": results})
 
 
-def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
+def _one(location: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
     from sysid.rl.observers import JsonLines, MlflowRun, Observer, TensorBoard
     from sysid.rl.recipe import TrainingRecipe
     from sysid.rl.training import train_policy
@@ -65,17 +67,17 @@ def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, 
 
     assert isinstance(recipe, TrainingRecipe)
     assert callable(progress)
-    place = open_workspace(workspace)
-    if not place.folder.is_dir():
+    workspace = open_workspace(location)
+    if not workspace.folder.is_dir():
         raise SettingsError(
-            f"--workspace {workspace}", "no such folder", "one with a plant and a forward model", "make demo makes one."
+            f"--workspace {location}", "no such folder", "one with a plant and a forward model", "make demo makes one."
         )
-    observers: list[Observer] = [JsonLines(place.output(f"curves/{recipe.name}-seed{recipe.seed}.jsonl"))]
+    observers: list[Observer] = [JsonLines(workspace.output(f"curves/{recipe.name}-seed{recipe.seed}.jsonl"))]
     if tensorboard:
-        observers.append(TensorBoard(place.root.path("tensorboard")))
+        observers.append(TensorBoard(workspace.root.path("tensorboard")))
     if mlflow is not None:
         observers.append(MlflowRun(mlflow))
-    done = train_policy(place.models, recipe, place.root.path("training"), progress, observers)
+    done = train_policy(workspace.models, recipe, workspace.root.path("training"), progress, observers)
     return {
         "policy": done.version.reference,
         "seed": recipe.seed,

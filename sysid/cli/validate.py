@@ -1,4 +1,4 @@
-"""``sysid validate MODEL NAME``: the error report of a network, and whether it still fits recordings that are new to it."""
+"""``sysid validate MODEL NAME``: the error report of a network, and the test for drift on other datasets."""
 
 from __future__ import annotations
 
@@ -18,38 +18,38 @@ if TYPE_CHECKING:
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def validate(workspace: str, model: str, reference: str, json_file: str | None) -> None:
-    """Score a fitted network on recordings it has not seen.
+def validate(location: str, model: str, reference: str, json_file: str | None) -> None:
+    """Evaluate a fitted network on held-out recordings.
 
-    On another dataset than its own it is also said whether the network still fits: whether the new recordings lie inside the
-    ranges that it was fitted on, and whether its errors are larger than on its own held-out rows, beyond chance.
+    On another dataset than its own, it also tests for drift: whether the recordings lie inside the fitted ranges, and whether
+    the errors are significantly larger than on its own held-out rows.
     """
     from sysid.cli.model_tables import show_drift
     from sysid.errors import ExcitationError, StoreError
     from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     out = Printer(json_file)
-    version = place.models.find(model)
+    version = workspace.models.find(model)
     own = version.lineage.get("dataset_digest") == dataset.digest
     report, drift, not_evaluated = None, None, ""
     try:
-        report = place.validation(model, dataset)
+        report = workspace.validation(model, dataset)
         _show(out, report)
     except ExcitationError as error:
         if own:
             raise
-        not_evaluated = str(error)  # a few new recordings need not be a dataset to fit on
+        not_evaluated = str(error)  # drift may still be testable
     if not own:
         try:
-            drift = ModelVersions(place).drift(model, dataset)
+            drift = ModelVersions(workspace).drift(model, dataset)
             show_drift(out, drift)
         except (ExcitationError, StoreError) as error:
             if report is None:
                 raise
-            out.line(f"Whether it still fits cannot be said: {error}")
+            out.line(f"The test for drift is not possible: {error}")
         if not_evaluated:
             out.line(f"No error report: {not_evaluated}")
     values = report.to_json() if report is not None else {"model": version.reference, "dataset": dataset.reference}
@@ -65,9 +65,7 @@ def _show(out: Printer, report: ValidationReport) -> None:
         if entry.coverage is not None:
             level, width = percent(entry.coverage.level), quantity(entry.coverage.half_width, entry.unit)
             held, flagged = percent(entry.coverage.covered), percent(entry.coverage.flagged)
-            out.line(
-                f"{level} intervals of {entry.output}, {entry.rows}: ± {width}, hold in {held}; {flagged} outside the data"
-            )
+            out.line(f"{level} intervals of {entry.output}, {entry.rows}: ± {width}, coverage {held}; {flagged} flagged")
     for entry in report.outputs:
         for spike in entry.spikes[:3]:
             factor, unit = shown_unit(entry.unit)

@@ -1,26 +1,27 @@
-"""What is printed of two versions that differ, of where one comes from, and of what a vacuum removed."""
+"""Console text of dataset versions: differences, lineage, vacuum."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from sysid.cli.output import Printer, size_text
+
 if TYPE_CHECKING:
-    from sysid.cli.output import Printer
     from sysid.datasets import DatasetDiff, Lineage, VacuumResult
     from sysid.datasets.versions.diff import NameChanges, ValueChange
     from sysid.registry import ModelVersion
-    from sysid.versions.lineage import Relative
+    from sysid.versions.lineage import RelatedVersion
 
-#: Lines of figures of quality before the rest is only counted; all of them are in the JSON.
-MOST_FIGURES = 20
+#: Largest number of listed figures; JSON has all.
+MAX_FIGURES = 20
 
 
 def show_diff(out: Printer, found: DatasetDiff) -> None:
-    """How two versions differ, what weighs most first."""
+    """Differences of two versions, the largest kinds first."""
     out.line(f"{found.before} → {found.after}")
     if found.empty:
-        out.line("The same: nothing differs." if found.same_content else "Nothing differs but the way they were made.")
+        out.line("No differences." if found.same_content else "Equal content, created in different ways.")
         return
     show_names(out, "recording", found.recordings)
     show_names(out, "raw file", found.sources)
@@ -61,10 +62,10 @@ def show_names(out: Printer, what: str, names: NameChanges) -> None:
 
 
 def show_changes(out: Printer, what: str, changes: Sequence[ValueChange]) -> None:
-    for change in changes[:MOST_FIGURES]:
+    for change in changes[:MAX_FIGURES]:
         out.line(f"{what} {change.what}: {_text(change.before)} → {_text(change.after)}")
-    if len(changes) > MOST_FIGURES:
-        out.line(f"{what}: {len(changes) - MOST_FIGURES} more differ (--json FILE has them all)")
+    if len(changes) > MAX_FIGURES:
+        out.line(f"{what}: {len(changes) - MAX_FIGURES} more differ (--json FILE has them all)")
 
 
 def _text(value: Any) -> str:
@@ -72,7 +73,7 @@ def _text(value: Any) -> str:
 
 
 def show_lineage(out: Printer, found: Lineage, models: Sequence[ModelVersion]) -> None:
-    """The chain of a version, from the raw files to the models."""
+    """The lineage of a version, from the raw files to the models."""
     show_chain(out, found)
     for model in models:
         out.line(model_line("model", model))
@@ -81,7 +82,7 @@ def show_lineage(out: Printer, found: Lineage, models: Sequence[ModelVersion]) -
 
 
 def show_chain(out: Printer, found: Lineage) -> None:
-    """Where a dataset version comes from, to its raw files."""
+    """The lineage of a dataset version, to its raw files."""
     out.line(f"{found.dataset}  {found.digest}  made {found.created}")
     for step in found.steps:
         gone = "" if step.there else ", removed since"
@@ -95,8 +96,8 @@ def show_chain(out: Printer, found: Lineage) -> None:
             out.line(f"  raw       {source.sha256[:12]}  {source.path}  {source.size} bytes")
         out.line(f"  recipe    {part.recipe_sha256[:12] or 'none: columns have canonical names'}")
         for clock in part.clocks:
-            told = f"{clock.offset_s:+.6f} s, {clock.skew_ppm:+.1f} ppm" if clock.applied else f"not aligned: {clock.reason}"
-            out.line(f"  clock     {clock.stream} of {clock.recording}: {told}")
+            state = f"{clock.offset_s:+.6f} s, {clock.skew_ppm:+.1f} ppm" if clock.applied else f"not aligned: {clock.reason}"
+            out.line(f"  clock     {clock.stream} of {clock.recording}: {state}")
         settings = ", ".join(f"{name} {value}" for name, value in part.settings.items() if name != "streams")
         out.line(f"  resampled {settings or 'with settings that were not recorded'}")
         software = ", ".join(f"{name} {version}" for name, version in part.software.items())
@@ -111,30 +112,21 @@ def show_chain(out: Printer, found: Lineage) -> None:
         out.line(f"{role:<9} {', '.join(names)}")
 
 
-def model_line(role: str, model: ModelVersion | Relative) -> str:
-    """One model version in a lineage, and what it is there."""
+def model_line(role: str, model: ModelVersion | RelatedVersion) -> str:
+    """One model version in a lineage, with its role."""
     aliases = f"  ({', '.join(model.aliases)})" if model.aliases else ""
     return f"{role:<9} {model.reference}  {model.kind}  {model.digest[:12]}{aliases}"
 
 
 def show_vacuumed(out: Printer, found: VacuumResult, registry: str, hint: bool) -> None:
-    """What was removed and kept; ``hint`` says how to have it removed."""
+    """What was removed and kept; ``hint`` adds how to remove it."""
     for item in found.removed:
-        out.line(f"{'would remove' if found.dry_run else 'removed'} {item.what}  {_size(item.size)}")
+        out.line(f"{'would remove' if found.dry_run else 'removed'} {item.what}  {size_text(item.size)}")
     for kept in found.kept:
         out.line(f"kept {kept.what}: {kept.reason}")
     if not found.removed and not found.kept:
         out.line("Nothing to remove.")
         return
-    out.line(f"{_size(found.size)} {'would become' if found.dry_run else 'are'} free. Models were looked up in {registry}.")
+    out.line(f"{size_text(found.size)} {'would be' if found.dry_run else 'are'} freed. Model registry: {registry}.")
     if hint and found.removed:
         out.line("Nothing was removed yet: the same command with --yes removes it.")
-
-
-def _size(count: int) -> str:
-    size = float(count)
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000.0:
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1000.0
-    return f"{size:.1f} GB"

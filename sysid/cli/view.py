@@ -1,4 +1,4 @@
-"""``sysid view NAME``: a Rerun recording of the moving machine."""
+"""``sysid view NAME``: a Rerun recording of the machine."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from sysid.cli.output import Printer, json_option, rerun_command, write_json
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]|FLIGHT.mcap")
-@click.option("--recording", default=None, help="Which one; else the first held-out recording.")
+@click.option("--recording", default=None, help="Recording; else the first held-out one.")
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
 @click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
-@click.option(
-    "--live", is_flag=True, help="Move the plant in its PyBullet world and show it meanwhile; with --out into a file."
-)
+@click.option("--live", is_flag=True, help="Simulate the plant in its PyBullet world and show it; with --out into a file.")
 @json_option
 @click.pass_obj
 def view(
-    workspace: str,
+    location: str,
     reference: str,
     recording: str | None,
     plant: str | None,
@@ -30,7 +28,7 @@ def view(
 ) -> None:
     """Write a Rerun recording: machine, trails and signals, measured and simulated.
 
-    A flight log is shown while the runner writes it, or with --out made into a file.
+    A flight log is shown while the runner writes it, or with --out converted to a file.
     """
     if reference.endswith(".mcap"):
         _flight(Path(reference), path, Printer(json_file), json_file)
@@ -39,8 +37,8 @@ def view(
     from sysid.view import write_rerun
     from sysid.workspace import open_workspace
 
-    place = open_workspace(workspace)
-    dataset = place.dataset(reference)
+    workspace = open_workspace(location)
+    dataset = workspace.dataset(reference)
     if recording is None:
         shown = [*dataset.with_role("held_out"), *dataset.of_kind("motion")]
         if not shown:
@@ -49,23 +47,23 @@ def view(
     if live:
         from sysid.view.live import show_live
 
-        moving = place.simulation(dataset, plant)
+        moving = workspace.simulation(dataset, plant)
         states = show_live(dataset, recording, moving, path)
         out = Printer(json_file)
         out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")
         if moving.machine.text != dataset.machine.text:
-            out.line(f"{moving.reference} was made from another machine.toml than that of {dataset.reference}.")
+            out.line(f"{moving.reference} has another machine.toml than {dataset.reference}.")
         write_json(
             json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states}
         )
         return
-    predictions = place.predictions(dataset, recording, plant)
-    path = path or place.output(f"{recording.replace('#', '-')}.rrd", dataset)
-    result = place.gap(dataset) if plant is None else None
+    predictions = workspace.predictions(dataset, recording, plant)
+    path = path or workspace.output(f"{recording.replace('#', '-')}.rrd", dataset)
+    result = workspace.gap(dataset) if plant is None else None
     write_rerun(path, dataset, recording, predictions, result.maps if result is not None else ())
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
-    out.line(f"Look at it: {rerun_command(path)}")
+    out.line(f"View: {rerun_command(path)}")
     write_json(
         json_file,
         {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},

@@ -1,4 +1,4 @@
-"""``machine.toml``: what a machine is made of and what its nominal simulation already knows."""
+"""``machine.toml``: axes, linkages, sensor noise and known effects of a machine."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Linkage:
 
 @dataclass(frozen=True)
 class Axis:
-    """One actuated joint. ``gain`` is the speed at command 1.0 [m/s or rad/s] of what the command drives."""
+    """One actuated joint; ``gain`` is the speed of the driven signal at command 1.0 [m/s or rad/s]."""
 
     __pydantic_config__ = STRICT
 
@@ -65,7 +65,7 @@ class Axis:
 
     @property
     def range(self) -> tuple[float, float]:
-        """End stops of what the command drives [m or rad]; infinite where the description gives none."""
+        """End stops of the driven signal [m or rad]; infinite if not given."""
         ends = self.stroke if self.drives == "cylinder" else self.limits
         return ends if ends is not None else (-math.inf, math.inf)
 
@@ -84,9 +84,9 @@ class KnownEffect:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine description; built by :func:`load_machine`, never by hand.
+    """A machine description, built by :func:`load_machine`.
 
-    ``text`` and ``urdf_text`` are the files it came from, so that a dataset version can carry them.
+    ``text`` and ``urdf_text`` are its source files, which a dataset version stores.
     """
 
     __pydantic_config__ = STRICT
@@ -126,7 +126,7 @@ class Machine:
         return Kinematics.from_urdf(self.urdf_text, joints=joints, tip=self.tip, tool=self.tool)
 
     def expected_unit(self, signal: str) -> str | None:
-        """SI unit of ``signal``; None where the description leaves rad or m open (a joint without a URDF)."""
+        """SI unit of ``signal``; None if it may be rad or m (a joint without a URDF)."""
         owner, quantity = split_signal(signal)
         if owner in ("ee", "tool") or quantity == "cylinder":
             return "m"
@@ -147,7 +147,7 @@ class Machine:
         return "m" if kinematics.is_prismatic(axis.joint) else "rad"
 
     def files(self) -> dict[str, str]:
-        """File name → text, enough to load the same machine again with :func:`machine_from_files`."""
+        """File name → text, for :func:`machine_from_files`."""
         files = {"machine.toml": self.text}
         if self.urdf is not None and self.urdf_text is not None:
             files[self.urdf] = self.urdf_text
@@ -172,7 +172,7 @@ def load_machine(path: Path) -> Machine:
 
 
 def machine_from_files(files: dict[str, str], where: object) -> Machine:
-    """The machine whose :meth:`Machine.files` these are (as stored with a dataset version).
+    """The machine of stored :meth:`Machine.files`.
 
     Raises:
         SettingsError: as :func:`load_machine`.
@@ -222,7 +222,7 @@ def _check_axes(machine: Machine, where: object) -> None:
 
 
 def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:
-    """The axis with the limits of its URDF joint where the description gives none."""
+    """The axis, with the limits of its URDF joint if the description gives none."""
     if machine.tip is None:
         raise SettingsError(where, "a urdf but no tip", 'tip = "<link>", the link whose origin is the end effector')
     kinematics = machine.kinematics()
@@ -243,6 +243,6 @@ def _check_linkages(machine: Machine, where: object) -> None:
             raise SettingsError(
                 f"{where}: axis {axis.name!r}: linkage",
                 f"the lever angle runs from {low:.3f} to {high:.3f} rad over the joint limits",
-                "a range inside [0, π], where one displacement means one angle",
+                "a range inside [0, π], so that the map is one-to-one",
                 "Correct offset, sense or the limits.",
             )

@@ -1,4 +1,4 @@
-"""Forward kinematics of the actuated chain of a URDF, for any number of poses at once.
+"""Forward kinematics of the actuated chain of a URDF, vectorised over poses.
 
 Source: URDF specification (ROS wiki, ``urdf/XML/joint``); Craig, Introduction to Robotics, ch. 2-3.
 """
@@ -74,9 +74,7 @@ class Kinematics:
                 raise SettingsError(f"urdf: {role}", f"unknown link {link!r}", nearest(link, links))
         chain: list[Joint] = []
         link = tip
-        while link in by_child:
-            if by_child[link] in chain:
-                raise SettingsError("urdf", f"link {link!r} is its own ancestor", "a tree")
+        while link in by_child:  # ends: the joints are a tree
             chain.append(by_child[link])
             link = by_child[link].parent
         chain.reverse()

@@ -1,4 +1,4 @@
-"""Cylinder displacement ↔ joint angle: triangle geometry, or a table (a fitted network is tabulated once)."""
+"""Cylinder displacement ↔ joint angle: triangle geometry, or a table (of a fitted network)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import numpy.typing as npt
 from sysid.machine.description import Linkage
 
 Array = npt.NDArray[np.float64]
+#: Points of a tabulated map.
+TABLE_POINTS = 1024
 
 
 class CylinderJointMap(Protocol):
-    """Both directions of the map between a cylinder and its joint; each monotonic."""
+    """Monotonic map between a cylinder and its joint, in both directions."""
 
     def joint(self, displacement: Array) -> Array: ...
 
@@ -69,13 +71,12 @@ def _interpolate(x: Array, xs: Array, ys: Array) -> Array:
     return np.where(x < xs[0], below, np.where(x > xs[-1], above, np.interp(x, xs, ys)))
 
 
-def tabulate(mapping: CylinderJointMap, stroke: tuple[float, float], points: int = 1024) -> TabulatedLinkage:
-    """Sample ``mapping`` evenly over the stroke; made monotonic where a fitted map is not."""
-    displacements = np.linspace(*stroke, points)
+def tabulate(mapping: CylinderJointMap, stroke: tuple[float, float]) -> TabulatedLinkage:
+    """Sample ``mapping`` evenly over the stroke, and make it monotonic."""
+    displacements = np.linspace(*stroke, TABLE_POINTS)
     joints = mapping.joint(displacements)
-    rising = joints[-1] > joints[0]
-    sign = 1.0 if rising else -1.0
+    sign = 1.0 if joints[-1] > joints[0] else -1.0
     monotonic = np.maximum.accumulate(sign * joints)
-    # A flat stretch would have no inverse: give it the smallest slope that survives rounding.
-    monotonic += np.arange(points) * max(np.ptp(monotonic), 1e-12) * 1e-9
+    # Constant sections have no inverse: add the smallest slope that survives rounding.
+    monotonic += np.arange(TABLE_POINTS) * max(np.ptp(monotonic), 1e-12) * 1e-9
     return TabulatedLinkage(displacements, sign * monotonic)

@@ -1,6 +1,6 @@
-"""A URDF as a tree of elements that everything else can rely on: a tree, of bounded size, every number in it one.
+"""Checked parsing of a URDF: joints form a tree, size is bounded, numbers are valid.
 
-Readers of single parts (kinematics, the world's bodies, shapes that are drawn) come after it and need not ask again.
+Readers of parts of it (kinematics, bodies of the PyBullet world, drawn shapes) rely on these checks.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from xml.etree.ElementTree import Element
 from sysid.errors import SettingsError
 from sysid.foreign import shown
 from sysid.numbers import Finite, NonNegative, Positive, number
-from sysid.parse import MOST_DEPTH
+from sysid.parse import MAX_DEPTH
 
 #: The largest URDF of the ROS drivers has 900 elements.
-MOST_ELEMENTS = 50_000
-MOST_JOINTS = 500
+MAX_ELEMENTS = 50_000
+MAX_JOINTS = 500
 
-#: Element → attribute → how many numbers it holds and of which kind.
+#: Element → attribute → number of values and their type.
 NUMBERS: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "origin": {"xyz": (3, Finite), "rpy": (3, Finite)},
     "axis": {"xyz": (3, Finite)},
@@ -37,8 +37,8 @@ def urdf_tree(text: str) -> Element:
     """The root element of a URDF.
 
     Raises:
-        SettingsError: no XML, a DTD, another root; too deep or too large; a number that is none, is not finite or has the wrong
-            sign; a name that no terminal can show; two joints or links of one name; joints that are no tree.
+        SettingsError: not XML, a DTD, another root; too deep or too large; a number that is invalid, not finite or of the wrong
+            sign; a name that is not printable; two joints or links of one name; joints that do not form a tree.
     """
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
@@ -61,14 +61,14 @@ def urdf_tree(text: str) -> Element:
 
 def _check_size(root: Element) -> None:
     level, count = [root], 0
-    for _ in range(MOST_DEPTH):
+    for _ in range(MAX_DEPTH):
         level = [child for element in level for child in element]
         count += len(level)
-        if count > MOST_ELEMENTS:
-            raise SettingsError("urdf", f"more than {MOST_ELEMENTS} elements", "the description of one machine")
+        if count > MAX_ELEMENTS:
+            raise SettingsError("urdf", f"more than {MAX_ELEMENTS} elements", "the description of one machine")
         if not level:
             return
-    raise SettingsError("urdf", f"nested deeper than {MOST_DEPTH} levels", "the description of one machine")
+    raise SettingsError("urdf", f"nested deeper than {MAX_DEPTH} levels", "the description of one machine")
 
 
 def _check_numbers(element: Element) -> None:
@@ -91,13 +91,13 @@ def _check_joints(root: Element) -> None:
         if twice is not None:
             raise SettingsError("urdf", f"two {tag}s are named {twice!r}", f"a name of its own for every {tag}")
     joints = root.findall("joint")
-    if len(joints) > MOST_JOINTS:
-        raise SettingsError("urdf", f"{len(joints)} joints", f"at most {MOST_JOINTS}")
+    if len(joints) > MAX_JOINTS:
+        raise SettingsError("urdf", f"{len(joints)} joints", f"at most {MAX_JOINTS}")
     parent_of: dict[str, str] = {}
     for joint in joints:
         parent, child = joint.find("parent"), joint.find("child")
         if parent is None or child is None:
-            continue  # said where the joint is read
+            continue  # reported when the joint is read
         link = str(child.get("link"))
         if link in parent_of:
             raise SettingsError("urdf", f"link {shown(link)} has two parents", "a tree")

@@ -1,7 +1,7 @@
 """Versions of networks, plants and policies with their lineage, in an MLflow model registry (loaded late)."""
 
 from sysid.registry.decision import Check, Promotion, PromotionDecision
-from sysid.registry.lineage import made_from, made_from_dataset, made_of
+from sysid.registry.lineage import ancestors, dataset_descendants, descendants
 from sysid.registry.promotion import decide
 from sysid.registry.registry import DamagedModel, Registry
 from sysid.registry.repair import RepairReport
@@ -20,8 +20,8 @@ __all__ = [
     "PromotionDecision",
     "Registry",
     "RepairReport",
+    "ancestors",
+    "dataset_descendants",
     "decide",
-    "made_from",
-    "made_from_dataset",
-    "made_of",
+    "descendants",
 ]

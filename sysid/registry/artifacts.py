@@ -1,4 +1,4 @@
-"""Where the files of a version lie: a content-addressed folder of the workspace, or the artifact store of an MLflow server."""
+"""Storage of model files: a content-addressed folder of the workspace, or the artifact store of an MLflow server."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from sysid.registry.version import MANIFEST, sha256
 from sysid.root import Root
 
 _PARTIAL = ".partial-"
+#: MLflow experiment of the runs that hold model files.
+_EXPERIMENT = "sysid"
 
 
 class ArtifactStore(Protocol):
-    """Keeps the files of one version under its digest; both calls may be repeated without harm."""
+    """Stores the files of a version under its digest; both methods are idempotent."""
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
         """Store all files or none; returns (source URI, MLflow run id or None).
 
         Args:
-            record: the row that the registry is about to have, kept where a lost registry is made again from the files.
+            record: the row of the registry, stored so that a lost registry can be rebuilt.
         """
         ...
 
@@ -35,14 +37,14 @@ class ArtifactStore(Protocol):
 
 @dataclass(frozen=True)
 class FolderArtifacts:
-    """``<folder>/<digest>/<file>``; found by digest, so a workspace may be moved or mounted elsewhere."""
+    """``<folder>/<digest>/<file>``; found by digest, so that a workspace may be moved."""
 
     folder: Path
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """Files and folder reach the disk under a temporary name and appear by one rename; a damaged file is replaced.
+        """Write to a temporary folder that is synced and renamed; a damaged file is replaced.
 
-        Only the holder of the registry's lock may call this: a folder under a temporary name is then a dead writer's.
+        Requires the registry's lock: other temporary folders are then of killed processes, and are removed.
         """
         root, models = Root(self.folder.parent), self.folder.name
         target = f"{models}/{digest}"
@@ -82,21 +84,15 @@ class FolderArtifacts:
 
 @dataclass(frozen=True)
 class RunArtifacts:
-    """Files as artifacts of one MLflow run per version, so that everyone who uses that server can load them."""
+    """Files as artifacts of one MLflow run per version, for all users of the server."""
 
     client: Any
     uri: str
-    experiment: str = "sysid"
-    location: str | None = None
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """A server keeps its own rows, so ``record`` is not written."""
-        experiment = self.client.get_experiment_by_name(self.experiment)
-        identity = (
-            experiment.experiment_id
-            if experiment
-            else self.client.create_experiment(self.experiment, artifact_location=self.location)
-        )
+        """As :meth:`ArtifactStore.write`, without ``record``: the server stores its own rows."""
+        experiment = self.client.get_experiment_by_name(_EXPERIMENT)
+        identity = experiment.experiment_id if experiment else self.client.create_experiment(_EXPERIMENT)
         run = self.client.create_run(identity, run_name=digest[:12], tags={"sysid.digest": digest})
         with tempfile.TemporaryDirectory() as folder:
             for name, content in {**files, MANIFEST: manifest.encode("utf-8")}.items():

@@ -1,7 +1,4 @@
-"""Opens MLflow late and quietly: it takes a second to import, reports home by default and logs tracebacks of handled errors.
-
-With it what every registry needs: its lock, and errors of disks and libraries in the words of this toolkit.
-"""
+"""MLflow client (imported late, without telemetry), lock of the registry, and translation of errors."""
 
 from __future__ import annotations
 
@@ -19,13 +16,13 @@ from sysid.root import Root
 
 SQLITE = "sqlite:///"
 
-#: What is left of work that the disk ended.
-UNTOUCHED = "nothing was registered, the versions that are there are whole"
-MEND = "Make room, or name a workspace that may be written, and run the command again."
-#: How often the lock of another process is tried again [s]: short beside the time that it is held.
+#: State after a failed write, and its remedy.
+UNCHANGED = "nothing was registered, existing versions are unchanged"
+DISK_REMEDY = "Free disk space, or name a writable workspace, and run the command again."
+#: Polling interval of the lock [s], short compared with the time that it is held.
 POLL_S = 0.01
-#: What sqlite says when the disk is full, quota is used up, or nothing may be written.
-REFUSED = (
+#: sqlite's messages for a full disk, an exceeded quota, or missing permission.
+DISK_MESSAGES = (
     "database or disk is full",
     "disk I/O error",
     "attempt to write a readonly database",
@@ -34,35 +31,34 @@ REFUSED = (
 
 
 def open_client(uri: str) -> Any:
-    """An ``MlflowClient`` for both the registry and the runs at ``uri``; creates the tables of a new sqlite file.
+    """An ``MlflowClient`` for the registry and the runs at ``uri``; creates the tables of a new sqlite file.
 
     Raises:
-        StoreError: the registry cannot be reached or is no registry.
+        StoreError: the registry is unreachable or is no registry.
     """
     quieten()
     from mlflow import MlflowClient
 
-    with translated(uri):
+    with mlflow_errors(uri):
         client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)
     return client
 
 
 def quieten() -> None:
-    """To be called before MLflow is imported."""
-    # Read by MLflow when it is imported.
+    """Set MLflow's environment; to be called before its import."""
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("DO_NOT_TRACK", "true")
-    # Seven retries with back-off would be minutes of silence for a mistyped address.
+    # The default of seven retries with back-off takes minutes for a mistyped address.
     os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
     for name in ("mlflow.store.db.utils", "alembic"):
-        # Progress of table creation, and a traceback for errors that are raised as well.
+        # They log the creation of tables, and tracebacks of errors that are raised as well.
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager
-def translated(uri: str) -> Iterator[None]:
-    """MLflow's and SQLAlchemy's errors as one clear :class:`StoreError`."""
+def mlflow_errors(uri: str) -> Iterator[None]:
+    """Translate MLflow's and SQLAlchemy's errors to :class:`StoreError`."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -72,9 +68,10 @@ def translated(uri: str) -> Iterator[None]:
         text = str(error)
         if "database is locked" in text:
             raise locked(uri) from None
-        refused = next((words for words in REFUSED if words in text), None)
-        if refused is not None:
-            raise StorageError(f"model registry {uri}", f"cannot be written ({refused}); {UNTOUCHED}", remedy=MEND) from None
+        reason = next((message for message in DISK_MESSAGES if message in text), None)
+        if reason is not None:
+            found = f"cannot be written ({reason}); {UNCHANGED}"
+            raise StorageError(f"model registry {uri}", found, remedy=DISK_REMEDY) from None
         raise StoreError(
             f"model registry {uri}",
             text.splitlines()[0],
@@ -84,15 +81,15 @@ def translated(uri: str) -> Iterator[None]:
 
 
 @contextmanager
-def written(where: object) -> Iterator[None]:
-    """What the disk refuses, as a :class:`StorageError` that says how the registry stands."""
+def disk_errors(where: object) -> Iterator[None]:
+    """Translate errors of the disk to :class:`StorageError`."""
     try:
         yield
-    except TimeoutError:  # a lock that somebody holds is no fault of the disk
+    except TimeoutError:  # of the lock
         raise
     except OSError as error:
-        found = f"cannot be written ({error.strerror or error}); {UNTOUCHED}"
-        raise StorageError(f"model registry {where}", found, remedy=MEND) from None
+        found = f"cannot be written ({error.strerror or error}); {UNCHANGED}"
+        raise StorageError(f"model registry {where}", found, remedy=DISK_REMEDY) from None
 
 
 def locked(where: object) -> StoreError:
@@ -106,14 +103,14 @@ def locked(where: object) -> StoreError:
 
 @contextmanager
 def exclusive(workspace: Path, wait_s: float) -> Iterator[None]:
-    """One writer at a time, also across processes. To be held for files and rows alone: no imports, no fits.
+    """The registry's lock, across processes; to be held only while files and rows are written.
 
     Raises:
-        StoreError: somebody held it for longer than ``wait_s``; or its file is a link.
-        StorageError: the workspace may not be written.
+        StoreError: another process held it for longer than ``wait_s``; or its file is a link.
+        StorageError: the workspace is not writable.
     """
     try:
-        with written(workspace):
+        with disk_errors(workspace):
             lock = FileLock(Root(workspace).output("registry.lock"), poll_interval=POLL_S)
             lock.acquire(timeout=wait_s)
     except Timeout:

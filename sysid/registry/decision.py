@@ -1,4 +1,4 @@
-"""What was asked of a model version, and what was decided: values that stay with the version."""
+"""Conditions of a promotion and the decision, which are stored with the version."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sysid.parse import parse_json
 
 @dataclass(frozen=True)
 class Check:
-    """One condition of a promotion: what was looked at, whether it holds, and the figures in words."""
+    """One condition of a promotion: its name, whether it holds, and the figures as text."""
 
     name: str
     status: Literal["passed", "failed", "left out"]
@@ -25,14 +25,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Promotion:
-    """Whether a stored version became what its name alone means.
+    """Result of a promotion.
 
     Args:
-        version: that was evaluated, ``name@version``.
-        current: what the name alone means now.
-        previous: what it meant before; empty where nothing had been promoted.
-        checks: what was asked of it.
-        reason: why it was not promoted; empty where it was.
+        version: the evaluated version, ``name@version``.
+        current: the champion now.
+        previous: the champion before; empty if there was none.
+        checks: the conditions.
+        reason: why it was not promoted; empty if it was.
     """
 
     version: str
@@ -48,16 +48,16 @@ class Promotion:
 
 @dataclass(frozen=True)
 class PromotionDecision:
-    """What was decided about a version, kept with it.
+    """A decision on the promotion of a version, stored with it.
 
     Args:
-        promoted: whether it became what the name alone means.
-        instead_of: what it took the place of, or would have; empty where nothing had been promoted.
-        checks: what was asked of it.
+        promoted: whether it became the champion.
+        instead_of: the champion before; empty if there was none.
+        checks: the conditions.
         reason: why it was not promoted, or what failed and was overruled.
-        word: somebody's reason to promote it whatever the checks say; empty where the checks decided.
-        evaluated: what evaluated it, as plain JSON: the policy, the dataset version.
-        decided_ms: when, milliseconds since 1970.
+        word: the user's reason to promote it regardless of the checks; empty if the checks decided.
+        judged: basis of the decision as plain JSON: the policy, the dataset version.
+        decided_ms: time, milliseconds since 1970.
     """
 
     promoted: bool
@@ -69,7 +69,7 @@ class PromotionDecision:
     decided_ms: int = 0
 
     def same(self, other: PromotionDecision) -> bool:
-        """Whether both are equal but for their time."""
+        """Whether both are equal except for their time."""
         return replace(self, decided_ms=0) == replace(other, decided_ms=0)
 
     def to_json(self) -> dict[str, Any]:
@@ -80,10 +80,10 @@ class PromotionDecision:
 
     @staticmethod
     def from_text(text: str, where: object) -> PromotionDecision:
-        """What :meth:`to_text` wrote.
+        """The inverse of :meth:`to_text`.
 
         Raises:
-            StoreError: it is something else.
+            StoreError: not a decision.
         """
         try:
             values = parse_json(text)

@@ -1,4 +1,4 @@
-"""Stored rows, read into frozen values and checked."""
+"""Reads stored rows into checked, frozen values."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sysid.registry.seal import REMEDY, broken_model, broken_version
 from sysid.registry.stored import DECISION, DIGEST, LATEST_MS, MANIFEST, METRICS, StoredModel, StoredVersion
 from sysid.registry.version import CHAMPION, Kind, ModelVersion, check_files, sha256
 
-#: What the champion was called in registries of before.
-FORMER = "promoted"
+#: Alias of the champion in registries of earlier releases.
+OLD_CHAMPION = "promoted"
 
 
-class _Content(TypedDict):
+class _Manifest(TypedDict):
     """The manifest of a version."""
 
     __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
@@ -30,23 +30,23 @@ class _Content(TypedDict):
     files: dict[str, str]
 
 
-_CONTENT = TypeAdapter(_Content)
+_MANIFEST = TypeAdapter(_Manifest)
 _METRICS = TypeAdapter(dict[str, float])
 
 
 def aliases_of(model: StoredModel) -> dict[str, int]:
-    """What each alias means."""
+    """Alias → version number."""
     aliases = dict(model.aliases)
-    if FORMER in aliases:
-        aliases.setdefault(CHAMPION, aliases.pop(FORMER))
+    if OLD_CHAMPION in aliases:
+        aliases.setdefault(CHAMPION, aliases.pop(OLD_CHAMPION))
     return aliases
 
 
 def check_stored_name(model: StoredModel) -> None:
-    """Refuse a name under which nothing is registered here: it is part of paths, queries and references.
+    """Refuse a name that is not safe in paths, queries and references.
 
     Raises:
-        StoreError: with what a name may look like.
+        StoreError: the message states the rules.
     """
     try:
         check_name(model.name)
@@ -55,10 +55,10 @@ def check_stored_name(model: StoredModel) -> None:
 
 
 def check_model(model: StoredModel) -> None:
-    """Refuse aliases and lists of versions that another hand has changed.
+    """Refuse aliases and lists of versions that do not match the seal.
 
     Raises:
-        StoreError: they were changed after they were recorded.
+        StoreError: they were changed by hand.
     """
     broken = broken_model(model)
     if broken is not None:
@@ -66,7 +66,7 @@ def check_model(model: StoredModel) -> None:
 
 
 def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
-    """One version as a frozen value; its manifest must hash to its digest, and its seal to the rest.
+    """One version, checked against its digest and its seal.
 
     Raises:
         StoreError: the manifest, the figures or a decision were changed.
@@ -78,11 +78,11 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
         raise StoreError(where, found, "a number from 1 on and a date", REMEDY)
     checked(text.encode("utf-8", "surrogatepass"), digest, f"{where}: manifest")
     try:
-        content = _CONTENT.validate_python(parse_json(text))
+        content = _MANIFEST.validate_python(parse_json(text))
         kind, lineage, files = content["kind"], content["lineage"], content["files"]
-        check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
+        check_files(dict.fromkeys(files, b""), where)  # another program may have registered paths
     except (ValueError, KeyError, TypeError, SettingsError) as error:
-        found = f"not one of ours ({type(error).__name__}: {error})"
+        found = f"not a manifest of sysid ({type(error).__name__}: {error})"
         raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
     keys = sorted(key for key in entry.tags if key.startswith(f"{DECISION}."))
     decisions = tuple(PromotionDecision.from_text(entry.tags[key], f"{where}: {key}") for key in keys)
@@ -105,12 +105,12 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
 
 
 def kind_of(model: StoredModel) -> str | None:
-    """The kind that all versions of a model are of; None where there is none."""
+    """The common kind of all versions of a model; None if it has none."""
     return version_of(model, model.own[0]).kind if model.own else None
 
 
 def decision_key(decision: PromotionDecision) -> str:
-    """A tag of its own for every decision; in the order of time."""
+    """The tag of a decision; tags are in the order of time."""
     return f"{DECISION}.{decision.decided_ms:013d}-{sha256(decision.to_text().encode('utf-8'))[:6]}"
 
 

@@ -1,4 +1,4 @@
-"""What was made from what: the references in the lineages of model versions, followed both ways."""
+"""Ancestors and descendants of model versions, by the references in their lineages."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Any
 from sysid.registry.version import ModelVersion
 
 
-def made_from_dataset(versions: Sequence[ModelVersion], reference: str, digest: str) -> tuple[ModelVersion, ...]:
-    """Those of ``versions`` that were made from a dataset version, directly or through another model."""
+def dataset_descendants(versions: Sequence[ModelVersion], reference: str, digest: str) -> tuple[ModelVersion, ...]:
+    """Those of ``versions`` that were made from a dataset version, directly or indirectly."""
     wanted = {reference, digest} - {""}
     direct = {version.reference for version in versions if wanted & {*_named_in(version.lineage, datasets=True)}}
     reached = _followed(versions, direct)
     return tuple(version for version in versions if version.reference in reached)
 
 
-def made_from(versions: Sequence[ModelVersion], reference: str) -> tuple[ModelVersion, ...]:
-    """Those of ``versions`` that were made from a model version, directly or through another one."""
+def descendants(versions: Sequence[ModelVersion], reference: str) -> tuple[ModelVersion, ...]:
+    """Those of ``versions`` that were made from a model version, directly or indirectly."""
     reached = _followed(versions, {reference}) - {reference}
     return tuple(version for version in versions if version.reference in reached)
 
 
-def made_of(versions: Sequence[ModelVersion], version: ModelVersion) -> tuple[ModelVersion, ...]:
-    """The model versions that a version was made from, directly or through another one."""
+def ancestors(versions: Sequence[ModelVersion], version: ModelVersion) -> tuple[ModelVersion, ...]:
+    """The model versions that a version was made from, directly or indirectly."""
     by_reference = {other.reference: other for other in versions}
     found: dict[str, ModelVersion] = {}
     open_ends = [version]
@@ -43,9 +43,9 @@ def _followed(versions: Sequence[ModelVersion], reached: set[str]) -> set[str]:
 
 
 def _named_in(value: Any, datasets: bool, key: str = "") -> Iterator[str]:
-    """The texts of a lineage at any depth: of its keys that speak of datasets, or of all others.
+    """The texts of a lineage at any depth, of keys with ``dataset`` or of all others.
 
-    A plant and a dataset may have the same name, so that ``autolog@1`` alone does not say which of them is meant.
+    The keys are needed because a plant and a dataset may have the same name.
     """
     if isinstance(value, Mapping):
         for name, item in value.items():

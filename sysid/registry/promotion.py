@@ -1,7 +1,6 @@
-"""Whether a version becomes what its name alone means, and the record of that: one way for networks and plants.
+"""Decides on the promotion of a version by its :class:`Check` values, and records the decision with it.
 
-What was asked of a version are :class:`Check` values; who asks differs: :mod:`sysid.gap.promotion` questions plants,
-:mod:`sysid.versions.policy` networks. Every decision stays with the version, the refused ones too.
+The checks of plants are made in :mod:`sysid.gap.promotion`, those of networks in :mod:`sysid.versions.policy`.
 """
 
 from __future__ import annotations
@@ -18,23 +17,23 @@ from sysid.registry.version import ModelVersion
 def decide(
     registry: Registry,
     version: str,
-    until_now: ModelVersion | None,
+    champion: ModelVersion | None,
     checks: Sequence[Check],
     judged: Mapping[str, Any] | None = None,
     word: str = "",
 ) -> Promotion:
-    """Promote a stored version if all checks pass, say why not otherwise, and record either with it.
+    """Promote a stored version if all checks pass, and record the decision with it.
 
     Args:
         version: ``name@version``.
-        until_now: what was promoted when the checks were made.
-        evaluated: what evaluated it, for the record.
-        word: promotes it whatever the checks say; recorded.
+        champion: the champion when the checks were made.
+        judged: basis of the decision, for the record.
+        word: the user's reason to promote it regardless of the checks; recorded.
 
     Raises:
-        StorageError: the disk is full, or may not be written.
+        StorageError: the disk is full or read-only.
     """
-    previous = until_now.reference if until_now is not None else ""
+    previous = champion.reference if champion is not None else ""
     reason = "; ".join(check.text for check in checks if check.status == "failed")
     promoted = bool(word) or not reason
     decision = PromotionDecision(promoted, previous, tuple(checks), reason, word, dict(judged or {}), now_ms())
@@ -43,10 +42,10 @@ def decide(
         return Promotion(version, previous, previous, tuple(checks), reason)
     if version != previous:
         try:
-            registry.promote(version, instead_of=until_now, decision=decision)
+            registry.promote(version, instead_of=champion, decision=decision)
         except StorageError:
             raise
-        except StoreError as error:  # the version is stored, and the next time it may be promoted
+        except StoreError as error:  # another champion was set in the meantime
             now = registry.promoted(version.partition("@")[0])
             return Promotion(version, now.reference if now else "", previous, tuple(checks), str(error))
     return Promotion(version, version, previous, tuple(checks))

@@ -1,7 +1,7 @@
-"""The rows of a version beside its files: a registry that is lost is made again from them.
+"""``registered.json`` beside the files of a version, from which a lost registry is rebuilt.
 
-``registered.json`` lists under which names and numbers the content was registered, when, and with which figures. Aliases and
-decisions are in the registry alone.
+It lists the names and numbers under which the content was registered, with time and figures. Aliases and decisions are stored
+only in the registry.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RECORDS = "registered.json"
 
 @dataclass(frozen=True)
 class Record:
-    """One row: name, number, when it was registered [ms since 1970], figures as the JSON that the registry holds."""
+    """One row: name, number, time of registration [ms since 1970], figures as JSON text."""
 
     name: Annotated[str, AfterValidator(check_name)]
     version: Annotated[int, Field(gt=0)]
@@ -40,7 +40,7 @@ _RECORDS = TypeAdapter(tuple[Record, ...])
 
 
 def read_records(root: Root, folder: str) -> tuple[Record, ...]:
-    """The rows beside the files in ``folder``; none where they are missing or damaged, or reached by a link."""
+    """The rows beside the files in ``folder``; empty if they are missing, damaged, or reached by a link."""
     try:
         values = parse_json(root.read(f"{folder}/{RECORDS}"))
         return _RECORDS.validate_python(values["registered"])
@@ -49,7 +49,7 @@ def read_records(root: Root, folder: str) -> tuple[Record, ...]:
 
 
 def with_record(records: Sequence[Record], record: Record) -> bytes:
-    """The file that holds ``records`` and ``record``, which takes the place of the one with its name."""
+    """The file content for ``records`` with ``record``, which replaces the one of the same name."""
     others = [other for other in records if other.name != record.name]
     rows = [asdict(row) for row in sorted([*others, record], key=lambda row: row.name)]
     return (json.dumps({"schema": 1, "registered": rows}, indent=2) + "\n").encode("utf-8")

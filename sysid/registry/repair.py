@@ -1,7 +1,7 @@
-"""Mends the registry of a workspace: migrates old tables, makes lost ones anew from the files of the models, restores seals.
+"""Repairs the registry of a workspace: migrates old tables, rebuilds lost ones from the model files, restores seals.
 
-The mended registry is made beside the old one and takes its place by a rename; the old one stays under another name.
-What only the registry held cannot come back: decisions, and the aliases of a registry whose rows cannot be read.
+The repaired registry is created beside the old one and replaces it by a rename; the old one is kept under another name.
+Decisions, and the aliases of a registry whose rows are unreadable, cannot be restored.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
-from sysid.registry.client import exclusive, locked, written
+from sysid.registry.client import disk_errors, exclusive, locked
 from sysid.registry.record import Record, read_records
 from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
 from sysid.registry.seal import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
@@ -27,45 +27,45 @@ from sysid.registry.version import CANDIDATE, CHAMPION, sha256
 from sysid.registry.version import MANIFEST as MANIFEST_FILE
 from sysid.root import Root
 
-LOST = "Decisions of restored versions are lost: `sysid models promote` decides anew."
+DECISIONS_LOST = "Decisions of restored versions are lost; use `sysid models promote` again."
 
 
 @dataclass(frozen=True)
 class RepairReport:
-    """What was done, and what could not be restored, one sentence each; both empty where the registry is whole."""
+    """What was repaired, and what could not be restored, one sentence each; both empty if the registry was valid."""
 
     done: tuple[str, ...]
     left: tuple[str, ...]
 
 
 def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> RepairReport:
-    """Mend the registry of ``workspace``; may be repeated without harm, also after it was killed.
+    """Repair the registry of ``workspace``; idempotent, also after it was killed.
 
     Args:
-        accept: take aliases, figures and decisions that were changed by hand as they stand, and seal them.
+        accept: accept aliases, figures and decisions that were changed by hand, and seal them.
 
     Raises:
-        StoreError: somebody is at work on the registry.
-        StorageError: the disk is full, or may not be written; the registry is as it was.
+        StoreError: another process uses the registry.
+        StorageError: the disk is full or read-only; the registry is unchanged.
     """
     root = Root(workspace)
     database = root.path("registry.db")
     if not database.exists() and root.kind("models") is None:
         return RepairReport((), ())
-    with written(workspace):
+    with disk_errors(workspace):
         empty = empty_registry()  # before the lock: it may take seconds
-    with exclusive(workspace, wait_s), written(workspace):
-        done, left = _mend_tables(workspace, database, empty)
+    with exclusive(workspace, wait_s), disk_errors(workspace):
+        done, left = _repair_tables(workspace, database, empty)
     tables = WorkspaceTables(workspace, wait_s)
     for model in tables.models():
-        _mend_seals(tables, model, _records(workspace), accept, done, left)
+        _repair_seals(tables, model, _records(workspace), accept, done, left)
     return RepairReport(tuple(done), tuple(left))
 
 
-def _mend_tables(workspace: Path, database: Path, empty: bytes) -> tuple[list[str], list[str]]:
-    """Make the tables whole: as they are, migrated, or anew."""
+def _repair_tables(workspace: Path, database: Path, empty: bytes) -> tuple[list[str], list[str]]:
+    """Check the tables; migrate or rebuild them where needed."""
     if not database.exists():
-        return _anew(workspace, database, empty, "there was no registry.db")
+        return _rebuilt(workspace, database, empty, "registry.db was missing")
     try:
         with closing(sqlite3.connect(database)) as connection:
             (state,) = connection.execute("PRAGMA quick_check(1)").fetchone()
@@ -75,19 +75,19 @@ def _mend_tables(workspace: Path, database: Path, empty: bytes) -> tuple[list[st
             raise locked(workspace) from None
         raise OSError(str(error)) from None
     except sqlite3.DatabaseError as error:
-        return _anew(workspace, database, empty, f"registry.db cannot be read ({error})")
+        return _rebuilt(workspace, database, empty, f"registry.db cannot be read ({error})")
     if state != "ok":
-        return _anew(workspace, database, empty, f"registry.db is damaged ({state})")
+        return _rebuilt(workspace, database, empty, f"registry.db is damaged ({state})")
     if not lack and made == _revision_of(empty):
         return [], []
     if "is missing" in lack:
-        return _anew(workspace, database, empty, f"registry.db is not whole ({lack})")
+        return _rebuilt(workspace, database, empty, f"registry.db is incomplete ({lack})")
     try:
         kept = _replaced(database, lambda half: _migrated(database, half), "old")
     except StoreError as error:
         if not lack and "locate revision" in error.found:
-            return [], [f"registry.db is of a newer MLflow ({made}), and works as it is."]
-        return _anew(workspace, database, empty, f"registry.db is half made ({lack or error.found})")
+            return [], [f"registry.db is of a newer MLflow ({made}); it is usable and was not changed."]
+        return _rebuilt(workspace, database, empty, f"registry.db is incomplete ({lack or error.found})")
     return [f"registry.db was migrated to the tables of this MLflow. The old one is {kept.name}."], []
 
 
@@ -104,11 +104,11 @@ def _migrated(database: Path, half: Path) -> None:
     with closing(sqlite3.connect(half)) as connection:
         lack = missing(connection)
     if lack:
-        raise StoreError(database, f"still not whole after its migration ({lack})", "MLflow's tables", "Restore a copy of it.")
+        raise StoreError(database, f"still incomplete after its migration ({lack})", "MLflow's tables", "Restore a copy of it.")
 
 
-def _anew(workspace: Path, database: Path, empty: bytes, why: str) -> tuple[list[str], list[str]]:
-    """A registry from what can be read of the old rows, and from the records beside the files."""
+def _rebuilt(workspace: Path, database: Path, empty: bytes, why: str) -> tuple[list[str], list[str]]:
+    """Rebuild the registry from readable rows, and from the records beside the files."""
     models = {model.name: model for model in _readable(database)}
     records = _records(workspace)
     restored = []
@@ -132,26 +132,26 @@ def _anew(workspace: Path, database: Path, empty: bytes, why: str) -> tuple[list
     kept = _replaced(database, fill, "broken")
     number = sum(len(model.own) for model in models.values())
     old = f" The old one is {kept.name}." if kept.exists() else ""
-    done = [f"{why}: made anew with {number} versions, {len(restored)} of them from the files of the models.{old}"]
-    left = [f"{LOST} ({', '.join(restored[:5])}{', …' if len(restored) > 5 else ''})"] if restored else []
-    return done, left + _unnamed(workspace, models)
+    done = [f"{why}: rebuilt with {number} versions, {len(restored)} of them from the model files.{old}"]
+    left = [f"{DECISIONS_LOST} ({', '.join(restored[:5])}{', …' if len(restored) > 5 else ''})"] if restored else []
+    return done, left + _without_record(workspace, models)
 
 
 def _changes(model: StoredModel, restored: set[str]) -> list[ModelChange]:
-    """The rows of a model; one without aliases has its newest version as the candidate, as when that was registered."""
+    """The changes that create the rows of a model; without aliases, its newest version becomes the candidate."""
     changes = [ModelChange(new=version) for version in model.versions]
     aliases: dict[str, int | None] = dict(model.aliases)
     if not aliases and model.own:
         aliases = {CANDIDATE: model.own[-1].number}
     changes.append(ModelChange(aliases=aliases, tags=model.tags))
-    anew: dict[int, dict[str, str | None]] = {v.number: {} for v in model.own if f"{model.name}@{v.number}" in restored}
-    if anew:
-        changes.append(sealed(model, ModelChange(version_tags=anew, aliases=aliases), aliases=True))
+    unsealed: dict[int, dict[str, str | None]] = {v.number: {} for v in model.own if f"{model.name}@{v.number}" in restored}
+    if unsealed:
+        changes.append(sealed(model, ModelChange(version_tags=unsealed, aliases=aliases), aliases=True))
     return changes
 
 
 def _readable(database: Path) -> Sequence[StoredModel]:
-    """What sqlite can still read of a registry: all, or nothing."""
+    """The rows of a registry that sqlite can read; empty if it cannot."""
     if not database.exists():
         return ()
     try:
@@ -162,7 +162,7 @@ def _readable(database: Path) -> Sequence[StoredModel]:
 
 
 def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
-    """Name → versions that the model files tell of; of two with one number the later: the other was never registered."""
+    """Name → versions according to the model files; of two with one number the later: the other was not registered."""
     found: dict[tuple[str, int], StoredVersion] = {}
     root = Root(workspace)
     for digest in root.entries("models"):
@@ -184,7 +184,7 @@ def _entry(folder: Path, text: str, record: Record) -> StoredVersion:
 
 
 def _manifest(root: Root, digest: str) -> str | None:
-    """The manifest of a folder of model files; None where it is none, was changed, or is reached by a link."""
+    """The manifest of a folder of model files; None if it is missing, changed, or reached by a link."""
     try:
         content = root.read(f"models/{digest}/{MANIFEST_FILE}")
         return content.decode("utf-8") if sha256(content) == digest else None
@@ -192,20 +192,20 @@ def _manifest(root: Root, digest: str) -> str | None:
         return None
 
 
-def _unnamed(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
-    """Model files that no row and no record names: from before there were records."""
+def _without_record(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
+    """Messages about model files without row and record, from earlier releases."""
     known = {version.tags[DIGEST] for model in models.values() for version in model.own}
     root = Root(workspace)
     digests = [digest for digest in root.entries("models") if not digest.startswith(".")]
     lost = [digest for digest in digests if digest not in known and not read_records(root, f"models/{digest}")]
     return [
-        f"models/{digest[:12]}…: its name and number were in the registry alone; repeat the command that made it."
+        f"models/{digest[:12]}…: its name and number were only in the registry; repeat the command that created it."
         for digest in sorted(lost)
     ]
 
 
 def _replaced(database: Path, make: Callable[[Path], None], why: str) -> Path:
-    """Let what ``make`` writes take the place of ``database``; returns the path that the old one has now."""
+    """Replace ``database`` by the file that ``make`` writes; returns the new path of the old one."""
     kept = database.with_name(f"{database.name}.{why}-{time.strftime('%Y%m%d-%H%M%S')}")
     clear_drafts(database)
     with written_whole(database) as half:
@@ -218,13 +218,13 @@ def _replaced(database: Path, make: Callable[[Path], None], why: str) -> Path:
             except OSError:  # a file system without hard links
                 shutil.copyfile(database, kept)
             journal = database.with_name(f"{database.name}-journal")
-            if journal.exists():  # of the old one: it must not be applied to the new one
+            if journal.exists():  # it must not be applied to the new file
                 journal.replace(kept.with_name(f"{kept.name}-journal"))
     on_disk(database.parent)
     return kept
 
 
-def _mend_seals(
+def _repair_seals(
     tables: WorkspaceTables,
     model: StoredModel,
     records: Mapping[str, Sequence[StoredVersion]],
@@ -232,7 +232,7 @@ def _mend_seals(
     done: list[str],
     left: list[str],
 ) -> None:
-    """Restore what was changed by hand in one model, or take it as it stands."""
+    """Restore what was changed by hand in one model, or accept it."""
     wrong = [version for version in model.own if broken_version(model, version) is not None]
     broken = broken_model(model)
     if not model.own or (is_sealed(model) and not wrong and broken is None):
@@ -241,10 +241,10 @@ def _mend_seals(
     def build(now: StoredModel) -> ModelChange:
         everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
         if not is_sealed(now):
-            done.append(f"{now.name}: sealed; it was registered before there were seals.")
+            done.append(f"{now.name}: sealed; it was registered by an earlier release without seals.")
             return sealed(now, ModelChange(version_tags=everything), aliases=True)
         if accept:
-            done.append(f"{now.name}: accepted as it stands, and sealed ({broken or f'{len(wrong)} changed versions'}).")
+            done.append(f"{now.name}: accepted and sealed ({broken or f'{len(wrong)} changed versions'}).")
             return sealed(now, ModelChange(version_tags=everything), aliases=True)
         return _restored(now, records.get(now.name, ()), done, left)
 
@@ -252,7 +252,7 @@ def _mend_seals(
 
 
 def _restored(now: StoredModel, records: Sequence[StoredVersion], done: list[str], left: list[str]) -> ModelChange:
-    """Aliases as they were last sealed, figures as they were registered."""
+    """Restore the sealed aliases and the registered figures."""
     known = {entry.number: entry for entry in records}
     tags: dict[int, dict[str, str | None]] = {}
     for version in now.own:
@@ -264,26 +264,24 @@ def _restored(now: StoredModel, records: Sequence[StoredVersion], done: list[str
             true = replace(version, tags={**version.tags, METRICS: figures})
             if broken_version(now, true) is None:
                 tags[version.number] = {METRICS: figures}
-                done.append(f"{where}: its figures are those of its registration again.")
+                done.append(f"{where}: its figures were restored to those of its registration.")
                 continue
         decisions = [key for key in version.tags if key.startswith(f"{DECISION}.")]
         left.append(
-            f"{where}: its {len(decisions)} decisions or its seal are not those that were recorded, and are kept nowhere else. "
-            "--accept takes them as they stand."
+            f"{where}: its {len(decisions)} decisions or its seal were changed, and there is no other copy. "
+            "--accept accepts them."
         )
     aliases: dict[str, int | None] = {}
-    meant = sealed_aliases(now)
-    if meant is None:
-        left.append(f"{now.name}: the record of its aliases is gone. --accept takes them as they stand.")
+    recorded = sealed_aliases(now)
+    if recorded is None:
+        left.append(f"{now.name}: the record of its aliases is missing. --accept accepts them.")
         return ModelChange(version_tags=tags)
-    if meant != dict(now.aliases):
-        aliases = {**dict.fromkeys(now.aliases), **meant}
-        done.append(f"{now.name}: its aliases are those that were recorded again ({_text(meant)}).")
+    if recorded != dict(now.aliases):
+        aliases = {**dict.fromkeys(now.aliases), **recorded}
+        done.append(f"{now.name}: its aliases were restored to the recorded ones ({_text(recorded)}).")
     change = ModelChange(version_tags=tags, aliases=aliases)
     if broken_model(changed(now, change)) is not None:
-        left.append(
-            f"{now.name}: the list of its {len(now.own)} versions is not the one recorded. --accept takes it as it stands."
-        )
+        left.append(f"{now.name}: the list of its {len(now.own)} versions is not the recorded one. --accept accepts it.")
     return change
 
 

@@ -1,7 +1,7 @@
-"""The empty tables of a registry: made by MLflow's own migrations, once for each of its versions, and copied from then on.
+"""The empty tables of a registry: created by MLflow's own migrations once for each of its versions, then copied from a cache.
 
-The copy lies in the user's cache. Its name holds the versions of MLflow, SQLAlchemy and alembic, the list of migrations, and
-its own sha256, so that another MLflow makes its own and a damaged copy is made again.
+The file name in the user's cache contains the versions of MLflow, SQLAlchemy and alembic, a digest of the list of migrations,
+and its own sha256, so that a copy of another MLflow or a damaged copy is not used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
 from sysid.registry.client import SQLITE, open_client, quieten
 
-#: What the statements of :mod:`sysid.registry.tables` need; MLflow has had them since the end of 2023.
+#: Columns that :mod:`sysid.registry.tables` uses; MLflow has had them since the end of 2023.
 NEEDED = {
     "registered_models": {"name", "creation_time", "last_updated_time"},
     "registered_model_tags": {"name", "key", "value"},
@@ -37,18 +37,18 @@ NEEDED = {
     },
     "model_version_tags": {"name", "version", "key", "value"},
 }
-REMEDY = "Run `sysid models repair`: it migrates the registry, or makes it anew from the files of its models."
+REMEDY = "Run `sysid models repair`: it migrates the registry, or rebuilds it from the model files."
 
 
 def empty_registry() -> bytes:
-    """An sqlite file with the tables of the MLflow that is installed, and no model."""
+    """An sqlite file with the tables of the installed MLflow, without models."""
     folder, stem = _cache_folder(), f"registry-{_origin()}"
     for path in sorted(folder.glob(f"{stem}-*.db")):
         content = path.read_bytes()
         if path.stem == f"{stem}-{_digest(content)}":
             return content
-    content = _migrated()
-    with suppress(OSError):  # a cache that cannot be written only costs time
+    content = migrated_tables()
+    with suppress(OSError):  # without a writable cache the tables are created each time
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / f"{stem}-{_digest(content)}.db") as half:
             half.write_bytes(content)
@@ -56,7 +56,7 @@ def empty_registry() -> bytes:
 
 
 def install(database: Path, content: bytes) -> None:
-    """Put ``content`` where the registry is to be, whole or not at all; only for the holder of the registry's lock."""
+    """Write a new registry atomically; requires the registry's lock."""
     clear_drafts(database)
     with written_whole(database) as half:
         half.write_bytes(content)
@@ -64,52 +64,52 @@ def install(database: Path, content: bytes) -> None:
 
 
 def clear_drafts(database: Path) -> None:
-    """Remove what dead writers left of a registry that they were making; only for the holder of the registry's lock."""
+    """Remove partial registries of killed processes; requires the registry's lock."""
     for dead in database.parent.glob(f".{database.name}.*.part*"):
         dead.unlink()
 
 
 def migrate(database: Path) -> None:
-    """Bring the tables of an older MLflow up to date, in place: to be called on a copy.
+    """Migrate the tables of an older MLflow in place; to be called on a copy.
 
     Raises:
-        StoreError: MLflow cannot.
+        StoreError: the migration failed.
     """
     quieten()
     import sqlalchemy
     from mlflow.store.db.utils import _upgrade_db
 
     engine = sqlalchemy.create_engine(f"{SQLITE}{database.resolve()}")
-    # A copy needs no syncs: it is synced once, when it is whole.
+    # No syncs: the copy is synced once, when it is complete.
     sqlalchemy.event.listen(engine, "connect", lambda connection, _: connection.execute("PRAGMA synchronous = OFF"))
     try:
         _upgrade_db(engine)  # type: ignore[no-untyped-call]
     except Exception as error:  # alembic, SQLAlchemy and the migrations themselves raise anything
         message = str(error).splitlines()[0]
-        raise StoreError(database, f"cannot be migrated ({message})", "tables that MLflow made") from None
+        raise StoreError(database, f"cannot be migrated ({message})", "tables of MLflow") from None
     finally:
         engine.dispose()
 
 
 def missing(connection: sqlite3.Connection) -> str:
-    """What the tables lack, in words; empty where nothing is missing.
+    """What the tables lack, as text; empty if nothing is missing.
 
     Raises:
-        sqlite3.Error: it is no database, or cannot be read.
+        sqlite3.Error: not a database, or unreadable.
     """
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     absent = sorted(NEEDED.keys() - tables)
     if absent:
-        return f"the table {absent[0]} is missing: its making was interrupted, or it is no registry"
+        return f"the table {absent[0]} is missing: its creation was interrupted, or it is not a registry"
     for table, columns in NEEDED.items():
         found = {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
         if columns - found:
-            return f"{table} has no column {sorted(columns - found)[0]}: an older MLflow made it"
+            return f"{table} has no column {sorted(columns - found)[0]}: it is of an older MLflow"
     return ""
 
 
 def revision(connection: sqlite3.Connection) -> str:
-    """The last of MLflow's migrations that the tables have had; empty where that is not known."""
+    """The last migration that was applied to the tables; empty if unknown."""
     try:
         row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     except sqlite3.OperationalError:
@@ -117,8 +117,8 @@ def revision(connection: sqlite3.Connection) -> str:
     return str(row[0]) if row else ""
 
 
-def _migrated() -> bytes:
-    """The tables as MLflow makes them; a fraction of the size without what its migrations left free."""
+def migrated_tables() -> bytes:
+    """The tables as MLflow creates them, compacted by VACUUM."""
     with tempfile.TemporaryDirectory(prefix="sysid-registry-") as folder:
         made, packed = Path(folder) / "made.db", Path(folder) / "packed.db"
         open_client(f"{SQLITE}{made.resolve()}")
@@ -128,7 +128,7 @@ def _migrated() -> bytes:
 
 
 def _origin() -> str:
-    """What decides the tables: versions of the libraries and the list of migrations, found without importing MLflow."""
+    """Versions of the libraries and digest of the list of migrations, found without importing MLflow."""
     versions = [importlib.metadata.version(name) for name in ("mlflow-skinny", "sqlalchemy", "alembic")]
     package = importlib.util.find_spec("mlflow")
     folders = list(package.submodule_search_locations or ()) if package is not None else []

@@ -1,7 +1,7 @@
-"""A digest over what the manifest of a version does not cover: figures, decisions, time, aliases.
+"""Seals: digests of what the manifest of a version does not cover (figures, decisions, time, aliases).
 
-The manifest is sealed by the version's own digest. The rest may grow, so it has a seal that is written anew in the transaction
-that changes it. It has no key: it shows what was changed by hand or by another program, not what was forged with its seal.
+A seal is updated in the transaction that changes what it covers. It has no key: it detects changes by hand or by another
+program, but not a forged seal.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from sysid.errors import StoreError
 from sysid.parse import parse_json
 from sysid.registry.stored import DECISION, DIGEST, METRICS, SEAL, ModelChange, StoredModel, StoredVersion
 
-REMEDY = "`sysid models repair` says what can be restored."
+REMEDY = "`sysid models repair` restores what it can."
 
 
 class _Sealed(TypedDict):
-    """What the seal of a model says in the open, beside its sha256."""
+    """The readable part of a model's seal, beside its sha256."""
 
     __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
 
@@ -34,14 +34,14 @@ _SEALED = TypeAdapter(_Sealed)
 
 
 def version_seal(name: str, version: StoredVersion) -> str:
-    """sha256 over name, digest, figures and decisions. Number and time are a server's to give: the model's seal covers them."""
+    """sha256 over name, digest, figures and decisions. The model's seal covers number and time, which a server assigns."""
     decisions = sorted((key, value) for key, value in version.tags.items() if key.startswith(f"{DECISION}."))
     figures = version.tags.get(METRICS, "{}")
     return _sha([name, version.tags[DIGEST], figures, decisions])
 
 
 def model_seal(model: StoredModel) -> str:
-    """The aliases, how many versions there are, and a sha256 over both and the seals of all versions, as JSON."""
+    """The aliases, the number of versions, and a sha256 over both and the seals of all versions, as JSON."""
     own = model.own
     aliases = dict(sorted(model.aliases.items()))
     covered = [model.name, aliases, [[version.number, version.created_ms, version.tags.get(SEAL, "")] for version in own]]
@@ -49,30 +49,30 @@ def model_seal(model: StoredModel) -> str:
 
 
 def is_sealed(model: StoredModel) -> bool:
-    """False for a model that was registered before there were seals."""
+    """False for a model of an earlier release without seals."""
     return SEAL in model.tags or any(SEAL in version.tags for version in model.own)
 
 
 def broken_version(model: StoredModel, version: StoredVersion) -> StoreError | None:
-    """What is wrong with the seal of a version; None where nothing is, or it was registered before there were seals."""
+    """The error if a version does not match its seal; None if it does, or has none from an earlier release."""
     unsealed = SEAL not in version.tags and SEAL not in model.tags
     if unsealed or version.tags.get(SEAL) == version_seal(model.name, version):
         return None
     return StoreError(
         f"{model.name}@{version.number}",
-        "its figures or decisions were changed after they were recorded",
+        "its figures or decisions were changed by hand",
         "the row as sysid wrote it",
         REMEDY,
     )
 
 
 def broken_model(model: StoredModel) -> StoreError | None:
-    """What is wrong with the aliases of a model, or with its list of versions; None where nothing is."""
+    """The error if a model's aliases or list of versions do not match its seal; None if they do."""
     if not is_sealed(model) or model.tags.get(SEAL) == model_seal(model):
         return None
     where, sealed, count = f"model {model.name}", sealed_aliases(model), len(model.own)
     if sealed is None:
-        return StoreError(where, "the seal of its aliases is gone or damaged", "the row as sysid wrote it", REMEDY)
+        return StoreError(where, "the seal of its aliases is missing or damaged", "the row as sysid wrote it", REMEDY)
     recorded = parse_json(model.tags[SEAL])["count"]
     if dict(model.aliases) != sealed:
         found, expected = _aliases_text(model.aliases), _aliases_text(sealed)
@@ -83,7 +83,7 @@ def broken_model(model: StoredModel) -> StoreError | None:
 
 
 def sealed_aliases(model: StoredModel) -> dict[str, int] | None:
-    """The aliases as they were last recorded; None where that cannot be read."""
+    """The sealed aliases; None if they cannot be read."""
     try:
         return _SEALED.validate_python(parse_json(model.tags[SEAL]))["aliases"]
     except (KeyError, ValueError):
@@ -91,7 +91,7 @@ def sealed_aliases(model: StoredModel) -> dict[str, int] | None:
 
 
 def sealed(model: StoredModel, change: ModelChange, aliases: bool) -> ModelChange:
-    """``change`` with the seals that ``model`` has after it.
+    """``change`` with the new seals of ``model``.
 
     Args:
         aliases: also seal the model as a whole.
@@ -114,17 +114,12 @@ def sealed(model: StoredModel, change: ModelChange, aliases: bool) -> ModelChang
 
 
 def changed(model: StoredModel, change: ModelChange) -> StoredModel:
-    """``model`` as it is after ``change``."""
+    """``model`` after ``change``."""
     versions = (*model.versions, *([change.new] if change.new is not None else []))
     given = {alias: number for alias, number in {**model.aliases, **change.aliases}.items() if number is not None}
     return StoredModel(
         model.name,
-        tuple(
-            replace(version, tags=_merged(version.tags, change.version_tags[version.number]))
-            if version.number in change.version_tags
-            else version
-            for version in versions
-        ),
+        tuple(replace(v, tags=_merged(v.tags, change.version_tags.get(v.number, {}))) for v in versions),
         given,
         {**model.tags, **change.tags},
         max(model.last, change.new.number if change.new is not None else 0),

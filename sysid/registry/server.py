@@ -1,7 +1,7 @@
-"""A registry on an MLflow server, which several workspaces share: a request for every row, so a journal makes them one change.
+"""A registry on a shared MLflow server: each change takes several requests, which a journal makes atomic.
 
-The change is written down in the workspace before the first request and removed after the last. What was killed in between is
-finished by the next command of this workspace that asks the registry. Each step may be repeated without harm.
+The change is written to the workspace's journal before the first request and removed after the last. If the process is killed
+in between, the next command of this workspace that uses the registry completes it. Each request is idempotent.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 from sysid.errors import StoreError
 from sysid.names import is_name
 from sysid.parse import parse_json
-from sysid.registry.client import exclusive, open_client, translated, written
-from sysid.registry.stored import DIGEST, Build, ModelChange, StoredModel, StoredVersion
+from sysid.registry.client import disk_errors, exclusive, mlflow_errors, open_client
+from sysid.registry.stored import DIGEST, ChangeBuilder, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _PAGE = 1000
@@ -26,14 +26,14 @@ class ServerTables:
     """The models at ``uri``.
 
     Args:
-        workspace: holds the journal and the lock that keeps the writers of this workspace apart.
+        workspace: holds the journal, and the lock for the processes of this workspace.
     """
 
-    seals_aliases = False  # everybody who uses the server may set them, by way of its pages too
+    seals_aliases = False  # all users of the server may set them
 
     def __init__(self, workspace: Path, uri: str, wait_s: float) -> None:
         self._workspace, self._uri, self._wait_s = workspace, uri, wait_s
-        self._root, self._journal = Root(workspace), f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
+        self._root, self.journal = Root(workspace), f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
 
     @functools.cached_property
     def client(self) -> Any:
@@ -41,51 +41,51 @@ class ServerTables:
 
     def model(self, name: str) -> StoredModel:
         self._finish()
-        with translated(self._uri):
+        with mlflow_errors(self._uri):
             return self._model(name)
 
     def models(self) -> tuple[StoredModel, ...]:
         self._finish()
-        with translated(self._uri):
+        with mlflow_errors(self._uri):
             return tuple(self._model(name) for name in self._names())
 
-    def change(self, name: str, build: Build) -> StoredModel:
-        _ = self.client  # it takes seconds to import, and longer to be told that nobody answers: not with the lock
+    def change(self, name: str, build: ChangeBuilder) -> StoredModel:
+        _ = self.client  # before the lock: the import takes seconds, an unreachable server longer
         with exclusive(self._workspace, self._wait_s):
             self._finish_locked()
-            with translated(self._uri):
+            with mlflow_errors(self._uri):
                 before = self._model(name)
             change = build(before)
             if change is None:
                 return before
             text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
-            with written(self._workspace):
-                self._root.write(self._journal, text.encode("utf-8"))
-            with translated(self._uri):
+            with disk_errors(self._workspace):
+                self._root.write(self.journal, text.encode("utf-8"))
+            with mlflow_errors(self._uri):
                 self._carry_out(name, change)
-            self._root.remove(self._journal)
-            with translated(self._uri):
+            self._root.remove(self.journal)
+            with mlflow_errors(self._uri):
                 return self._model(name)
 
     def _finish(self) -> None:
-        if self._root.kind(self._journal) is not None:
+        if self._root.kind(self.journal) is not None:
             with exclusive(self._workspace, self._wait_s):
                 self._finish_locked()
 
     def _finish_locked(self) -> None:
-        """Carry out what the journal says: it was begun by a process of this workspace that is dead."""
+        """Complete the journalled change of a killed process."""
         try:
-            values = parse_json(self._root.read(self._journal))
+            values = parse_json(self._root.read(self.journal))
             name, change = str(values["name"]), ModelChange.from_json(values["change"])
         except FileNotFoundError:
             return
         except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             found = f"not readable ({type(error).__name__}: {error})"
             remedy = "Delete it, and repeat the last registration or promotion."
-            raise StoreError(self._workspace / self._journal, found, "what sysid wrote", remedy) from None
-        with translated(self._uri):
+            raise StoreError(self._workspace / self.journal, found, "what sysid wrote", remedy) from None
+        with mlflow_errors(self._uri):
             self._carry_out(name, change)
-        self._root.remove(self._journal)
+        self._root.remove(self.journal)
 
     def _carry_out(self, name: str, change: ModelChange) -> None:
         client, new = self.client, change.new
@@ -103,7 +103,7 @@ class ServerTables:
             client.set_registered_model_tag(name, key, value)
 
     def _added(self, name: str, new: StoredVersion, run: str | None) -> int:
-        """The number of the version on the server; somebody else may have taken the one that was expected."""
+        """The number of the version on the server, which differs from the expected one if another workspace took that."""
         from mlflow.exceptions import MlflowException
 
         try:
@@ -127,7 +127,7 @@ class ServerTables:
                 return sorted(names)
 
     def _model(self, name: str) -> StoredModel:
-        if not is_name(name):  # another program's, and no part of a query
+        if not is_name(name):  # of another program; not safe in a query
             return StoredModel(name)
         versions: list[StoredVersion] = []
         token = None

@@ -1,6 +1,6 @@
-"""A model as a registry stores it, before anything of it is read: numbers, tags, aliases; and one change of it.
+"""Unchecked rows of a model in a registry (numbers, tags, aliases), and changes of them.
 
-Both kinds of registry (:mod:`sysid.registry.tables`, :mod:`sysid.registry.server`) give and take these values.
+Both registries (:mod:`sysid.registry.tables`, :mod:`sysid.registry.server`) use these values.
 """
 
 from __future__ import annotations
@@ -9,17 +9,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-#: Tags of an MLflow version. One tag a decision: nothing that was decided is ever rewritten.
+#: Tags of an MLflow version; each decision has its own, so that none is rewritten.
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
-#: Tag of a version, and of a model: a digest over what the manifest does not cover.
+#: Tag of a version, and of a model: a digest of what the manifest does not cover.
 SEAL = "sysid.seal"
-#: The last millisecond that has a date, since 1970.
+#: Largest time stamp that is a date [ms since 1970].
 LATEST_MS = 253_402_300_799_999
 
 
 @dataclass(frozen=True)
 class StoredVersion:
-    """One version: its number, when it was made [ms since 1970], where its files lie, its tags."""
+    """One version: number, time of registration [ms since 1970], location of its files, tags."""
 
     number: int
     created_ms: int
@@ -28,7 +28,7 @@ class StoredVersion:
 
     @property
     def own(self) -> bool:
-        """Whether this toolkit registered it, not another program."""
+        """Whether this toolkit registered it."""
         return DIGEST in self.tags and MANIFEST in self.tags
 
 
@@ -37,7 +37,7 @@ class StoredModel:
     """All versions of one name, oldest first, with the aliases and tags of the name.
 
     Args:
-        last: the highest number that was ever given; numbers are never given twice.
+        last: the highest number ever used; numbers are not reused.
     """
 
     name: str
@@ -53,14 +53,14 @@ class StoredModel:
 
 @dataclass(frozen=True)
 class ModelChange:
-    """What one registration, decision or alias changes in a model: all of it is done, or nothing.
+    """An atomic change of a model: registration, decision or alias.
 
     Args:
-        new: a version to be added.
-        run: MLflow run that holds its files, on a server.
-        version_tags: number → tags to be set; None removes one.
-        aliases: alias → number that it means from now on; None removes it.
-        tags: of the model, to be set.
+        new: a version to add.
+        run: MLflow run with its files, on a server.
+        version_tags: number → tags to set; None removes one.
+        aliases: alias → version number; None removes it.
+        tags: of the model, to set.
     """
 
     new: StoredVersion | None = None
@@ -96,29 +96,29 @@ class ModelChange:
         )
 
 
-#: What is to be changed in a model as it stands when nobody else can change it; None: nothing.
-Build = Callable[[StoredModel], ModelChange | None]
+#: Current state of a model, under the lock → its change; None: no change.
+ChangeBuilder = Callable[[StoredModel], ModelChange | None]
 
 
 class Tables(Protocol):
     """Reads models, and changes one of them at a time."""
 
-    #: Whether the aliases are this toolkit's alone, so that a change by another hand is a mistake.
+    #: Whether only this toolkit sets aliases, so that other changes are errors.
     seals_aliases: bool
 
     def model(self, name: str) -> StoredModel:
-        """One model; without versions where there is none of this name."""
+        """One model; without versions if there is none of this name."""
         ...
 
     def models(self) -> tuple[StoredModel, ...]:
-        """Every model, by name; nothing is made or migrated by looking."""
+        """Every model, by name; creates and migrates nothing."""
         ...
 
-    def change(self, name: str, build: Build) -> StoredModel:
-        """Carry out what ``build`` returns, whole or not at all; returns the model as it is then.
+    def change(self, name: str, build: ChangeBuilder) -> StoredModel:
+        """Apply the change that ``build`` returns, atomically; returns the changed model.
 
         Raises:
-            StoreError: the registry is in use, cannot be reached, or is none.
-            StorageError: the disk is full, or may not be written; nothing was changed then.
+            StoreError: the registry is in use, unreachable, or invalid.
+            StorageError: the disk is full or read-only; nothing was changed.
         """
         ...

@@ -1,7 +1,7 @@
-"""The registry of a workspace: MLflow's tables in one sqlite file, read and changed by one transaction each.
+"""The registry of a workspace: MLflow's tables in one sqlite file, read and changed by SQL, one transaction for each change.
 
-MLflow's client takes a transaction for every tag and alias, and a second to import. Its tables are open all the same: its
-server and pages read what is written here. Looking opens the file for reading alone, so it makes and migrates nothing.
+MLflow's client uses a transaction for every tag and alias, and takes seconds to import; its server and pages can still read the
+file. Reading opens the file read-only, so that it neither creates nor migrates tables.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from sysid.errors import StorageError, StoreError
-from sysid.registry.client import MEND, REFUSED, UNTOUCHED, exclusive, locked, written
+from sysid.registry.client import DISK_MESSAGES, DISK_REMEDY, UNCHANGED, disk_errors, exclusive, locked
 from sysid.registry.schema import REMEDY, empty_registry, install, missing
-from sysid.registry.stored import Build, ModelChange, StoredModel, StoredVersion
+from sysid.registry.stored import ChangeBuilder, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _Result = TypeVar("_Result")
@@ -27,8 +27,8 @@ class WorkspaceTables:
     """``registry.db`` of a workspace.
 
     Args:
-        workspace: holds ``registry.db`` and ``registry.lock``; made by the first change.
-        wait_s: how long to wait for another process before giving up.
+        workspace: holds ``registry.db`` and ``registry.lock``; created by the first change.
+        wait_s: time limit for the lock of another process.
     """
 
     seals_aliases = True
@@ -38,18 +38,18 @@ class WorkspaceTables:
         self._database = workspace / "registry.db"
 
     def model(self, name: str) -> StoredModel:
-        return self._look(lambda connection: _model(connection, name), StoredModel(name))
+        return self._read(lambda connection: _model(connection, name), StoredModel(name))
 
     def models(self) -> tuple[StoredModel, ...]:
-        return self._look(lambda connection: tuple(models_of(connection)), ())
+        return self._read(lambda connection: tuple(models_of(connection)), ())
 
-    def change(self, name: str, build: Build) -> StoredModel:
-        # The tables are made before the lock is taken: that may take seconds.
-        with written(self._workspace):
+    def change(self, name: str, build: ChangeBuilder) -> StoredModel:
+        # Creating the tables may take seconds, so it is done before the lock is taken.
+        with disk_errors(self._workspace):
             empty = None if self._database.exists() else empty_registry()
         with exclusive(self._workspace, self._wait_s):
             if empty is not None and not self._database.exists():
-                with written(self._workspace):
+                with disk_errors(self._workspace):
                     install(self._database, empty)
             with self._opened("rw") as connection:
                 connection.execute("BEGIN IMMEDIATE")
@@ -59,22 +59,22 @@ class WorkspaceTables:
                 connection.execute("COMMIT")
                 return _model(connection, name)
 
-    def _look(self, read: Callable[[sqlite3.Connection], _Result], nothing: _Result) -> _Result:
+    def _read(self, read: Callable[[sqlite3.Connection], _Result], nothing: _Result) -> _Result:
         if not self._database.exists():
             return nothing
         try:
             with self._opened("ro") as connection:
-                connection.execute("BEGIN")  # all that is read is of one moment
+                connection.execute("BEGIN")  # one snapshot for all queries
                 return read(connection)
         except _InterruptedError:
-            with self._opened("rw") as connection:  # sqlite sets back what a killed writer had begun
+            with self._opened("rw") as connection:  # sqlite rolls back the transaction of a killed process
                 connection.execute("BEGIN")
                 return read(connection)
 
     @contextmanager
     def _opened(self, mode: str) -> Iterator[sqlite3.Connection]:
-        """A connection whose tables are the ones that are needed; it ends what was not committed."""
-        Root(self._workspace).path(self._database.name)  # no link
+        """A connection to a file with all needed tables; uncommitted changes are discarded at the end."""
+        Root(self._workspace).path(self._database.name)  # refuses a link
         try:
             uri = f"{self._database.resolve().as_uri()}?mode={mode}"
             with closing(sqlite3.connect(uri, uri=True, timeout=self._wait_s, isolation_level=None)) as connection:
@@ -95,15 +95,15 @@ class WorkspaceTables:
                 return _InterruptedError()
             if "locked" in text or "busy" in text:
                 return locked(self._workspace)
-            refused = next((words for words in REFUSED if words in text), None)
-            if refused is not None:
-                found = f"cannot be written ({refused}); {UNTOUCHED}" if mode == "rw" else f"cannot be read ({refused})"
-                return StorageError(f"model registry {self._database}", found, remedy=MEND)
+            reason = next((message for message in DISK_MESSAGES if message in text), None)
+            if reason is not None:
+                found = f"cannot be written ({reason}); {UNCHANGED}" if mode == "rw" else f"cannot be read ({reason})"
+                return StorageError(f"model registry {self._database}", found, remedy=DISK_REMEDY)
         return StoreError(self._database, f"not a model registry ({text})", "an sqlite file with MLflow's tables", REMEDY)
 
 
 class _InterruptedError(Exception):
-    """A writer was killed in the middle of a transaction."""
+    """A process was killed during a transaction."""
 
 
 def _model(connection: sqlite3.Connection, name: str) -> StoredModel:
@@ -111,7 +111,7 @@ def _model(connection: sqlite3.Connection, name: str) -> StoredModel:
 
 
 def models_of(connection: sqlite3.Connection, name: str | None = None) -> list[StoredModel]:
-    """Every model by name, or the one of this name; each table is read once."""
+    """Every model by name, or the one called ``name``; each table is read once."""
     connection.text_factory = _text
     only, chosen = ("", ()) if name is None else (" WHERE name = ?", (name,))
     tags: dict[tuple[str, int], dict[str, str]] = {}
@@ -139,12 +139,12 @@ def models_of(connection: sqlite3.Connection, name: str | None = None) -> list[S
 
 
 def _text(content: bytes) -> str:
-    """A text of a row that need not be UTF-8: it then fits no digest."""
+    """Text of a row; text that is not UTF-8 matches no digest afterwards."""
     return content.decode("utf-8", "replace")
 
 
 def _number(value: object) -> int:
-    """An integer of a row, which may hold anything; 0, which is no version and no alias means, where it is none."""
+    """An integer of a row, or 0, which is not a valid version number, for any other value."""
     return value if isinstance(value, int) else 0
 
 
@@ -152,7 +152,7 @@ def apply(connection: sqlite3.Connection, name: str, change: ModelChange) -> Non
     """The rows of ``change``, as MLflow would write them."""
     new = change.new
     if new is not None:
-        _insert_version(connection, name, new, change.run)
+        insert_version(connection, name, new, change.run)
     for number, tags in change.version_tags.items():
         for key, value in tags.items():
             _set(connection, "model_version_tags", {"name": name, "version": number, "key": key}, value)
@@ -165,7 +165,8 @@ def apply(connection: sqlite3.Connection, name: str, change: ModelChange) -> Non
         _set(connection, "registered_model_tags", {"name": name, "key": key}, value)
 
 
-def _insert_version(connection: sqlite3.Connection, name: str, new: StoredVersion, run: str | None) -> None:
+def insert_version(connection: sqlite3.Connection, name: str, new: StoredVersion, run: str | None) -> None:
+    """Add the rows of a version, and of its model if it is the first one."""
     made = {"creation_time": new.created_ms, "last_updated_time": new.created_ms}
     if not connection.execute("SELECT 1 FROM registered_models WHERE name = ?", (name,)).fetchone():
         _insert(connection, "registered_models", {"name": name, **made})

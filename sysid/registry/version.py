@@ -1,12 +1,11 @@
-"""What a model version is: files, kind and lineage, addressed by the sha256 of all three."""
+"""Model versions: files, kind and lineage, addressed by the sha256 of all three."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
@@ -14,25 +13,23 @@ from sysid.names import check_name
 from sysid.registry.decision import PromotionDecision
 
 Kind = Literal["actuator", "history", "motion", "forward", "plant", "policy"]
-#: Those that `sysid fit` makes.
+#: Kinds that `sysid fit` creates.
 NETWORKS: tuple[str, ...] = ("actuator", "history", "motion", "forward")
 KINDS: tuple[str, ...] = get_args(Kind)
 
-#: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects). A ``.diff`` is for people.
+#: Formats that execute nothing on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects).
 SUFFIXES = (".safetensors", ".json", ".diff")
 
-#: Of a version's files, beside them; its sha256 is the version's digest.
+#: File beside those of a version; its sha256 is the version's digest.
 MANIFEST = "manifest.json"
 
-#: The alias of the version that a name alone means, because it was promoted.
+#: Alias of the promoted version, to which a name alone refers.
 CHAMPION = "champion"
-#: The alias of the newest version that was registered and has not been promoted.
+#: Alias of the newest registered version that has not been promoted.
 CANDIDATE = "candidate"
 
-#: What every MLflow store accepts as the value of one tag.
-LARGEST_MANIFEST = 100_000
-
-_VERSION = re.compile(r"v?[0-9]+")
+#: Largest value of a tag in every MLflow store [characters].
+MAX_MANIFEST = 100_000
 
 
 @dataclass(frozen=True)
@@ -42,15 +39,15 @@ class ModelVersion:
     Args:
         name: of the model; all its versions are of one kind.
         version: counts from 1.
-        kind: what reads the files.
+        kind: of the model, which determines the files.
         digest: sha256 of the manifest (kind, lineage, sha256 of every file): the content address.
-        lineage: what it was made from: dataset version, recipe, seed, parent version.
-        metrics: figures that describe it; not part of the digest, since timings differ between equal runs.
+        lineage: its sources: dataset version, recipe, seed, parent version.
+        metrics: its figures; not part of the digest, because timings differ between equal runs.
         sha256: file name → digest of its content.
-        aliases: names that point to this version now (``champion``).
-        created_ms: when it was registered, milliseconds since 1970.
-        files: file name → content; filled by ``Registry.load`` alone, already checked against ``sha256``.
-        decisions: whether it was to be promoted and why, oldest first.
+        aliases: names that refer to this version (``champion``).
+        created_ms: time of registration, milliseconds since 1970.
+        files: file name → content; filled only by ``Registry.load``, which checks it against ``sha256``.
+        decisions: on its promotion, oldest first.
     """
 
     name: str
@@ -67,23 +64,14 @@ class ModelVersion:
 
     @property
     def reference(self) -> str:
-        """``name@version``, the way a person and a lineage record name it."""
+        """``name@version``."""
         return f"{self.name}@{self.version}"
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the files' content."""
-        return {
-            "name": self.name,
-            "version": self.version,
-            "kind": self.kind,
-            "digest": self.digest,
-            "lineage": dict(self.lineage),
-            "metrics": dict(self.metrics),
-            "sha256": dict(self.sha256),
-            "aliases": list(self.aliases),
-            "created_ms": self.created_ms,
-            "decisions": [decision.to_json() for decision in self.decisions],
-        }
+        values = asdict(self)
+        del values["files"]
+        return values
 
 
 def sha256(content: bytes) -> str:
@@ -94,7 +82,7 @@ def manifest(kind: str, hashes: Mapping[str, str], lineage: Mapping[str, Any], w
     """Kind, lineage and file digests as canonical JSON; its sha256 is the version's digest.
 
     Raises:
-        SettingsError: the lineage holds something that JSON cannot (NaN, an array, a path), or is too long to store.
+        SettingsError: the lineage has values that JSON does not (NaN, an array, a path), or is too long.
     """
     try:
         text = json.dumps(
@@ -107,22 +95,14 @@ def manifest(kind: str, hashes: Mapping[str, str], lineage: Mapping[str, Any], w
         raise SettingsError(
             f"{where}: lineage", str(error), "plain JSON values (finite numbers, text, lists, tables)"
         ) from None
-    if len(text) > LARGEST_MANIFEST:
+    if len(text) > MAX_MANIFEST:
         raise SettingsError(
             f"{where}: lineage",
             f"{len(text)} characters of JSON",
-            f"at most {LARGEST_MANIFEST}",
+            f"at most {MAX_MANIFEST}",
             "Put long tables into a JSON file of the model.",
         )
     return text
-
-
-def check_alias(alias: str) -> str:
-    """``alias`` unless it is no name or reads like a version number."""
-    check_name(alias, "alias")
-    if _VERSION.fullmatch(alias) or alias.lower() == "latest":
-        raise SettingsError("alias", repr(alias), "a name that is neither a version number nor 'latest'", "Say e.g. champion.")
-    return alias
 
 
 def check_kind(kind: str) -> None:
@@ -131,7 +111,7 @@ def check_kind(kind: str) -> None:
 
 
 def check_files(files: Mapping[str, bytes], where: object) -> None:
-    """Refuse file names that are paths, and formats that can run code when they are read."""
+    """Refuse file names that are paths, and formats that can execute code when they are read."""
     if not files:
         raise SettingsError(where, "no files", "at least one safetensors or JSON file")
     for name in files:
@@ -156,14 +136,14 @@ def split_reference(reference: str) -> tuple[str, str | None]:
 
 
 def choose(numbers: Sequence[int], aliases: Mapping[str, int], name: str, selector: str | None) -> int:
-    """The version that ``selector`` means: a number or an alias; for None the promoted one, or the newest where none is.
+    """The version that ``selector`` (a number or an alias) selects; for None the champion, or the newest if there is none.
 
     Args:
         numbers: of all versions, at least one.
-        aliases: alias → version; one that means a version that is no more is none.
+        aliases: alias → version; aliases of deleted versions are ignored.
 
     Raises:
-        StoreError: there is none; lists what there is.
+        StoreError: no such version; lists the existing ones.
     """
     known = {alias: number for alias, number in aliases.items() if number in numbers}
     newest = max(numbers)

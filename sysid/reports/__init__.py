@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page a person without statistics can read."""
+"""The report: one self-contained HTML page."""
 
 from sysid.reports.inputs import ReportInputs, VersionNote
 from sysid.reports.report import build_report, write_report

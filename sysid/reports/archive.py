@@ -1,4 +1,4 @@
-"""Keeps the answer of the gap workflow beside the models, so that a report can be made again without computing it again."""
+"""Stores and loads gap results, for reports without a new computation."""
 
 from __future__ import annotations
 
@@ -35,45 +35,45 @@ from sysid.parse import parse_json
 from sysid.root import Root
 
 RESULT, TRACES, DIFFERENCE, SEAL = "result.json", "traces.parquet", "machine.diff", "seal.json"
-AGAIN = "Run `sysid gap` again."
+REMEDY = "Run `sysid gap` again."
 VERSIONS = ("measured", "before", "after")
 _SEALED = TypeAdapter(dict[str, str])
 
 
 def save_gap(folder: Path, result: GapResult) -> Path:
-    """File ``result`` as ``folder``, in the place of the one before: all of its files or none.
+    """Store ``result`` as ``folder``, replacing an earlier one atomically.
 
-    They are written to a folder beside it, which counts from its rename to ``<folder>.next`` on; what remains to be done then
-    is done by the next call, if not by this one.
+    The files are written to a temporary folder. Its rename to ``<folder>.next`` commits the result; an interrupted replacement
+    is completed by the next call.
 
     Raises:
-        StorageError: the disk is full, or may not be written.
-        StoreError: ``folder``, or something in its way, is a link.
+        StorageError: the disk is full or read-only.
+        StoreError: ``folder``, or a folder on the way, is a link.
     """
     root, name = Root(folder.parent), folder.name
     draft = f".{name}.part"
     try:
         with FileLock(root.output(f".{name}.lock")):
-            _settle(root, name)
-            root.remove(draft)  # of a dead writer
+            _complete(root, name)
+            root.remove(draft)  # of a killed process
             _write(root, draft, result)
             root.settle(draft)
-            root.rename(draft, _ready(name))
-            _settle(root, name)
+            root.rename(draft, _committed(name))
+            _complete(root, name)
     except OSError as error:
-        found = f"cannot be written ({error.strerror or error}); the result before, or this one, is whole"
-        raise StorageError(folder, found, remedy="Make room, and run the command again.") from None
+        found = f"cannot be written ({error.strerror or error}); a complete result, old or new, is stored"
+        raise StorageError(folder, found, remedy="Free disk space and run the command again.") from None
     return folder / RESULT
 
 
 def load_gap(folder: Path) -> GapResult | None:
-    """The result that :func:`save_gap` filed as ``folder``; None where there is none.
+    """The result that :func:`save_gap` stored as ``folder``; None if there is none.
 
     Raises:
-        StoreError: the files are damaged, were changed after they were written, or one of them is a link.
+        StoreError: a file is damaged, was changed, or is a link.
     """
     above = Root(folder.parent)
-    root = Root(above.path(_ready(folder.name) if above.kind(_ready(folder.name)) == "folder" else folder.name))
+    root = Root(above.path(_committed(folder.name) if above.kind(_committed(folder.name)) == "folder" else folder.name))
     path = root.folder / RESULT
     if root.kind(RESULT) is None:
         return None
@@ -84,22 +84,22 @@ def load_gap(folder: Path) -> GapResult | None:
         return _result(values, _traces(root.path(TRACES)), experiments)
     except (ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         message = str(error).splitlines()[0]
-        raise StoreError(path, f"not readable ({message})", "a result as it was written", AGAIN) from None
+        raise StoreError(path, f"not readable ({message})", "a result as it was written", REMEDY) from None
 
 
-def _ready(name: str) -> str:
+def _committed(name: str) -> str:
     return f"{name}.next"
 
 
-def _settle(root: Root, name: str) -> None:
-    """Let a result that is ready take the place of the one before."""
-    if root.path(_ready(name)).is_dir():
+def _complete(root: Root, name: str) -> None:
+    """Replace the earlier result by a committed one."""
+    if root.path(_committed(name)).is_dir():
         root.remove(name)
-        root.rename(_ready(name), name)
+        root.rename(_committed(name), name)
 
 
 def _write(root: Root, folder: str, result: GapResult) -> None:
-    """All files of a result; the last one is the seal over the others."""
+    """Write all files of a result, the seal last."""
     root.make(folder)
     frames = [
         getattr(trace, version).assign(recording=trace.recording, version=version)
@@ -126,25 +126,25 @@ def _files(root: Root, folder: str) -> Iterator[str]:
 
 
 def _check_seal(root: Root) -> None:
-    """Refuse files that are not those that were written. Results of before there were seals have none.
+    """Compare the files with the seal; results of earlier releases have none.
 
     Raises:
-        StoreError: names one of them.
+        StoreError: a file was changed.
     """
     try:
         sealed = _SEALED.validate_python(parse_json(root.read(SEAL))["sha256"])
     except FileNotFoundError:
         return
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StoreError(root.folder / SEAL, f"not readable ({error})", "the seal as it was written", AGAIN) from None
+        raise StoreError(root.folder / SEAL, f"not readable ({error})", "the seal as it was written", REMEDY) from None
     for name, digest in sorted(sealed.items()):
         expected = f"sha256 {digest[:12]}…"
         try:
             content = root.read(name)
         except (FileNotFoundError, NotADirectoryError):
-            raise StoreError(root.folder / name, "the file is gone", expected, AGAIN) from None
+            raise StoreError(root.folder / name, "the file is missing", expected, REMEDY) from None
         if hashlib.sha256(content).hexdigest() != digest:
-            raise StoreError(root.folder / name, "changed after it was written", expected, AGAIN)
+            raise StoreError(root.folder / name, "changed after it was written", expected, REMEDY)
 
 
 def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tuple[Experiment, ...]) -> GapResult:
@@ -209,7 +209,7 @@ def _traces(path: Path) -> tuple[Traces, ...]:
         tables = []
         for version in VERSIONS:
             rows = table[(table["recording"] == recording) & (table["version"] == version)]
-            # The three have different columns: those that only the others have are empty here.
+            # The versions have different columns; those of the others are empty here.
             rows = rows.drop(columns=["recording", "version"]).dropna(axis="columns", how="all")
             tables.append(rows.reset_index(drop=True))
         measured, before, after = tables
@@ -218,7 +218,7 @@ def _traces(path: Path) -> tuple[Traces, ...]:
 
 
 def _numbers(value: Any) -> Any:
-    """JSON has no NaN: where a number is missing, it was not finite."""
+    """``value`` with NaN in the place of null, which stands for numbers that are not finite."""
     if isinstance(value, dict):
         return {key: _numbers(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Small charts as inline SVG: they print, need no script, and take the colours of the reader's theme from the page."""
+"""Small charts as inline SVG, without scripts, in the colours of the page's style sheet."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from sysid.reports import display
 Array = npt.NDArray[np.float64]
 Scale = Callable[[float], float]
 
-#: Of a small chart, and of one that takes half the page [px].
+#: Sizes of a small chart, and of one of half the page's width [px].
 SMALL, WIDE = (300.0, 200.0), (450.0, 230.0)
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 10.0, 10.0, 42.0
-#: A cell of a heat map with fewer rows than this says little.
+#: Cells of a heat map with fewer rows are dotted.
 FEW_ROWS = 3
 
 
@@ -73,12 +73,8 @@ def chart(
     parts += _x_axis(first, last, px, names, x, height)
     for line in lines:
         parts.append(_curve(x, line, px, py))
-    centre, middle = (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2
-    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
-    turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
-    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
-    what = escape(f"{labels[1]} over {labels[0]}")
-    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+    parts += axis_labels(labels, (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2, height)
+    return svg_element("chart", width, height, f"{labels[1]} over {labels[0]}", parts)
 
 
 def heat_map(
@@ -87,16 +83,15 @@ def heat_map(
     edges: tuple[Array, Array],
     labels: tuple[str, str],
     unit: str,
-    size: tuple[float, float] = WIDE,
 ) -> str:
-    """Cells of two variables, the darker the larger their value (a, b); empty ones stay blank, one of few rows is dotted.
+    """Heat map of values (a, b) over two variables; cells without rows are blank.
 
     Args:
         counts: rows in each cell, (a, b).
         edges: of the cells, (a + 1,) across and (b + 1,) upwards.
-        labels: of the two variables; ``unit``: of the values, for what a cell says when it is pointed at.
+        labels: of the two variables; ``unit``: of the values.
     """
-    width, height = size
+    width, height = WIDE
     right = 64.0
     (first, last), (low, high) = (tuple(float(part[k]) for k in (0, -1)) for part in edges)
     most = max(float(np.nanmax(values, initial=0.0)), 1e-300)
@@ -114,33 +109,48 @@ def heat_map(
         x, y = px(float(edges[0][a])), py(float(edges[1][b + 1]))
         w, h = px(float(edges[0][a + 1])) - x, py(float(edges[1][b])) - y
         few = " few" if counts[a, b] < FEW_ROWS else ""
-        told = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
+        text = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
         share = 0.06 + 0.94 * float(values[a, b]) / most
         parts.append(
             f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
-            f"<title>{escape(told)}</title></rect>"
+            f"<title>{escape(text)}</title></rect>"
         )
-    for value in ticks(low, high):
-        decimals = display.decimals_for(
-            [ticks(low, high)[1] - ticks(low, high)[0]] if len(ticks(low, high)) > 1 else [value], 1
-        )
-        text = display.fixed(value, decimals)
+    for value, text in tick_texts(low, high):
         parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{py(value) + 4:.1f}" text-anchor="end">{text}</text>')
     foot, top = height - BOTTOM, TOP
-    for step in range(8):  # the key: from nothing to the largest value
+    for step in range(8):  # colour key from zero to the largest value
         share, h = 0.06 + 0.94 * (step + 0.5) / 8.0, (foot - top) / 8.0
         at = f'x="{width - right + 10:.0f}" y="{foot - (step + 1) * h:.1f}" width="10" height="{h:.1f}"'
         parts.append(f'<rect class="cell" {at} fill-opacity="{share:.2f}"/>')
     for y, value in ((foot, 0.0), (top + 9.0, most)):
         text = display.number(value, 2)
         parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{y:.1f}">{text}</text>')
-    centre, middle = (LEFT + width - right) / 2, (top + foot) / 2
+    middle = (top + foot) / 2
     parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{middle:.0f}">{escape(unit)}</text>')
-    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
+    parts += axis_labels(labels, (LEFT + width - right) / 2, middle, height)
+    return svg_element("chart", width, height, f"error over {labels[0]} and {labels[1]}", parts)
+
+
+def svg_element(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> str:
+    """The SVG element of a picture; ``look`` is its class, ``what`` its text alternative."""
+    box = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(what)}"'
+    return f'<svg class="{look}" {box}>{"".join(parts)}</svg>'
+
+
+def axis_labels(labels: tuple[str, str], centre: float, middle: float, height: float) -> list[str]:
+    """Titles of the horizontal and the vertical axis."""
     turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
-    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
-    what = escape(f"error over {labels[0]} and {labels[1]}")
-    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+    return [
+        f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>',
+        f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>',
+    ]
+
+
+def tick_texts(low: float, high: float, count: int = 4) -> list[tuple[float, str]]:
+    """Round values inside a range, and their texts."""
+    values = ticks(low, high, count)
+    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
+    return [(value, display.fixed(value, decimals)) for value in values]
 
 
 def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tuple[float, float]:
@@ -162,16 +172,12 @@ def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tup
 
 def grid_lines(low: float, high: float, py: Scale, width: float) -> list[str]:
     """Horizontal lines at round values, with their numbers."""
-    values = ticks(low, high)
-    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
     parts = []
-    for value in values:
+    for value, text in tick_texts(low, high):
         y = py(value)
         look = "zero" if abs(value) < 1e-12 * max(abs(high), abs(low)) or value == 0.0 else "grid"
         parts.append(f'<line class="{look}" x1="{LEFT:.0f}" x2="{width - RIGHT:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(
-            f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{display.fixed(value, decimals)}</text>'
-        )
+        parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
     return parts
 
 
@@ -182,12 +188,10 @@ def _x_axis(first: float, last: float, px: Scale, names: Sequence[str], x: Array
             f'<text class="tick" x="{px(float(at)):.1f}" y="{y:.0f}" text-anchor="middle">{escape(text)}</text>'
             for at, text in zip(x, names, strict=True)
         ]
-    values = ticks(first, last, 5)
-    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
     return [
         f'<line class="grid" x1="{px(value):.1f}" x2="{px(value):.1f}" y1="{TOP:.0f}" y2="{height - BOTTOM:.0f}"/>'
-        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{display.fixed(value, decimals)}</text>'
-        for value in values
+        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{text}</text>'
+        for value, text in tick_texts(first, last, 5)
     ]
 
 
@@ -199,8 +203,8 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
         down = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[there], (line.y - line.spread)[there], strict=True)]
         parts.append(f'<path class="spread {line.look}" d="M{" L".join([*up, *down[::-1]])} z"/>')
     pieces = []
-    for run in _runs(there):
-        points = [f"{px(float(x[k])):.1f},{py(float(line.y[k])):.1f}" for k in range(run.start, run.stop)]
+    for run in np.ma.clump_unmasked(np.ma.masked_invalid(line.y)):  # type: ignore[no-untyped-call]
+        points = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[run], line.y[run], strict=True)]
         pieces.append("M" + " L".join(points))
     if pieces:
         parts.append(f'<path class="{line.look}" d="{" ".join(pieces)}"/>')
@@ -210,9 +214,3 @@ def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
             for a, b in zip(x[there], line.y[there], strict=True)
         ]
     return "".join(parts)
-
-
-def _runs(there: npt.NDArray[np.bool_]) -> list[slice]:
-    """Stretches without a gap."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

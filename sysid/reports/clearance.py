@@ -1,4 +1,4 @@
-"""Room on a drawing: where a mark or a word may stand beside its part without lying on anything else."""
+"""Placement of labels on a drawing, beside their parts and without overlap."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-#: Directions that are tried, and how much one pixel further away from its part costs a place, in pixels of room.
+#: Number of tried directions, and cost of a pixel of distance from the part, in pixels of clearance.
 DIRECTIONS, DISTANCE_COST = 24, 0.6
-#: What lying on something else costs [px]: more than any distance.
+#: Cost of an overlap [px], larger than any distance.
 OVERLAP_COST = 100.0
-#: Room beyond this [px] is as good as any.
+#: Clearance beyond this value has no further benefit [px].
 ENOUGH = 9.0
 
 
 class Canvas:
-    """A drawing of some size [px] and the points that are taken on it."""
+    """A drawing of a given size [px] with its occupied points."""
 
     def __init__(self, width: float, height: float) -> None:
         self.size = np.array([width, height])
         self._taken: list[Array] = []
 
     def line(self, a: Array, b: Array, half: float = 0.0) -> None:
-        """Take a line of half its width ``half``."""
+        """Occupy a line of half width ``half``."""
         along = b - a
         length = max(float(np.hypot(*along)), 1e-9)
         across = np.array([-along[1], along[0]]) / length
@@ -35,13 +35,13 @@ class Canvas:
                 self._taken.append(a + t * along + side * across)
 
     def box(self, at: Array, half: tuple[float, float]) -> None:
-        """Take a rectangle around ``at``."""
+        """Occupy a rectangle around ``at``."""
         for x in np.linspace(-half[0], half[0], max(2, math.ceil(half[0] / 3.0))):
             for y in np.linspace(-half[1], half[1], max(2, math.ceil(half[1] / 3.0))):
                 self._taken.append(at + np.array([x, y]))
 
-    def room(self, at: Array, half: tuple[float, float]) -> float:
-        """Distance from a rectangle around ``at`` to what is taken, to the edge of the drawing too; below zero it overlaps."""
+    def clearance(self, at: Array, half: tuple[float, float]) -> float:
+        """Distance from a rectangle around ``at`` to occupied points and the edges; negative for an overlap."""
         edge = float(np.min([*(at - half), *(self.size - at - half)])) - 2.0
         if not self._taken:
             return edge
@@ -51,15 +51,15 @@ class Canvas:
         return min(edge, float(np.min(outside + inside)))
 
     def place(self, anchor: Array, half: tuple[float, float], distances: Sequence[float]) -> Array:
-        """The best centre for a rectangle beside ``anchor``: enough room, near, and taken from now on."""
+        """The best centre for a rectangle beside ``anchor``, which is then occupied."""
         best, score = anchor, -math.inf
         for distance in distances:
             for k in range(DIRECTIONS):
                 angle = 2.0 * math.pi * k / DIRECTIONS
                 direction = np.array([math.cos(angle), -math.sin(angle)])
-                # The edge of the rectangle, not its middle, keeps the distance.
+                # The distance is to the edge of the rectangle.
                 centre = anchor + direction * (distance + abs(direction[0]) * half[0] + abs(direction[1]) * half[1])
-                room = min(self.room(centre, half), ENOUGH)
+                room = min(self.clearance(centre, half), ENOUGH)
                 value = room - DISTANCE_COST * distance - (OVERLAP_COST if room < 0.0 else 0.0)
                 if value > score + 1e-9:
                     best, score = centre, value

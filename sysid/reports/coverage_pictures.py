@@ -1,4 +1,4 @@
-"""Pictures of what was recorded, as inline SVG: time at each command, and where pairs of axes were at the same time."""
+"""Pictures of coverage as inline SVG: time at each command, and joint positions of pairs of axes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from html import escape
 from sysid.datasets.quality.coverage import GRID, PairMap, Span
 from sysid.datasets.quality.rest import Rest
 from sysid.datasets.quality.use import CELLS, SMALL, VISITED_S, AxisUse
-from sysid.pictures import ticks
 from sysid.reports import display
-from sysid.reports.charts import BOTTOM, LEFT, RIGHT, TOP, grid_lines
+from sysid.reports.charts import BOTTOM, LEFT, RIGHT, TOP, axis_labels, grid_lines, svg_element, tick_texts
 from sysid.reports.charts import SMALL as SIZE
 
 #: Side of the square of a map, and its margins [px].
@@ -22,8 +21,8 @@ def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, flo
     """Seconds at each command, idle time left out; the band of small commands is marked.
 
     Args:
-        unit: of the command, SI; what is shown follows it.
-        small: mark the band (a servo's command is a place, of which none is small).
+        unit: SI unit of the command.
+        small: mark the band of small commands (not for position commands).
         size: width and height [px].
     """
     width, height = size
@@ -59,10 +58,8 @@ def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, flo
             f'<text class="tick" x="{px(share):.1f}" y="{height - BOTTOM + 16:.0f}" text-anchor="middle">{value}</text>'
         )
     below = f"command [{label}]" if label else "command"
-    parts.append(f'<text class="label" x="{px(0.0):.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(below)}</text>')
-    turned = f'transform="translate(13 {(TOP + height - BOTTOM) / 2:.0f}) rotate(-90)"'
-    parts.append(f'<text class="label" {turned} text-anchor="middle">time [s]</text>')
-    return _svg("chart", width, height, "time at each command", parts)
+    parts += axis_labels((below, "time [s]"), px(0.0), (TOP + height - BOTTOM) / 2, height)
+    return svg_element("chart", width, height, "time at each command", parts)
 
 
 def _range(number: int, full: float) -> str:
@@ -71,7 +68,7 @@ def _range(number: int, full: float) -> str:
 
 
 def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str]) -> str:
-    """Time in each cell of the two ranges (the fuller the longer, logarithmic), poses, and where the machine stood still."""
+    """Time in each cell of two ranges (logarithmic shade), static poses, and postures at rest."""
     width, height = MAP_LEFT + MAP + 12.0, MAP_TOP + MAP + 40.0
     cell = MAP / GRID
     most = max((s for row in found.seconds for s in row), default=0.0)
@@ -99,40 +96,28 @@ def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str])
             y = MAP_TOP + MAP * (1.0 - _share(rest.posture[b.axis], b))
             title = f"at rest for {display.number(rest.seconds)} s in {rest.recording}"
             parts.append(f'<circle class="rest" cx="{x:.1f}" cy="{y:.1f}" r="3.6"><title>{escape(title)}</title></circle>')
-    parts += _scale(a, units.get(a.signal), upright=False) + _scale(b, units.get(b.signal), upright=True)
-    return _svg("chart coverage", width, height, f"where {a.axis} and {b.axis} were at the same time", parts)
+    titles = (
+        _scale(parts, a, units.get(a.signal), upright=False),
+        _scale(parts, b, units.get(b.signal), upright=True),
+    )
+    parts += axis_labels(titles, MAP_LEFT + MAP / 2, MAP_TOP + MAP / 2, height)
+    return svg_element("chart coverage", width, height, f"simultaneous positions of {a.axis} and {b.axis}", parts)
 
 
 def _share(value: float, span: Span) -> float:
     return min(max((value - span.low) / (span.high - span.low), 0.0), 1.0)
 
 
-def _scale(span: Span, unit: str | None, upright: bool) -> list[str]:
-    """Ticks and title of one side of a map."""
+def _scale(parts: list[str], span: Span, unit: str | None, upright: bool) -> str:
+    """Add the ticks of one side of a map to ``parts``; returns its title."""
     factor, label = display.shown_unit(unit)
     low, high = factor * span.low, factor * span.high
-    values = ticks(low, high, 3)
-    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
-    parts = []
-    for value in values:
-        share, text = (value - low) / (high - low), display.fixed(value, decimals)
+    for value, text in tick_texts(low, high, 3):
+        share = (value - low) / (high - low)
         if upright:
             y = MAP_TOP + MAP * (1.0 - share)
             parts.append(f'<text class="tick" x="{MAP_LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
         else:
             x = MAP_LEFT + MAP * share
             parts.append(f'<text class="tick" x="{x:.1f}" y="{MAP_TOP + MAP + 16:.0f}" text-anchor="middle">{text}</text>')
-    title = escape(f"{span.axis} [{label}]" if label else span.axis)
-    middle = MAP / 2
-    if upright:
-        turned = f'transform="translate(13 {MAP_TOP + middle:.0f}) rotate(-90)"'
-        return [*parts, f'<text class="label" {turned} text-anchor="middle">{title}</text>']
-    return [
-        *parts,
-        f'<text class="label" x="{MAP_LEFT + middle:.0f}" y="{MAP_TOP + MAP + 33:.0f}" text-anchor="middle">{title}</text>',
-    ]
-
-
-def _svg(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> str:
-    box = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(what)}"'
-    return f'<svg class="{look}" {box}>{"".join(parts)}</svg>'
+    return f"{span.axis} [{label}]" if label else span.axis

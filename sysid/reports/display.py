@@ -1,4 +1,4 @@
-"""Numbers as people read them: SI values in mm, degrees and milliseconds, with as many digits as mean something."""
+"""Formats SI values as text in mm, degrees and milliseconds, with significant digits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def shown_unit(unit: str | None) -> tuple[float, str]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """``value`` with ``digits`` significant digits, in plain notation wherever that stays short."""
+    """``value`` with ``digits`` significant digits, in decimal notation from 1e-5 to 1e7."""
     if not math.isfinite(value):
         return NOTHING
     if value == 0.0:
@@ -39,7 +39,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """``value`` with a fixed number of decimals, for columns that line up."""
+    """``value`` with a fixed number of decimals, for columns."""
     if not math.isfinite(value):
         return NOTHING
     text = f"{value:,.{decimals}f}"
@@ -80,7 +80,7 @@ def digits_for(low: float, high: float) -> int:
 
 
 def percent(share: float) -> str:
-    """``percent(0.834) == "83 %"``; one decimal where a whole number would hide the difference from 100 %."""
+    """``percent(0.834) == "83 %"``; one decimal near 100 % and below 1 %."""
     if not math.isfinite(share):
         return NOTHING
     decimals = 1 if 0.99 < share < 0.9995 or 0.0 < abs(share) < 0.01 else 0

@@ -1,4 +1,4 @@
-"""Units of effect parameters, so that a width is shown in degrees on a turning axis and in millimetres on a sliding one."""
+"""Units of effect parameters, which depend on whether the axis is revolute or prismatic."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.reports import display
 
-#: Stands for the value of a parameter that the recordings leave open.
+#: Text for a parameter that the recordings do not determine.
 UNDETERMINED = "not determined"
 
 
 def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -> str:
-    """SI unit of a parameter of a named effect; ``1`` where neither the catalogue nor the machine knows better."""
+    """SI unit of a parameter of a named effect; ``1`` if unknown."""
     if effect not in BY_NAME:
         return "1"
     for form in BY_NAME[effect].forms:
@@ -26,7 +26,7 @@ def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -
 
 
 def _resolve(unit: str, target: str, machine: Machine) -> str:
-    """Here ``signal``, ``drive`` and ``joint`` stand for m or rad; of ``N or N·m`` a sliding axis takes the first."""
+    """Replace ``signal``, ``drive`` and ``joint`` by m or rad; of ``N or N·m`` a prismatic axis has the first."""
     if unit == "signal":
         owner, _, _ = target.partition(".")
         return machine.expected_unit(target) or _resolve("joint", owner, machine)
@@ -56,7 +56,7 @@ def shown_parameters(effect: str, target: str, parameters: Mapping[str, Any], ma
 
 
 def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str, str]) -> str:
-    """Unit of what is left over at a stage: that of the signal which the stage predicts."""
+    """Unit of the unnamed error of a stage: that of the signal that the stage predicts."""
     if target not in machine.axis_names:
         return units.get(f"{target}.x", "m")
     if stage == "force":

@@ -1,4 +1,4 @@
-"""Interactive figures as data: drawn by the page when they come into view, in the colours of the reader's theme."""
+"""Interactive Plotly figures as data, which the page's script draws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 Array = npt.NDArray[np.float64]
 
-#: More points than this cannot be distinguished on a screen, and make the page heavy.
+#: Largest number of points of a curve: the resolution of a screen.
 MAX_POINTS = 3000
 
 
@@ -29,7 +29,7 @@ def packed(values: Array) -> dict[str, str]:
 
 
 def embed(identifier: str, value: Mapping[str, Any]) -> Markup:
-    """A JSON island that the page's script reads; ``<`` is escaped so that no value can close the element."""
+    """A JSON element that the page's script reads; ``<`` is escaped so that no value can close the element."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     return Markup('<script type="application/json" id="{}">{}</script>').format(identifier, Markup(text))
 

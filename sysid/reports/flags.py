@@ -1,4 +1,4 @@
-"""Flags of ingest for people: one line for each event, with all the signals that it concerns, the worst kinds first."""
+"""Flags of ingest as text: one line per event with its signals, the most severe kinds first."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 from sysid.reports import words
 
-#: What makes values wrong stands before what only makes them few.
+#: Kinds with wrong values before kinds with missing values.
 _ORDER = ("marker_swap", "jump", "outlier", "stuck", "saturation", "stamps", "dropout", "jitter")
 
 
 @dataclass(frozen=True)
 class FlagLine:
-    """What happened to some signals at the same time."""
+    """One event in one or more signals."""
 
     recording: str
     kind: str
@@ -26,7 +26,7 @@ class FlagLine:
 
 
 def flag_lines(flags: Sequence[Mapping[str, Any]]) -> list[FlagLine]:
-    """``quality["flags"]`` of a dataset version as lines; a gap of a file, which all its signals share, is one."""
+    """``quality["flags"]`` of a dataset version as lines; an event of several signals is one line."""
     events: dict[tuple[str, str, float, float, str], list[str]] = {}
     for flag in flags:
         key = (str(flag["recording"]), str(flag["kind"]), float(flag["from_s"]), float(flag["to_s"]), str(flag["text"]))
@@ -48,6 +48,6 @@ def _rank(kind: str) -> int:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """All names, or the first and how many more."""
+    """All names, or the first two and the number of others."""
     unique = list(dict.fromkeys(names))
     return ", ".join(unique) if len(unique) <= 3 else f"{', '.join(unique[:2])} and {len(unique) - 2} more"

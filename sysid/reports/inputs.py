@@ -1,4 +1,4 @@
-"""What a report is made of. Everything but the dataset may be missing: the sections that need it are left out."""
+"""Inputs of a report. All but the dataset are optional; sections without their input are left out."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sysid.validate import ValidationReport
 
 @dataclass(frozen=True)
 class VersionNote:
-    """One line of the lineage: a dataset, network or plant version, and what it was made from.
+    """One line of the lineage: a dataset, network or plant version, and its sources.
 
     Args:
         reference: ``name@version``.
         kind: dataset, actuator, forward, plant, …
         digest: content address.
-        parents: the references it was made from.
-        note: anything worth a few words (who is the champion, which recipe).
+        parents: references of its sources.
+        note: a remark (aliases, number of files).
     """
 
     reference: str
@@ -36,14 +36,14 @@ class ReportInputs:
     """The inputs of :func:`sysid.reports.build_report`.
 
     Args:
-        dataset: the dataset version that the report is about.
-        gap: the answer of the gap workflow on it.
+        dataset: the dataset version.
+        gap: its gap result.
         validations: error reports of the networks fitted on it.
         versions: lineage, oldest first.
-        created: when the report was made, in the words to print; empty to leave it out (a report is then reproducible).
+        created: time of the report as text; empty to leave it out, so that the report is reproducible.
         excitation: which effects the recordings excite.
-        software: name → version of what computed the figures.
-        clocks: what the aligned motions still differ by.
+        software: name → version of the packages that computed the figures.
+        clocks: residuals of the clock alignment.
     """
 
     dataset: Dataset

@@ -1,4 +1,4 @@
-"""Pages about model versions: the card of one, and all of a workspace; of the same make as the report, loading nothing."""
+"""HTML pages about model versions: the card of one, and an overview of a workspace; without external content."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
+from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import page
@@ -20,7 +20,7 @@ from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
 
 STYLES = ("page.css", "models.css")
-#: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
+#: Style classes of the lines of a chart.
 LINE_CLASSES = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
 
@@ -48,8 +48,8 @@ def models_page(
 
     Args:
         versions: from ``Registry.list``.
-        created: when, in the words to print; empty leaves it out.
-        cards: reference → relative address of its card.
+        created: time as text; empty to leave it out.
+        cards: reference → relative URL of its card.
     """
     models = []
     for name in sorted({version.name for version in versions}):
@@ -70,7 +70,7 @@ def models_page(
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
-    children = [other.reference for other in versions if version.reference in {p.reference for p in made_of(versions, other)}]
+    children = [other.reference for other in versions if version.reference in {p.reference for p in ancestors(versions, other)}]
     dataset = str(version.lineage.get("dataset", ""))
     return {
         "reference": version.reference,
@@ -80,7 +80,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
         "digest": version.digest[:12],
         "card": card,
         "dataset": dataset,
-        "parents": [parent.reference for parent in made_of(versions, version)],
+        "parents": [parent.reference for parent in ancestors(versions, version)],
         "children": children,
         "figures": _figures(version),
         "decisions": [
@@ -99,7 +99,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
 
 
 def _figures(version: ModelVersion) -> list[dict[str, str]]:
-    """RMSE, 95 % and maximum of every output, from the figures that were stored with it."""
+    """RMSE, 95 % and maximum of every output, from the stored metrics."""
     rows: dict[str, dict[str, str]] = {}
     for key, value in version.metrics.items():
         output, _, figure = key.rpartition(".")
@@ -112,7 +112,7 @@ def _figures(version: ModelVersion) -> list[dict[str, str]]:
 
 
 def _charts(versions: Sequence[ModelVersion]) -> list[str]:
-    """RMSE over the versions, a chart a unit and kind of rows, where there are two versions and more."""
+    """RMSE over the versions, one chart per unit and kind of rows; none for a single version."""
     keys = dict.fromkeys(key for version in versions for key in version.metrics if key.endswith(".rmse"))
     if len(versions) < 2:
         return []

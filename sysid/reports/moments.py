@@ -1,4 +1,4 @@
-"""The worst moments of held-out recordings: where the simulation was furthest off, before and after the repair."""
+"""The largest errors on held-out recordings, before and after the repair."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from sysid.reports.charts import WIDE, ChartCurve, chart
 
 Array = npt.NDArray[np.float64]
 
-#: Length of what is shown around a moment [s], and points that are drawn of it.
+#: Length of the shown window [s], and its number of points.
 WINDOW, POINTS = 8.0, 200
-#: Curves that differ by less than this share of how far the signal moves cannot be distinguished.
-APART = 0.08
+#: Below this share of the signal's range, errors are shown in the place of curves.
+MIN_DIFFERENCE = 0.08
+#: Largest number of shown signals.
+MAX_SIGNALS = 3
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Moment:
 
 
 def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment | None:
-    """The row of all recordings at which ``before`` or ``after`` is furthest from the measurement; None without any."""
+    """The row of all recordings with the largest error of ``before`` or ``after``; None without any."""
     found: Moment | None = None
     for trace in traces:
         if signal not in trace.measured or signal not in trace.before or signal not in trace.after:
@@ -56,28 +58,28 @@ def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment 
     return found
 
 
-def telling_signals(gap: GapResult, limit: int = 3) -> list[str]:
-    """Outputs of the stages that disagree, one of each owner, the worst first; without any, what is worst in the free run."""
+def largest_error_signals(gap: GapResult) -> list[str]:
+    """Outputs of the stages with errors, one per owner, the largest first; without any, the largest errors of the free run."""
     before, floor = gap.gap.before, gap.gap.noise_floor
-    seen = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
-    times = {i.signal: i.stage_rmse / i.noise_floor for i in seen}
+    measured = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
+    times = {i.signal: i.stage_rmse / i.noise_floor for i in measured}
     if not any(ratio > 1.5 for ratio in times.values()):
         times = {s: before[s] / floor[s] for s in before if floor.get(s, 0.0) > 0.0}
     owners: dict[str, str] = {}
     for signal in sorted(times, key=lambda s: -times[s]):
         if times[signal] > 1.5 and not signal.endswith(".command"):
             owners.setdefault(signal.rpartition(".")[0], signal)
-    return list(owners.values())[:limit]
+    return list(owners.values())[:MAX_SIGNALS]
 
 
 def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
-    """Measured, before and after around a moment; their errors where the curves themselves would lie on each other."""
+    """Measured, before and after around a moment; errors instead if the curves could not be distinguished."""
     factor, shown = display.shown_unit(unit)
     time = _column(trace.measured["time"])
     there = _around(time, moment.time, POINTS)
     values = {v: factor * _column(getattr(trace, v)[moment.signal])[there] for v in ("measured", "before", "after")}
     measured, unit_text = values["measured"], f" [{shown}]" if shown else ""
-    apart = np.nanmax(np.abs(values["before"] - measured)) > APART * np.ptp(measured[np.isfinite(measured)])
+    apart = np.nanmax(np.abs(values["before"] - measured)) > MIN_DIFFERENCE * np.ptp(measured[np.isfinite(measured)])
     shift, what = (0.0 * measured, label) if apart else (measured, f"{label} error")
     lines = [
         ChartCurve(values["before"] - shift, "before"),
@@ -89,7 +91,7 @@ def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired:
 
 
 def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:
-    """The error after the repair around its own worst moment, with the noise floor: what is left, at its worst."""
+    """The error after the repair around its maximum, with the noise floor."""
     factor, shown = display.shown_unit(unit)
     time = _column(trace.measured["time"])
     there = _around(time, moment.time, 2 * POINTS)
@@ -104,7 +106,7 @@ def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: flo
 
 
 def _around(time: Array, moment: float, points: int) -> npt.NDArray[np.int64]:
-    """Rows of the window around a moment, moved into the recording where it lies at an end, every k-th of them."""
+    """Every k-th row of the window around a moment, shifted to lie inside the recording."""
     begin = max(float(time[0]), min(moment - 0.5 * WINDOW, float(time[-1]) - WINDOW))
     there = np.flatnonzero((time >= begin) & (time <= begin + WINDOW))
     return there[:: max(1, len(there) // points)]

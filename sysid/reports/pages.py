@@ -1,4 +1,4 @@
-"""Pages that load nothing from anywhere: their templates, their style sheets, and how they reach the disk."""
+"""Self-contained HTML pages from templates and style sheets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent
 
 
 def filled(template: str, **values: Any) -> Markup:
-    """A template of this package with its values; everything in them that is no markup is escaped."""
+    """A template of this package with its values; values other than markup are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sysid.reports", ""),
         autoescape=True,
@@ -37,13 +37,13 @@ def filled(template: str, **values: Any) -> Markup:
 
 
 def page(template: str, styles: Sequence[str], **values: Any) -> str:
-    """A whole page: a template that extends ``shell.html``, with the style sheets of these names inside."""
+    """A whole page: a template that extends ``shell.html``, with inline style sheets."""
     style = "\n".join((FOLDER / name).read_text("utf-8") for name in styles)
     return str(filled(template, style=Markup(style), **values))
 
 
 def write_page(path: Path, text: str) -> Path:
-    """Write a page whole or not at all; folders are made as needed."""
+    """Write a page atomically; missing folders are created."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half:
         half.write_text(text, "utf-8")

@@ -1,4 +1,4 @@
-"""The machine as a line drawing (inline SVG): links, cylinders, valves, tool, with numbers where something was found."""
+"""Drawing of the machine (inline SVG): links, cylinders, valves, tool, with numbered marks."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ WIDTH, HEIGHT, MARGIN = 560, 470, 48
 #: Radius of a numbered mark and width of a letter [px].
 BADGE, LETTER = 12.0, 7.4
 
-#: (part, axis) → where it is on the page.
+#: (part, axis) → its position on the page.
 Places = dict[tuple[str, str], Array]
 
 
 def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> str:
-    """Side view of the machine's chain with numbered marks; a row of parts for each axis where the machine has no URDF."""
+    """Side view of the machine with numbered marks; without a URDF a row of parts for each axis."""
     kinematics = machine.kinematics()
     if kinematics is None or not kinematics.chain:
         return _axis_rows(machine.axes, marks)
@@ -42,7 +42,7 @@ def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) 
     poses = {link: pose[0] for link, pose in kinematics.link_poses(_middle(machine, kinematics)).items()}
     chain = kinematics.chain
     points = [poses[chain[0].parent][:3, 3], *(poses[j.child][:3, 3] for j in chain)]
-    # Where a telescope leaves the link that carries it: the thick part of the drawing ends there.
+    # Start of a telescope at its link, where the thick line ends.
     sleeves = [(poses[j.parent] @ j.origin)[:3, 3] for j in chain]
     hanging = _tool_point(kinematics, points[-1])
     every, height = _fit_to_page(_project(np.array([*points, *sleeves, *([] if hanging is None else [hanging])])))
@@ -51,7 +51,7 @@ def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) 
     hot = {(mark.part, axis_of(mark, machine.axis_names) or "") for mark in marks}
     canvas = Canvas(WIDTH, height)
     below, above = [base(at[0], ("base", "") in hot)], list[str]()
-    canvas.box(at[0] + np.array([0.0, 26.0]), (46.0, 34.0))  # nothing stands in the ground
+    canvas.box(at[0] + np.array([0.0, 26.0]), (46.0, 34.0))  # the ground
     for k in range(len(chain)):
         below += [link(at[k], sleeve_at[k], thin=False), link(sleeve_at[k], at[k + 1], thin=True)]
         canvas.line(at[k], sleeve_at[k], 6.5)
@@ -114,7 +114,7 @@ def _axis_parts(
 
 
 def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas: Canvas) -> list[str]:
-    """A valve or motor beside what each axis moves, with the pipe between them."""
+    """A valve or motor beside the actuator of each axis, with a pipe between them."""
     parts = []
     for axis in machine.axes:
         actuator = places["cylinder", axis.name]
@@ -132,7 +132,7 @@ def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas:
 
 
 def _cylinder_ends(pivot: Array, behind: Array, onward: Array) -> tuple[Array, Array]:
-    """Where a cylinder holds on to the link before its joint and to the one after it: a triangle that can be seen."""
+    """Attachments of a cylinder on the links before and after its joint, so that the triangle is visible."""
     back, forth = behind - pivot, onward - pivot
     long_back, long_forth = float(np.hypot(*back)), float(np.hypot(*forth))
     reach = max(46.0, 0.5 * min(max(long_back, 90.0), long_forth))
@@ -140,7 +140,7 @@ def _cylinder_ends(pivot: Array, behind: Array, onward: Array) -> tuple[Array, A
     front = pivot + forth * (min(reach, 0.75 * long_forth) / max(long_forth, 1e-9))
     along = front - rear
     bend = abs(float(along[0] * (pivot - rear)[1] - along[1] * (pivot - rear)[0])) / max(float(np.hypot(*along)), 1e-9)
-    if bend < 22.0:  # nearly straight: a bracket lifts it off the links
+    if bend < 22.0:  # nearly straight: shifted beside the links
         lift = _aside(along, np.array([0.0, -1.0])) * (22.0 - bend)
         rear, front = rear + lift, front + lift
     return rear, front
@@ -169,7 +169,7 @@ def _badges(marks: Sequence[Mark], machine: Machine, places: Mapping[tuple[str, 
 
 
 def _off_machine(marks: Sequence[Mark], places: Places, canvas: Canvas) -> list[str]:
-    """Pump and clocks have no place on the chain: they stand in the corner."""
+    """Pump and clocks, in the corner."""
     parts, x = [], WIDTH - 60.0
     for part in dict.fromkeys(mark.part for mark in marks if mark.part in ("pump", "clock")):
         spot = np.array([x, 34.0])
@@ -190,7 +190,7 @@ def _middle(machine: Machine, kinematics: Kinematics) -> Array:
 
 
 def _tool_point(kinematics: Kinematics, tip: Array) -> Array | None:
-    """Where the tool hangs below the tip: the length of the joints between them, straight down."""
+    """Position of the tool: below the tip by the length of the joints between them."""
     if kinematics.tool is None or kinematics.tool == kinematics.tip:
         return None
     by_child = {j.child: j for j in kinematics.joints.values()}
@@ -224,20 +224,20 @@ def _fit_to_page(flat: Array) -> tuple[Array, float]:
 
 
 def _axis_rows(axes: Sequence[Axis], marks: Sequence[Mark]) -> str:
-    """One row an axis, in the order of the signal: valve → cylinder → joint."""
+    """One row per axis, in the order of the signal chain: valve → cylinder → joint."""
     names = tuple(axis.name for axis in axes)
     parts, y = [], 36.0
     for axis in axes:
-        stations = {"velocity": ["valve"], "position": ["drive"], "force": ["drive"]}[axis.actuation]
-        stations = [*stations, *(["cylinder"] if axis.drives == "cylinder" else []), "joint"]
+        boxes = {"velocity": ["valve"], "position": ["drive"], "force": ["drive"]}[axis.actuation]
+        boxes = [*boxes, *(["cylinder"] if axis.drives == "cylinder" else []), "joint"]
         parts.append(name(axis.name, np.array([60.0, y])))
         x = 118.0
-        for k, station in enumerate(stations):
-            here = [m for m in marks if axis_of(m, names) == axis.name and _station(m, stations) == station]
+        for k, box in enumerate(boxes):
+            here = [m for m in marks if axis_of(m, names) == axis.name and _box_of(m, boxes) == box]
             look = f"box{' hot' if here else ''}"
             parts.append(f'<rect class="{look}" x="{x:.0f}" y="{y - 17:.0f}" width="112" height="34" rx="5"/>')
-            parts.append(f'<text class="box" x="{x + 56:.0f}" y="{y + 5:.0f}" text-anchor="middle">{escape(station)}</text>')
-            if k < len(stations) - 1:
+            parts.append(f'<text class="box" x="{x + 56:.0f}" y="{y + 5:.0f}" text-anchor="middle">{escape(box)}</text>')
+            if k < len(boxes) - 1:
                 parts.append(f'<line class="arrow" x1="{x + 113:.0f}" y1="{y:.0f}" x2="{x + 139:.0f}" y2="{y:.0f}"/>')
             for n, mark in enumerate(here):
                 spot = np.array([x + 104.0 - 26.0 * n, y - 18.0])
@@ -252,13 +252,13 @@ def _axis_rows(axes: Sequence[Axis], marks: Sequence[Mark]) -> str:
     return _svg(parts, "The axes of the machine", round(y + (20.0 if others else -12.0)))
 
 
-def _station(mark: Mark, stations: Sequence[str]) -> str:
-    """The box that a mark belongs to; of a sensor it is that of its signal."""
-    if mark.part in stations:
+def _box_of(mark: Mark, boxes: Sequence[str]) -> str:
+    """The box of a mark; for a sensor that of its signal."""
+    if mark.part in boxes:
         return mark.part
     if mark.part == "sensor" and split_signal(mark.target)[1] == "cylinder":
-        return "cylinder" if "cylinder" in stations else stations[0]
-    return "joint" if mark.part in ("joint", "link", "sensor") else stations[0]
+        return "cylinder" if "cylinder" in boxes else boxes[0]
+    return "joint" if mark.part in ("joint", "link", "sensor") else boxes[0]
 
 
 def _svg(parts: Sequence[str], title: str, height: int) -> str:

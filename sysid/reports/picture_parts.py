@@ -1,4 +1,4 @@
-"""Parts of the drawing of a machine, each an SVG fragment; ``hot`` ones are those where something was found."""
+"""Parts of the drawing of a machine, each an SVG fragment; ``hot`` parts are highlighted."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def base(at: Array, hot: bool) -> str:
 
 
 def link(a: Array, b: Array, thin: bool) -> str:
-    """A link, or the thin part of a telescope; nothing where it has no length."""
+    """A link, or the thin part of a telescope; empty if it has no length."""
     if float(np.hypot(*(b - a))) < 1.0:
         return ""
     return f'<line class="link{" thin" if thin else ""}" {_ends(a, b)}/>'
 
 
 def joint(at: Array, prismatic: bool, vertical: bool, hot: bool) -> str:
-    """A joint: round where it turns, square where it slides, with a ring around it where its axis stands upright."""
+    """A joint: round if revolute, square if prismatic, with a ring if its axis is vertical."""
     x, y = at
     look = "joint hot" if hot else "joint"
     if prismatic:
@@ -94,7 +94,7 @@ def tool(tip: Array, at: Array, hot: bool) -> str:
 
 
 def pipe(actuator: Array, at: Array) -> str:
-    """From a valve or motor to what it moves."""
+    """The line from an actuator to its valve or motor."""
     return f'<line class="pipe" {_ends(actuator, at)}/>'
 
 

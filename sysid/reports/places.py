@@ -1,4 +1,4 @@
-"""Where on the machine an effect sits: at the valve, the cylinder, the joint, the link, a sensor, the tool …"""
+"""Location of effects on the machine: valve, cylinder, joint, link, sensor, tool …"""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sysid.machine import Machine
 from sysid.reports import words
 from sysid.signals import split_signal
 
-#: Stage → part that it ends with, for what has no name.
+#: Stage → part at its end, for unnamed errors.
 _OF_STAGE = {"command": "valve", "force": "cylinder", "joint": "joint", "end_effector": "link", "tool": "tool"}
 
 
@@ -23,7 +23,7 @@ class Mark:
         number: shown in the mark and beside the text about it.
         part: ``valve``, ``cylinder``, ``joint``, ``link``, ``sensor``, ``tool``, ``base``, ``pump`` or ``clock``.
         target: axis, signal or stream that the part belongs to.
-        sure: an open question is drawn hollow.
+        sure: False for open hypotheses, which are drawn hollow.
     """
 
     number: int
@@ -33,7 +33,7 @@ class Mark:
 
 
 def part_of(effect: str, target: str, machine: Machine) -> str:
-    """The part of the machine at which an effect sits; without hydraulics a drive in the place of valve and cylinder."""
+    """The part of the machine that has an effect; without hydraulics a drive instead of valve and cylinder."""
     part: str = BY_NAME[effect].part if effect in BY_NAME else "valve"
     if part in ("valve", "cylinder") and target in machine.axis_names:
         axis = machine.axis(target)
@@ -43,7 +43,7 @@ def part_of(effect: str, target: str, machine: Machine) -> str:
 
 
 def place_text(part: str, target: str) -> str:
-    """``valve of the boom``; what has only one place is named alone."""
+    """``valve of the boom``; parts that exist once have no owner."""
     if part == "sensor":
         return f"sensor {words.signal_name(target)}"
     if part == "clock":
@@ -56,7 +56,7 @@ def place_text(part: str, target: str) -> str:
 
 
 def marks_of(gap: GapResult, machine: Machine) -> tuple[Mark, ...]:
-    """Marks in the order of the effects, then of the ties (one number a tie), then of what has no name."""
+    """Marks of the effects, then of ambiguous sets (one number per set), then of unnamed errors."""
     marks = [Mark(k, part_of(e.name, e.target, machine), e.target) for k, e in enumerate(gap.effects, 1)]
     number = len(marks)
     for tie in gap.ambiguous:
@@ -70,7 +70,7 @@ def marks_of(gap: GapResult, machine: Machine) -> tuple[Mark, ...]:
 
 
 def stage_marks(found: Sequence[StageGap], machine: Machine) -> tuple[Mark, ...]:
-    """A hollow mark for each stage that disagrees, in their order."""
+    """A hollow mark for each stage with an error, in their order."""
     return tuple(Mark(k, _of_stage(i.stage, i.target, machine), i.target, sure=False) for k, i in enumerate(found, 1))
 
 

@@ -1,4 +1,4 @@
-"""Why an effect was named and why the others were not, in words that need no statistics."""
+"""Reasons why an effect was named and its alternatives were rejected, as text."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.reports import display, words
 
-#: ``backlash(slew, drive)``: effect, target and whatever else tells two instances apart; ``~`` marks what is only refitted.
+#: ``backlash(slew, drive)``: effect, target and further qualifiers; ``~`` marks effects that are only refitted.
 LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)(?P<refitted> ~)?")
 _EVIDENCE = re.compile(r"ΔBIC (?P<bic>-?[\d.]+)")
-#: A rival with less than this multiple of the error is hardly worse on unseen recordings.
-HARDLY, CLEARLY = 1.05, 1.5
+#: Ratio of errors on selection recordings from which an alternative is worse, and clearly worse.
+WORSE, CLEARLY_WORSE = 1.05, 1.5
 
 
 @dataclass(frozen=True)
-class Loss:
-    """An effect that lost: ``times`` is its error on unseen recordings over that of the winner (NaN where not comparable)."""
+class RejectedEffect:
+    """A rejected alternative; ``times`` is its error on selection recordings over that of the named effect, or NaN."""
 
     title: str
     target: str
@@ -36,28 +36,28 @@ def label_of(text: str) -> tuple[str, str, str, bool]:
 
 
 def holds(row: ComparedModel, name: str, target: str) -> bool:
-    """Whether a fitted set has the effect as a name (not merely refitted beside others)."""
+    """Whether a fitted set contains the effect, not only refitted."""
     return any(label_of(text)[:2] == (name, target) and not label_of(text)[3] for text in row.effects)
 
 
 def least_error(rows: Iterable[ComparedModel]) -> float:
-    """Smallest error on unseen recordings, in noise floors; NaN where nothing was fitted."""
+    """Smallest error on selection recordings, in noise floors; NaN if nothing was fitted."""
     errors = [row.selection_rmse for row in rows if math.isfinite(row.selection_rmse)]
     return min(errors, default=math.nan)
 
 
-def losses(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[Loss]:
-    """Every alternative of a named effect, the nearest rival first."""
+def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[RejectedEffect]:
+    """Every alternative of a named effect, the one with the smallest error first."""
     stages = {(row.stage, row.target) for row in candidates if holds(row, effect.name, effect.target)}
     rows = [row for row in candidates if (row.stage, row.target) in stages]
-    winner = least_error(row for row in rows if holds(row, effect.name, effect.target))
+    smallest = least_error(row for row in rows if holds(row, effect.name, effect.target))
     found = []
     for other in effect.alternatives:
         without = [row for row in rows if not holds(row, effect.name, effect.target)]
-        times = least_error(row for row in without if holds(row, other.name, other.target)) / winner
+        times = least_error(row for row in without if holds(row, other.name, other.target)) / smallest
         title, target = words.effect_title(other.name), words.owner_name(other.target)
-        found.append(Loss(title, target, times, _why(times, other)))
-    return sorted(found, key=lambda loss: loss.times if math.isfinite(loss.times) else math.inf)
+        found.append(RejectedEffect(title, target, times, _why(times, other)))
+    return sorted(found, key=lambda item: item.times if math.isfinite(item.times) else math.inf)
 
 
 def _why(times: float, other: Alternative) -> str:
@@ -66,20 +66,20 @@ def _why(times: float, other: Alternative) -> str:
     match = _EVIDENCE.search(other.rejected_by)
     if match is None and not math.isfinite(times):
         return other.rejected_by
-    if times >= CLEARLY:
-        return f"its best fit leaves {display.ratio(times)} the error on recordings that it was not fitted to"
-    if times >= HARDLY:
-        return f"its best fit leaves {display.percent(times - 1.0)} more error on recordings that it was not fitted to"
+    if times >= CLEARLY_WORSE:
+        return f"its best fit leaves {display.ratio(times)} the error on other recordings"
+    if times >= WORSE:
+        return f"its best fit leaves {display.percent(times - 1.0)} more error on other recordings"
     if match is None:
         return other.rejected_by
     against = f"evidence ΔBIC {match['bic']}, where 10 is strong"
     if math.isfinite(times):
-        return f"as near over whole recordings, but wrong from moment to moment ({against})"
-    return f"wrong from moment to moment ({against})"
+        return f"similar error over whole recordings, but a worse prediction of blocks ({against})"
+    return f"worse prediction of blocks ({against})"
 
 
-def fate(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
-    """What became of a fitted set, and whether it won; ``best`` is the least error at its stage."""
+def outcome(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
+    """The result of a fitted set, and whether it was accepted; ``best`` is the smallest error at its stage."""
     ordinary = {label_of(text)[:2] for text in row.effects if not label_of(text)[3]}
     times = row.selection_rmse / best if best > 0.0 else math.nan
     if row.verdict.startswith(("rejected", "no effect", "named", "kept")):
@@ -92,35 +92,33 @@ def fate(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> t
         return f"kept: no worse without {what}", True
     if ordinary and ordinary <= set(named) and times < 1.02:
         return "explains it", True
-    if times >= CLEARLY:
+    if times >= CLEARLY_WORSE:
         return f"leaves {display.ratio(times)} the error of the best", False
-    if times >= HARDLY:
+    if times >= WORSE:
         return f"leaves {display.percent(times - 1.0)} more error than the best", False
     if math.isfinite(times):
-        return "about as good, but needs more to say the same" if ordinary - set(named) else "about as good", False
+        return "about as good, with more effects" if ordinary - set(named) else "about as good", False
     return "could not be fitted", False
 
 
 def confidence(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[str]:
-    """How sure a name and its values are."""
-    said = []
-    others = losses(effect, candidates)
+    """Evidence for a name, and relative width of its intervals, as sentences."""
+    sentences = []
+    others = rejected(effect, candidates)
     if others:
         nearest = others[0]
-        text = f"{len(others)} other effect{'s were' if len(others) > 1 else ' was'} tried in its place"
-        if math.isfinite(nearest.times) and nearest.times >= HARDLY:
-            text += (
-                f"; the nearest, {nearest.title.lower()}, leaves {display.ratio(nearest.times)} the error on unseen recordings"
-            )
-        said.append(text + ".")
+        text = f"{len(others)} alternative{'s were' if len(others) > 1 else ' was'} tested"
+        if math.isfinite(nearest.times) and nearest.times >= WORSE:
+            text += f"; the best, {nearest.title.lower()}, leaves {display.ratio(nearest.times)} the error on other recordings"
+        sentences.append(text + ".")
     width = relative_width(effect)
     if math.isfinite(width):
-        said.append(f"Its value{'s are' if len(effect.given) > 1 else ' is'} known to within ±{_percent(width)}.")
-    return said
+        sentences.append(f"Its value{'s are' if len(effect.given) > 1 else ' is'} known to within ±{_percent(width)}.")
+    return sentences
 
 
 def relative_width(effect: NamedEffect) -> float:
-    """Half the widest 95 % interval of a parameter over its value; NaN where that means nothing (a value near zero)."""
+    """Largest half width of a 95 % interval relative to its value; NaN for values near zero."""
     widths = []
     for name, value in effect.given.items():
         low, high = effect.interval95.get(name, (math.nan, math.nan))

@@ -1,4 +1,4 @@
-"""Puts the sections together into one page that loads nothing from anywhere."""
+"""Builds the report: one self-contained page of sections."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Section:
     context: Callable[[ReportInputs], Context | None]
 
 
-#: In the order of reading: the answer, its proof, its details, and what everything rests on.
+#: In the order of the page: result, proof, details, data.
 SECTIONS: tuple[Section, ...] = (
     Section("summary", "In short", summary.context),
     Section("where", "Where they disagree", where.context),
@@ -57,7 +57,7 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def build_report(inputs: ReportInputs) -> str:
-    """The whole page as HTML text: styles, script, plot library and data inside, no address outside."""
+    """The whole page as HTML text, with styles, script, plot library and data, without external content."""
     sections = []
     for section in SECTIONS:
         context = section.context(inputs)
@@ -77,7 +77,7 @@ def build_report(inputs: ReportInputs) -> str:
 
 
 def write_report(path: Path, inputs: ReportInputs) -> Path:
-    """Write the page to ``path``, whole or not at all; folders are made as needed."""
+    """Write the page to ``path`` atomically; missing folders are created."""
     return write_page(path, build_report(inputs))
 
 

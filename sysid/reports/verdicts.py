@@ -11,14 +11,14 @@ from sysid.machine import Axis, Machine
 from sysid.reports import display, words
 from sysid.signals import axis_signal
 
-#: Places of an effect that may sit on either side of the joint sensor.
+#: Side of the joint sensor → text.
 SIDES = {"drive": "ahead of the sensor", "structure": "behind the sensor"}
 _SHARE = re.compile(r"(?P<share>\d+ %|half) of (its|the) range")
 
 
 @dataclass(frozen=True)
-class Group:
-    """Verdicts with the same effect, or the same reason, as one line."""
+class VerdictGroup:
+    """Verdicts with the same effect as one line."""
 
     title: str
     verdicts: tuple[ExcitationVerdict, ...]
@@ -33,19 +33,19 @@ class Group:
 
 
 def place(verdict: ExcitationVerdict) -> str:
-    """The target, and which side of its sensor where there are two."""
+    """The target, with the side of its joint sensor if there are two."""
     return f"{words.owner_name(verdict.target)} {SIDES.get(verdict.side or '', '')}".rstrip()
 
 
-def by_effect(verdicts: Sequence[ExcitationVerdict]) -> list[Group]:
+def by_effect(verdicts: Sequence[ExcitationVerdict]) -> list[VerdictGroup]:
     """One group for each effect, in the order of the chain."""
     found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
         found.setdefault(verdict.name, []).append(verdict)
-    return [Group(words.effect_title(name), tuple(group)) for name, group in found.items()]
+    return [VerdictGroup(words.effect_title(name), tuple(group)) for name, group in found.items()]
 
 
-def by_reason(verdicts: Sequence[ExcitationVerdict]) -> list[tuple[str, list[Group]]]:
+def by_reason(verdicts: Sequence[ExcitationVerdict]) -> list[tuple[str, list[VerdictGroup]]]:
     """Reason → effects that are not observable because of it, the reason with most effects first."""
     found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
@@ -55,14 +55,14 @@ def by_reason(verdicts: Sequence[ExcitationVerdict]) -> list[tuple[str, list[Gro
 
 
 def amount(verdict: ExcitationVerdict) -> str:
-    """``39 of 60``: available of needed, never rounded up to sufficient."""
+    """``39 of 60``: available of needed."""
     if verdict.have is None or verdict.need is None:
         return display.NOTHING
     return f"{_count(verdict.have, verdict.need)} of {verdict.need:g}"
 
 
-def spread(group: Group) -> str:
-    """``35 to 98``: the least and the largest count of a group."""
+def spread(group: VerdictGroup) -> str:
+    """``35 to 98``: the smallest and the largest count of a group."""
     counts = sorted({v.have for v in group.verdicts if v.have is not None})
     if not counts:
         return display.NOTHING
@@ -85,7 +85,7 @@ def request_text(request: RecordingRequest, machine: Machine) -> str:
 
 
 def _size(axis: Axis, share: float, machine: Machine) -> str:
-    """A share of the axis's joint range, else of what it drives; empty where its range is not known."""
+    """A share of the axis's joint range, else of its driven signal; empty if the range is unknown."""
     signal, ends = (axis_signal(axis.name, "joint"), axis.limits) if axis.limits is not None else (axis.driven, axis.range)
     span = ends[1] - ends[0]
     unit = machine.expected_unit(signal)
@@ -93,6 +93,6 @@ def _size(axis: Axis, share: float, machine: Machine) -> str:
 
 
 def _count(have: float, need: float) -> str:
-    """Whole numbers, but never one that says enough where it is not."""
+    """A whole number, unless rounding would change the comparison with ``need``."""
     whole = f"{have:.0f}"
     return whole if (float(whole) >= need) == (have >= need) else display.number(have)

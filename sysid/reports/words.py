@@ -1,4 +1,4 @@
-"""Stages, verdicts, signals and named effects as reports and the console write them."""
+"""Texts of stages, verdicts, signals and named effects, for reports and the console."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ OWNERS = {"ee": "boom tip", "tool": "tool", "machine": "whole machine", "base": 
 
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
-    "unnamed": "Something is missing from the simulation that none of the known effects explains.",
-    "ambiguous": "The cause is narrowed down, but these recordings cannot tell the remaining candidates apart.",
-    "insufficient_excitation": "Simulation and machine disagree, but these recordings lack what is needed to say why.",
+    "unnamed": "The simulation has an error that none of the known effects explains.",
+    "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
+    "insufficient_excitation": "Simulation and machine disagree, but the excitation is not sufficient to identify the cause.",
 }
 
 ADVICE = {
-    "no_gap": "Nothing was added. Another motion may still show one: see below what these recordings could not show.",
-    "unnamed": "No name was given, because a wrong one is worse than none. What is known about the remainder is listed below.",
-    "ambiguous": "Nothing was guessed. The recording that would break the tie is described under “What to record next”.",
-    "insufficient_excitation": "The recordings that would settle it are described under “What to record next”.",
+    "no_gap": "No effect was added. Effects that the recordings do not excite may still be present; they are listed below.",
+    "unnamed": "No effect was named. The properties of the remaining error are listed below.",
+    "ambiguous": "No effect was selected. A recording that distinguishes them is described under “What to record next”.",
+    "insufficient_excitation": "The recordings that are needed are described under “What to record next”.",
 }
 
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
@@ -44,7 +44,7 @@ def effect_sentence(name: str, target: str, parameters: Mapping[str, str], besid
 
     Args:
         parameters: already formatted with their units.
-        beside: what else was named on the same target.
+        beside: other effects named on the same target.
     """
     values = {"target": owner_name(target), **parameters}
     effect = BY_NAME.get(name)
@@ -71,7 +71,7 @@ def stage_name(stage: str) -> str:
 
 
 def localised(places: list[str]) -> str:
-    """Where the stages disagree, as a sentence."""
+    """The places of the stages with errors, as a sentence."""
     if not places:
         return "At every stage the simulation agrees with the machine to within sensor noise."
     listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")

@@ -33,10 +33,10 @@ def load_versions(registry: Registry, plant: str, forward: str) -> tuple[Plant, 
 
 def _check_lineage(registry: Registry, plant: ModelVersion, forward: ModelVersion) -> None:
     """Refuse a forward model that was trained on a dataset of another machine than the plant and its sources."""
-    from sysid.registry.lineage import made_of
+    from sysid.registry.lineage import ancestors
 
     trained_on = str(forward.lineage.get("dataset", "")).partition("@")[0]
-    sources = [plant, *made_of(registry.list(), plant)]
+    sources = [plant, *ancestors(registry.list(), plant)]
     known = {str(version.lineage[key]).partition("@")[0] for version in sources for key in ("dataset", "machine")
              if version.lineage.get(key)}  # fmt: skip
     if trained_on and known and trained_on not in known:

@@ -11,7 +11,7 @@ from sysid.networks import ActuatorNetwork, from_files, static_networks
 from sysid.networks.forward import ForwardModel
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, plant_from_files
-from sysid.registry import CHAMPION, ModelVersion, Registry, made_of
+from sysid.registry import CHAMPION, ModelVersion, Registry, ancestors
 from sysid.rl.policy import load_policy
 from sysid.rl.versions import load_versions
 from sysid.runner.recipe import KINEMATIC, RunnerRecipe
@@ -54,7 +54,7 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
         found.append(version)
         remarks += _policy_lineage(registry, version, found, machine, where)
     actuators: Mapping[str, ActuatorNetwork] = {}
-    sources = [version for version in made_of(registry.list(), found[0]) if version.kind in ("actuator", "history")]
+    sources = [version for version in ancestors(registry.list(), found[0]) if version.kind in ("actuator", "history")]
     if sources:
         networks = registry.load(max(sources, key=lambda version: version.created_ms).reference)
         actuators = static_networks(from_files(networks.files, networks.reference))

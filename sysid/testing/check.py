@@ -1,4 +1,4 @@
-"""What every effect promises, checked on the compiled plant: ``check_effect`` says which promise is broken, with figures."""
+"""Properties that every effect must have, checked on the compiled plant by :func:`check_effect`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from sysid.testing.probe import RATE_HZ, EffectPlace, Run, Values, places_of, pl
 
 Array = npt.NDArray[np.float64]
 
-#: Results that should be the same up to rounding may differ by this much, relative to their range.
+#: Relative tolerance for results that are equal up to rounding.
 ROUNDING = 1e-9
-#: SI units a parameter may have; ``drive`` and ``signal`` are m or rad, whichever the target moves in or reads.
+#: Units of parameters; ``drive`` and ``signal`` are m or rad, depending on the target.
 UNITS = frozenset(
     {
         *("1", "s", "1/s", "Hz", "ppm", "m", "rad", "drive", "drive/s", "signal"),
@@ -30,19 +30,19 @@ UNITS = frozenset(
 
 
 class EffectError(SysidError):
-    """An effect breaks a promise of the catalogue."""
+    """An effect lacks a property."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One broken promise: which, where, and by how much."""
+    """A property that does not hold: its name, the place, the figures."""
 
-    promise: str
+    check: str
     place: str
     figures: str
 
     def __str__(self) -> str:
-        return f"{self.promise} at {self.place}: {self.figures}" if self.place else f"{self.promise}: {self.figures}"
+        return f"{self.check} at {self.place}: {self.figures}" if self.place else f"{self.check}: {self.figures}"
 
 
 def check_effect(effect: Effect, run: Run | None = None) -> None:
@@ -50,11 +50,11 @@ def check_effect(effect: Effect, run: Run | None = None) -> None:
 
     Args:
         effect: its description.
-        run: how its stage behaves, for an effect that the compiled plant does not have yet: (parameters or None, recording) →
-            output (n, d), on the recordings of :func:`sysid.testing.probe_recording`. Without it the compiled plant is run.
+        run: simulation of its stage, for an effect that the compiled plant does not have yet: (parameters or None, recording) →
+            output (n, d), on the recordings of :func:`sysid.testing.probe_recording`. Default: the compiled plant.
 
     Raises:
-        EffectError: names every broken promise, with figures.
+        EffectError: lists every property that does not hold, with figures.
     """
     found = failures_of(effect, run)
     if found:
@@ -62,22 +62,22 @@ def check_effect(effect: Effect, run: Run | None = None) -> None:
 
 
 def failures_of(effect: Effect, run: Run | None = None) -> tuple[Failure, ...]:
-    """Every broken promise; empty for a sound effect. Behaviour is only looked at where the metadata are complete."""
+    """Every property that does not hold. Behaviour is checked only if the metadata are complete."""
     found = [Failure("metadata", "", text) for text in _metadata(effect)]
     if found:
         return tuple(found)
     for place in places_of(effect):
         subject = _Subject(effect, place, run or plant_run(effect, place))
-        for promise, check in PROPERTIES.items():
-            figures = None if promise in effect.exempt else next(check(subject), None)
+        for name, check in PROPERTIES.items():
+            figures = None if name in effect.exempt else next(check(subject), None)
             if figures is not None:
-                found.append(Failure(promise, str(place), figures))
+                found.append(Failure(name, str(place), figures))
     return tuple(found)
 
 
 @dataclass(frozen=True)
 class _Subject:
-    """One effect at one place, with short ways to run it."""
+    """One effect at one place."""
 
     effect: Effect
     place: EffectPlace
@@ -94,13 +94,13 @@ _RICH = probe_recording()
 
 
 def neutral_values(effect: Effect, form: Form) -> dict[str, float | list[float]]:
-    """The values of a form at which the effect is absent, as near as its bounds allow."""
+    """The neutral values of a form, clipped to its bounds."""
     neutral = {slot.name: slot.neutral for slot in effect.slots}
     return _values(form, lambda p, group: float(np.clip(neutral[group[0]], *p.bounds)))
 
 
 def typical_values(effect: Effect, form: Form) -> dict[str, float | list[float]]:
-    """Values at which the effect shows: its first start that is not neutral, else a multiple of what is negligible."""
+    """Values with a visible effect: the first start that is not neutral, else a multiple of the ROPE half-width."""
     neutral = {slot.name: slot.neutral for slot in effect.slots}
 
     def value(parameter: Parameter, group: tuple[str, ...]) -> float:
@@ -119,7 +119,7 @@ def _values(form: Form, value: Callable[[Parameter, tuple[str, ...]], float]) ->
     return found
 
 
-# -- promises: each yields the figures of what is broken ------------------------------------------------------------
+# -- properties: each function yields the figures of violations ----------------------------------------------------
 
 
 def _metadata(effect: Effect) -> Iterator[str]:
@@ -134,7 +134,7 @@ def _metadata(effect: Effect) -> Iterator[str]:
         if not any(_fields(sentence) <= {"target", *form.names} for sentence in effect.sentences):
             yield f"no sentence has the parameters {{{', '.join(form.names)}}} alone"
     if not confusions(effect):
-        yield "confused_with is empty: every effect has a neighbour that it can be taken for"
+        yield "confused_with is empty: every effect can be confused with another one"
     for other in effect.confused_with:
         if other not in BY_NAME or other == effect.name:
             yield f"confused_with names {other!r}, expected {nearest(other, BY_NAME.keys() - {effect.name})}"
@@ -156,7 +156,7 @@ def _parameter(parameter: Parameter) -> Iterator[str]:
     if parameter.unit not in UNITS:
         yield f"{parameter.name}: unit {parameter.unit!r} is not one of {sorted(UNITS)}"
     if not parameter.about.strip():
-        yield f"{parameter.name}: says nothing about itself"
+        yield f"{parameter.name}: about is empty"
     if not (np.isfinite([low, high]).all() and low < high):
         yield f"{parameter.name}: bounds [{low}, {high}]"
     if not parameter.starts:
@@ -241,7 +241,7 @@ def _hostile(inputs: Array) -> Iterator[tuple[str, Array]]:
 
 
 def _time_invariant(subject: _Subject) -> Iterator[str]:
-    """Rest before the start only delays what follows. On a force axis rest is no equilibrium: a load moves it."""
+    """Rest before the start only delays the output. Force axes are left out: a load moves them at rest."""
     if subject.effect.stage == "force":
         return
     inputs = subject.inputs(_RICH)
@@ -254,7 +254,7 @@ def _time_invariant(subject: _Subject) -> Iterator[str]:
 
 
 def _memoryless(subject: _Subject) -> Iterator[str]:
-    """Without memory the order of inputs does not matter: increments (of a drive) or rows are permuted alike."""
+    """Without memory, permuted inputs give outputs (of a drive: increments) in the same permutation."""
     effect = subject.effect
     if effect.memory(1.0 / RATE_HZ) > 0 or effect.stage == "force":
         return
@@ -272,7 +272,7 @@ def _memoryless(subject: _Subject) -> Iterator[str]:
 
 
 def _rate_independent(subject: _Subject) -> Iterator[str]:
-    """The same path run through three times more slowly gives the same outputs on it."""
+    """The same path at a third of the speed gives the same outputs along it."""
     if not subject.effect.rate_independent or (subject.place.stage == "drive" and subject.effect.stage == "joint"):
         return
     slow = np.repeat(subject.inputs(_RICH), 3, axis=0)
@@ -297,7 +297,7 @@ def _shifts(subject: _Subject) -> Iterator[str]:
 
 
 def _differ(what: str, one: Array, other: Array, rounding: float) -> Iterator[str]:
-    """Figures where two results differ by more than rounding allows."""
+    """Figures if two results differ by more than ``rounding``."""
     if one.shape != other.shape:
         yield f"{what}: shapes {one.shape} and {other.shape}"
         return
@@ -313,7 +313,7 @@ def _text(values: Values) -> str:
     return ", ".join(f"{key} = {value}" for key, value in values.items())
 
 
-#: The promises, in the order in which they are looked at.
+#: The properties, in the order of their checks.
 PROPERTIES: dict[str, Callable[[_Subject], Iterator[str]]] = {
     "neutral": _neutral,
     "acts": _acts,

@@ -26,7 +26,7 @@ _STAGES = {
     "joint": "cylinder (or drive) → joint",
     "end_effector": "joints → end effector",
     "tool": "end effector → hanging tool",
-    "sensor": "true signal → reading of the sensor",
+    "sensor": "true signal → measured signal",
 }
 _NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
 
@@ -53,9 +53,9 @@ def _index() -> str:
         [
             _NOTICE,
             "# Effects\n",
-            "The effects that `sysid gap` can name and a plant can have, in the order in which the chain applies them.",
-            "`sysid.testing.check_effect` checks that each effect is absent at its neutral value, causal, repeatable, finite",
-            'on any input and independent of earlier runs. In a source, "machine facts" means',
+            "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which",
+            "the plant applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal,",
+            'repeatable, finite for any input, without memory of earlier runs. A source "machine facts" refers to',
             "[magnitudes of real effects](../machine-facts.md).\n",
             "| effect | target | equation | shows in |",
             "| --- | --- | --- | --- |",
@@ -168,16 +168,7 @@ def _joint_picture(effect: Effect, values: Values, title: str) -> str:
     time = np.arange(700) / RATE_HZ
     cylinder = 0.055 + 0.012 * np.sin(1.8 * time) + 0.006 * np.sin(4.1 * time)
     recording = with_inputs(probe_recording(7.0), place.inputs, cylinder[:, None])
-    run = plant_run(effect, place)
-    return svg(
-        title,
-        "time [s]",
-        "joint [rad]",
-        [
-            PictureCurve("without", time, run(None, recording)[:, 0], GREY),
-            PictureCurve("with", time, run(values, recording)[:, 0], BLUE),
-        ],
-    )
+    return svg(title, "time [s]", "joint [rad]", _first_outputs(effect, place, values, recording))
 
 
 def _tip_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
@@ -198,12 +189,14 @@ def _tool_picture(effect: Effect, place: EffectPlace, values: Values, title: str
     ee = np.column_stack([0.2 * (10 * s**3 - 15 * s**4 + 6 * s**5), np.zeros(900), np.ones(900)])
     table = {"time": time, **{name: ee[:, k] for k, name in enumerate(point_signals("ee"))}}
     recording = Recording("push", pd.DataFrame(table), RATE_HZ)
-    run = plant_run(effect, place)
-    lines = [
-        PictureCurve("without", time, run(None, recording)[:, 0], GREY),
-        PictureCurve("with", time, run(values, recording)[:, 0], BLUE),
-    ]
-    return svg(title, "time [s]", "x of the tool [m]", lines)
+    return svg(title, "time [s]", "x of the tool [m]", _first_outputs(effect, place, values, recording))
+
+
+def _first_outputs(effect: Effect, place: EffectPlace, values: Values, recording: Recording) -> list[PictureCurve]:
+    """The first output of the stage over time, without and with the effect."""
+    run, time = plant_run(effect, place), recording.values("time")
+    named = (("without", None, GREY), ("with", values, BLUE))
+    return [PictureCurve(label, time, run(v, recording)[:, 0], colour) for label, v, colour in named]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A small machine with one axis of every kind, and inputs that excite it: what effects are checked on."""
+"""A small machine with one axis of every kind, and recordings that excite it, for the checks of effects."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ AMPLITUDES = {"slew": 1.0, "boom": 1.0, "slide": 4.0, "wrist": 1.0}
 
 @dataclass(frozen=True)
 class EffectPlace:
-    """Where an effect can sit in the probe machine.
+    """A location of an effect in the probe machine.
 
     Args:
-        stage: whose output is looked at: ``drive``, ``joint``, ``tip`` or ``tool``.
+        stage: with the evaluated output: ``drive``, ``joint``, ``tip`` or ``tool``.
         inputs: the signals that drive this stage.
     """
 
@@ -101,7 +101,7 @@ def probe_machine() -> Machine:
 
 
 def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
-    """Steps and sines at every input; half a second of rest first. A driven output is known at the first sample only."""
+    """Half a second of rest, then steps and sines at every input."""
     rng = np.random.default_rng(seed)
     count = round(seconds * RATE_HZ)
     time = np.arange(count) / RATE_HZ
@@ -133,7 +133,7 @@ def _path(time: Array, moving: npt.NDArray[np.bool_], rng: np.random.Generator) 
 
 
 def with_inputs(recording: Recording, inputs: Sequence[str], values: Array) -> Recording:
-    """The recording with ``values`` (n, len(inputs)) at these inputs; it may be longer or shorter than before."""
+    """The recording with ``values`` (n, len(inputs)) as these inputs; its length becomes n."""
     count = len(values)
     rows = np.minimum(np.arange(count), len(recording) - 1)
     table = recording.table.iloc[rows].reset_index(drop=True)
@@ -142,7 +142,7 @@ def with_inputs(recording: Recording, inputs: Sequence[str], values: Array) -> R
 
 
 def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
-    """Every kind of place the effect may have, on the probe machine."""
+    """Every kind of location of the effect on the probe machine."""
     machine = probe_machine()
     joints = tuple(axis_signal(name, "joint") for name in machine.axis_names)
     if effect.target == "tool":
@@ -164,7 +164,7 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
     found = []
     loaded = any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters)
     for axis in machine.axes:
-        if axis.actuation not in effect.actuations or (loaded and axis.name == "slew"):  # nothing hangs on an upright axis
+        if axis.actuation not in effect.actuations or (loaded and axis.name == "slew"):  # no gravity load on a vertical axis
             continue
         command = (axis_signal(axis.name, "command"),)
         if effect.stage in ("command", "force"):
@@ -188,7 +188,7 @@ def _nominal() -> tuple[Plant, Model]:
 
 
 def plant_run(effect: Effect, place: EffectPlace) -> Run:
-    """The compiled plant with the effect at ``place`` and nothing else."""
+    """The compiled plant with only the effect at ``place``."""
     plant, model = _nominal()
 
     def run(values: Values | None, recording: Recording) -> Array:
@@ -209,14 +209,14 @@ def plant_run(effect: Effect, place: EffectPlace) -> Run:
 
 
 def _straight(recording: Recording, model: Model, axis: str) -> Recording:
-    """The recording with the joint where its linkage has it: a play starts in its middle, and the gravity load is known."""
+    """The recording with the joint computed by its linkage: backlash starts in its middle, and the gravity load is known."""
     signal, nominal = axis_signal(axis, "joint"), model.theta[None]
     unknown = replace(recording, table=recording.table.assign(**{signal: np.nan}))
     return replace(recording, table=recording.table.assign(**{signal: model.joint(nominal, unknown, axis)[0]}))
 
 
 def _starting(recording: Recording, signal: str) -> Recording:
-    """The recording with the driven signal known at the first sample only, which fixes the start and nothing else."""
+    """The recording with the driven signal known only at the first sample, which sets the initial position."""
     values = np.full(len(recording), np.nan)
     first = recording.values(signal)
     values[:1] = first[0] if len(first) and np.isfinite(first[0]) else 0.0

@@ -1,18 +1,18 @@
-"""Versions of networks compared, evaluated and handed on: promotion by a policy, drift, differences, lineage, cards, ONNX."""
+"""Operations on model versions: promotion by a policy, drift, differences, lineage, cards, ONNX."""
 
 from sysid.versions.card import card_of
 from sysid.versions.card_block import Card
 from sysid.versions.diff import ModelDiff, diff_versions
 from sysid.versions.drift import DriftReport, OutputDrift, drift_of
 from sysid.versions.lineage import ModelLineage, lineage_of
-from sysid.versions.onnx_export import Exported, export_onnx
+from sysid.versions.onnx_export import ExportedFile, export_onnx
 from sysid.versions.outputs import OutputMap, output_maps
 from sysid.versions.policy import PromotionPolicy, load_policy, policy_checks
 
 __all__ = [
     "Card",
     "DriftReport",
-    "Exported",
+    "ExportedFile",
     "ModelDiff",
     "ModelLineage",
     "OutputDrift",

@@ -1,7 +1,7 @@
-"""The card of a model version: what it is, what it reaches beside simple models, where it holds, its provenance, how to load.
+"""The card of a model version: purpose, errors beside simple models, ranges, limits, provenance, loading.
 
-Everything in it is generated. Of what: ``card_block``; what it says of a network, of its error report and of a policy:
-``card_network``, ``card_report``, ``card_policy``.
+The blocks are defined in ``card_block``; those of networks and policies are made in ``card_network``, those of error reports in
+``card_report``.
 """
 
 from __future__ import annotations
@@ -15,17 +15,23 @@ from sysid.networks.policy import PolicyNetwork
 from sysid.registry import NETWORKS, ModelVersion, PromotionDecision
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import Card, CardBlock
-from sysid.versions.card_network import network_limits, network_ranges, what_network
-from sysid.versions.card_policy import policy_limits, policy_ranges, what_policy
-from sysid.versions.card_report import baselines, figures, trust, where_it_errs
+from sysid.versions.card_network import (
+    network_limits,
+    network_ranges,
+    policy_limits,
+    policy_ranges,
+    what_network,
+    what_policy,
+)
+from sysid.versions.card_report import baselines, error_maps, figures, uncertainty
 from sysid.versions.lineage import ModelLineage
 
-#: What `sysid models export` writes: networks without a memory.
+#: Kinds that `sysid models export` writes: networks without history.
 EXPORTED = ("actuator", "motion", "forward")
-WHAT = {
-    "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron a direction and axis.",
+DESCRIPTIONS = {
+    "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron per direction and axis.",
     "history": "Actuator networks with history: cylinder displacement to joint angle and back along a motion; a static "
-    "perceptron and a memory a direction and axis.",
+    "perceptron and a recurrent part per direction and axis.",
     "motion": "Command to motion: the history of command and speed, and the position, to the next speed of an axis.",
     "forward": "Forward model: joint values to the position of the end effector in the machine's base frame.",
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
@@ -44,19 +50,19 @@ def card_of(
 
     Args:
         model: the network in it; None for plants and policies.
-        report: of it on the held-out rows of the dataset that it was fitted on; None where that cannot be had.
-        policy: the policy in it, if it is one.
+        report: its evaluation on the held-out rows of its own dataset; None if that is not available.
+        policy: the policy in it; None for other kinds.
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
-    said = what_policy(version, policy) if policy is not None else what_network(model)
-    blocks = [CardBlock("What it is", (WHAT.get(version.kind, version.kind), *said))]
+    details = what_policy(version, policy) if policy is not None else what_network(model)
+    blocks = [CardBlock("What it is", (DESCRIPTIONS.get(version.kind, version.kind), *details))]
     if report is not None:
-        blocks += [figures(report), *baselines(report), *where_it_errs(report), *trust(report)]
+        blocks += [figures(report), *baselines(report), *error_maps(report), *uncertainty(report)]
     elif version.metrics:
         rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
-        again = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
-        text = (f"As they were stored with it, in SI units; {again if policy else 'its dataset cannot be asked again'}.",)
+        what = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
+        text = (f"As stored with it, in SI units; {what if policy else 'its dataset is not available'}.",)
         blocks.append(CardBlock("Figures", text, ("figure", "value"), rows))
     if version.kind == "plant":
         blocks += _effects(version.lineage)
@@ -76,18 +82,18 @@ def card_of(
 
 
 def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
-    """When, what, by whom, and why, in words."""
+    """Time, decision, what decided it, and reason, as text."""
     when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
     instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
-    what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'nothing'} stays"
+    what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'none'} stays"
     evaluated_by = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
     evaluated_by = f"policy {evaluated_by}" if decision.judged.get("by") == "policy" else evaluated_by
     if decision.word:
         overruled = f" (overruled: {decision.reason})" if decision.reason else ""
-        return when, what, "explicit word", f"{decision.word}{overruled}"
+        return when, what, "user", f"{decision.word}{overruled}"
     passed = sum(check.status == "passed" for check in decision.checks)
-    told = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
-    return when, what, evaluated_by, decision.reason or str(decision.judged.get("as", "")) or told
+    result = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
+    return when, what, evaluated_by, decision.reason or str(decision.judged.get("as", "")) or result
 
 
 def _lineage(found: ModelLineage) -> CardBlock:
@@ -114,15 +120,11 @@ def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
         )
     if not rows:
         return []
-    return [
-        CardBlock(
-            "Effects that were found missing", (), ("effect", "on", "parameters [SI]", "share of the gap closed"), tuple(rows)
-        )
-    ]
+    return [CardBlock("Added effects", (), ("effect", "on", "parameters [SI]", "share of the gap closed"), tuple(rows))]
 
 
 def _loading(version: ModelVersion) -> Iterator[str]:
-    yield f"`name@version` never changes; `{version.name}` alone means the champion, or the newest where none was promoted."
+    yield f"`name@version` never changes; `{version.name}` alone refers to the champion, or to the newest if none was promoted."
     if version.kind in (*EXPORTED, "policy"):
         yield f"Without Python: `sysid models export {version.reference}` writes ONNX files."
 

@@ -1,4 +1,4 @@
-"""What a card is made of; it is Markdown here and a page in :mod:`sysid.reports.model_pages`, both from the same blocks."""
+"""Blocks of a card, and the card as Markdown (as HTML: :mod:`sysid.reports.model_pages`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sysid.validate import ErrorMap
 
 @dataclass(frozen=True)
 class CardBlock:
-    """One heading of a card: paragraphs, a table, code, maps of errors (output, unit, map); any of them may be empty."""
+    """One section of a card: paragraphs, a table, code, error maps (output, unit, map); any of them may be empty."""
 
     title: str
     text: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What a card says of an error report: figures, simple models beside it, where its errors are, how sure it is."""
+"""Blocks of an error report on a card: figures, simple models, error maps, coverage of intervals."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from sysid.versions.card_block import CardBlock
 from sysid.versions.outputs import shown
 from sysid.versions.policy import ROWS
 
-#: Maps of an output that the page shows.
+#: Maps per output on the page.
 MAPS_SHOWN = 2
-#: A region with fewer rows says nothing about how often intervals hold in it.
-REGION_ROWS = 20
+#: Fewest rows of a region whose coverage is given.
+MIN_REGION_ROWS = 20
 
 
 def figures(report: ValidationReport) -> CardBlock:
@@ -32,14 +32,14 @@ def figures(report: ValidationReport) -> CardBlock:
             )
         )
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
-    text = f"On rows of {report.dataset} that it has not seen ({', '.join(recordings)})."
+    text = f"On held-out rows of {report.dataset} ({', '.join(recordings)})."
     return CardBlock(
         "Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows)
     )
 
 
 def baselines(report: ValidationReport) -> Iterator[CardBlock]:
-    """The RMSE of every simple model, fitted on the same rows, beside its own."""
+    """The RMSE of the network and of every simple model."""
     names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
     if not names:
         return
@@ -51,13 +51,11 @@ def baselines(report: ValidationReport) -> Iterator[CardBlock]:
         )
         for entry in report.outputs
     )
-    yield CardBlock(
-        "Beside simple models", ("RMSE; all learned from the same rows.",), ("output", "this version", *names), rows
-    )
+    yield CardBlock("Beside simple models", ("RMSE; all fitted on the same rows.",), ("output", "this version", *names), rows)
 
 
-def where_it_errs(report: ValidationReport) -> Iterator[CardBlock]:
-    """The worst bin of the most telling map of each output; the maps themselves on the page."""
+def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
+    """The worst bin of the first map of each output; the maps are shown on the page."""
     rows, maps = [], []
     for entry in report.outputs:
         for item in entry.maps[:MAPS_SHOWN]:
@@ -72,18 +70,18 @@ def where_it_errs(report: ValidationReport) -> Iterator[CardBlock]:
             size, count = shown(first.rmse[a][b], entry.unit), str(first.count[a][b])
             rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
     if rows:
-        header = ("output", "largest where", "RMSE there", "rows", "explained by place")
+        header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
         yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
 
 
-def trust(report: ValidationReport) -> Iterator[CardBlock]:
-    """Whether its intervals hold, and what it flags as outside its data."""
+def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
+    """Coverage of its intervals, and how often it flags extrapolation."""
     rows = []
     for entry in report.outputs:
         if entry.coverage is None:
             continue
         found = entry.coverage
-        crowded = [region for region in found.regions if region.count >= REGION_ROWS]
+        crowded = [region for region in found.regions if region.count >= MIN_REGION_ROWS]
         worst = min(crowded, key=lambda region: region.covered, default=None)
         rows.append(
             (
@@ -97,11 +95,11 @@ def trust(report: ValidationReport) -> Iterator[CardBlock]:
     if rows:
         level = next(entry.coverage.level for entry in report.outputs if entry.coverage is not None)
         text = (
-            f"Its {100.0 * level:g} % intervals (`predict_interval`) on rows that it has not seen, and the rows that it flags "
-            f"as outside its data (`inside`; of rows like those that it learned from {100.0 * FALSE_FLAGS:g} %)."
+            f"Its {100.0 * level:g} % intervals (`predict_interval`) on held-out rows, and the share of rows that it flags as "
+            f"extrapolation (`inside`; of rows from the training distribution {100.0 * FALSE_FLAGS:g} %)."
         )
-        header = ("output", "half width, median", "hold in", "least often in", "flagged")
-        yield CardBlock("How sure it is", (text,), header, tuple(rows))
+        header = ("output", "half width, median", "coverage", "lowest coverage", "flagged")
+        yield CardBlock("Uncertainty", (text,), header, tuple(rows))
 
 
 def best_simple(entry: OutputReport) -> str | None:

@@ -1,4 +1,4 @@
-"""How two model versions differ: recipe, dataset, figures, files, geometry, and what they predict."""
+"""Differences of two model versions: recipe, dataset, figures, files, geometry, predictions."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files
 from sysid.registry import NETWORKS, ModelVersion
-from sysid.versions.outputs import OutputMap, output_maps, points_between, trial_between
+from sysid.versions.outputs import OutputMap, output_maps, points_between, sweep_between
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class GeometryChange:
-    """One parameter of a calibrated geometry; NaN where a version does not have it.
+    """One parameter of a calibrated geometry; NaN for a version without it.
 
     Args:
-        before, after: how it differs from the URDF, in ``unit``.
-        sigmas: their difference in standard deviations of both together.
+        before, after: deviation from the URDF, in ``unit``.
+        sigmas: their difference in combined standard deviations.
     """
 
     parameter: str
@@ -38,12 +38,12 @@ class GeometryChange:
 
 @dataclass(frozen=True)
 class PredictionChange:
-    """How far two versions' predictions of one output differ over the range that both were fitted on.
+    """Difference of two versions' predictions of one output over their common range.
 
     Args:
-        largest, rms: of the difference, in ``unit``; NaN where the ranges do not meet, or the steps in time are not the same.
-        at: input signal → its value [SI] where the difference is largest.
-        points: at which they were compared.
+        largest, rms: of the difference, in ``unit``; NaN if the ranges do not overlap, or the time steps differ.
+        at: input signal → its value [SI] at the largest difference.
+        points: number of compared points.
     """
 
     output: str
@@ -56,17 +56,17 @@ class PredictionChange:
 
 @dataclass(frozen=True)
 class ModelDiff:
-    """What differs between version ``before`` and version ``after``; all empty where nothing does.
+    """Differences between version ``before`` and version ``after``; all empty if there are none.
 
     Args:
         same_content: both have the same digest.
         recipe: keys of the recipe.
-        lineage: everything else that they were made from, the dataset first.
-        figures: that were stored with them.
+        lineage: the rest of the lineage, the dataset first.
+        figures: stored metrics.
         files: by name; changed: another sha256.
         geometry: parameters of calibrated forward models.
         predictions: of networks of the same signals.
-        outputs: that only one of them predicts.
+        outputs: predicted by only one of them.
     """
 
     before: str
@@ -100,7 +100,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
         before, after: with their files, from ``Registry.load``.
 
     Raises:
-        StoreError: they are of different kinds, or a file is not what it should be.
+        StoreError: different kinds, or a damaged file.
     """
     if before.kind != after.kind:
         raise StoreError(f"model {after.reference}", f"is of kind {after.kind!r}", f"{before.kind!r}, as {before.reference}")
@@ -124,7 +124,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
 
 
 def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[ValueChange, ...]:
-    """Values at the ends of nested tables that differ."""
+    """Differing values of nested tables."""
     left, right = dict(_flat(before)), dict(_flat(after))
     keys = dict.fromkeys([*left, *right])
     return tuple(ValueChange(key, left.get(key), right.get(key)) for key in keys if left.get(key) != right.get(key))
@@ -167,7 +167,7 @@ def _predicted(before: OutputMap, after: OutputMap) -> PredictionChange:
     low, high = np.maximum(before.low, after.low), np.minimum(before.high, after.high)
     if np.any(low > high) or before.rate_hz != after.rate_hz:
         return PredictionChange(before.output, before.unit, math.nan, math.nan, {}, 0)
-    points = trial_between(low, high) if before.run is not None else points_between(low, high)
+    points = sweep_between(low, high) if before.run is not None else points_between(low, high)
     difference = after.predict(points) - before.predict(points)
     worst = int(np.argmax(np.abs(difference)))
     return PredictionChange(

@@ -1,10 +1,10 @@
-"""Does a version still fit the machine? Its errors on new recordings against those on its own held-out ones.
+"""Test for drift: errors of a network on new recordings against those on its own held-out ones.
 
-Two questions, apart: do the new rows lie inside the ranges that the version was fitted on, and are its errors on those that do
-larger than they were, beyond chance, by more than a tenth, and on every recording of its own? Errors of neighbouring rows hang
-together, so chance is what blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`) on both sides. It knows
-nothing of the next motion being a harder one: that is what its own recordings differ by. Many outputs are many chances to be
-wrong, which Holm's correction makes up for (Scandinavian Journal of Statistics 6 (1979)).
+First, rows outside of the fitted ranges are counted and excluded. On the others an output has drifted if its RMSE is
+significantly larger than on the held-out rows, and more than 10 % larger than on the worst recording of its own dataset
+(recordings differ in difficulty, which the significance test does not include). Significance is computed by a block bootstrap
+(:mod:`sysid.validate.bootstrap`) of both sides, because errors of neighbouring rows are correlated, with Holm's correction over
+the outputs (Scandinavian Journal of Statistics 6 (1979)).
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Verdict = Literal["fits", "beyond its ranges", "drifted", "not comparable"]
 
-#: More than this share of rows outside is worth a word.
+#: A range is reported if a larger share of rows lies outside.
 OUTSIDE_SHARE = 0.01
-#: Errors have grown if they are larger than before by this factor …
+#: Smallest ratio of errors that counts as drift.
 GROWN = 1.1
-#: … and chance gives as much less often than this, over all outputs together.
+#: Family-wise significance level over all outputs.
 LEVEL = 0.05
 DRAWS = 2000
-#: Fewer rows than this of either side are not compared.
+#: Fewest rows of either side for a comparison.
 MIN_ROWS = 20
 
 
 @dataclass(frozen=True)
 class InputDrift:
-    """One input: the range that the version was fitted on, and where the new rows lie.
+    """One input: its fitted range and the range of the new rows.
 
     Args:
         outside: share of the new rows beyond the fitted range and 2 % of its width.
@@ -62,12 +62,12 @@ class OutputDrift:
     """One output on rows of one kind, inside the fitted ranges.
 
     Args:
-        inside, outside: new rows inside and outside of the ranges of the inputs.
-        own_rmse, rmse: on its own held-out rows and on the new ones, in ``unit``; NaN where there are too few.
-        own_worst: on that recording of its own dataset on which it is worst: no two motions are equally hard.
+        inside, outside: number of new rows inside and outside of the ranges of the inputs.
+        own_rmse, rmse: on its own held-out rows and on the new ones, in ``unit``; NaN if there are too few.
+        own_worst: largest RMSE on a recording of its own dataset.
         ratio95: 95 % interval of ``rmse / own_rmse``.
-        p_value: how often chance gives as large a ratio or a larger one.
-        verdict: drifted where it is larger for certain, after Holm's correction over all outputs.
+        p_value: of a ratio above 1.
+        verdict: after Holm's correction over all outputs.
     """
 
     output: str
@@ -92,8 +92,8 @@ class DriftReport:
     """A version against a new dataset.
 
     Args:
-        recordings: that were compared.
-        known: recordings that the version's own dataset holds too, left out.
+        recordings: those compared.
+        known: those that are also in the version's own dataset, left out.
     """
 
     model: str
@@ -127,7 +127,7 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
 
     Args:
         own: the dataset version that the network was fitted on.
-        new: all rows of it count, but not those of recordings that ``own`` holds as well.
+        new: all rows are used, except recordings that are also in ``own``.
 
     Raises:
         ExcitationError: no recording of ``new`` is new and measures what the network predicts.
@@ -163,7 +163,7 @@ def _output(
 ) -> OutputDrift:
     squares = _squares(answer, rows, fresh)
     new = squares[inside & np.isfinite(squares)]
-    before, worst = _before(answer, kind, own)
+    before, worst = _own_errors(answer, kind, own)
     counts = (int(inside.sum()), int((~inside).sum()))
     if min(len(new), len(before)) < MIN_ROWS:
         rmse, own_rmse = (float(np.sqrt(part.mean())) if len(part) else math.nan for part in (new, before))
@@ -171,7 +171,7 @@ def _output(
         return OutputDrift(
             answer.output, answer.unit, kind, *counts, own_rmse, worst, rmse, nothing, math.nan, "not comparable"
         )
-    least = 5 if kind == "motion" else 1  # every pose stands alone
+    least = 5 if kind == "motion" else 1  # poses are independent
     means = [bootstrap_means(part, seed + number, DRAWS, least) for number, part in enumerate((before, new))]
     ratios = np.sqrt(means[1] / np.maximum(means[0], 1e-300))
     low, high = np.percentile(ratios, [2.5, 97.5])
@@ -191,7 +191,7 @@ def _output(
 
 
 def _corrected(outputs: Sequence[OutputDrift]) -> tuple[OutputDrift, ...]:
-    """Which errors have grown: the smallest p-values, each against the share of the level that Holm leaves to it."""
+    """Holm's step-down test: sets the verdict of drifted outputs."""
     compared = sorted((entry for entry in outputs if entry.verdict != "not comparable"), key=lambda entry: entry.p_value)
     grown = set[int]()
     for number, entry in enumerate(compared):
@@ -202,8 +202,8 @@ def _corrected(outputs: Sequence[OutputDrift]) -> tuple[OutputDrift, ...]:
     return tuple(replace(entry, verdict="drifted") if id(entry) in grown else entry for entry in outputs)
 
 
-def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
-    """Squared errors on the version's own held-out rows, and the RMSE on that recording of its own on which it is worst."""
+def _own_errors(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
+    """Squared errors on the version's own held-out rows, and its largest RMSE on a recording of its own dataset."""
     signals = (*answer.inputs, answer.output)
     if not measures(own, signals, kind):
         return np.zeros(0), math.nan
@@ -220,14 +220,14 @@ def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
 
 
 def _squares(answer: OutputMap, rows: SignalRows, dataset: Dataset) -> Array:
-    """Squared errors, (n,); NaN where an answer that depends on what came before has none."""
+    """Squared errors, (n,); NaN where a network with history predicts nothing."""
     if answer.run is None:
         return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
-    said = np.full(len(rows), np.nan)
+    predicted = np.full(len(rows), np.nan)
     for name in np.unique(rows.recording):
         mine = rows.recording == name
-        said[mine] = answer.run(dataset.recording(str(name)))[rows.row[mine]]
-    return np.asarray((said - rows.values[:, -1]) ** 2)
+        predicted[mine] = answer.run(dataset.recording(str(name)))[rows.row[mine]]
+    return np.asarray((predicted - rows.values[:, -1]) ** 2)
 
 
 def _inside(answer: OutputMap, rows: SignalRows) -> Mask:
@@ -247,7 +247,7 @@ def _measured(recording: Recording, signals: Sequence[str]) -> bool:
 
 
 def _held(recording: Recording, new: Dataset, own: Dataset) -> bool:
-    """Whether ``own`` has this recording too: made from the same raw files, or with the same numbers in it."""
+    """Whether ``own`` has this recording too: from the same raw files, or with equal values."""
     files = _raw(new, recording)
     for other in own.recordings:
         if files and files == _raw(own, other):

@@ -1,4 +1,4 @@
-"""Where a model version comes from, down to the raw files, and what came of it."""
+"""Lineage of a model version: its sources, down to the raw files, and what was made from it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from sysid.datasets import Lineage, Store
 from sysid.datasets import lineage as lineage_of_dataset
 from sysid.errors import StoreError
-from sysid.registry import ModelVersion, made_from, made_of
+from sysid.registry import ModelVersion, ancestors, descendants
 
 
 @dataclass(frozen=True)
-class Relative:
+class RelatedVersion:
     """Another model version in a lineage."""
 
     reference: str
@@ -23,8 +23,8 @@ class Relative:
 
 
 @dataclass(frozen=True)
-class Use:
-    """A stored result that rests on the version: what it is, on which dataset version, and how it uses it."""
+class ResultUse:
+    """A stored result that uses the version: kind of result, dataset version, kind of use."""
 
     what: str
     dataset: str
@@ -33,15 +33,15 @@ class Use:
 
 @dataclass(frozen=True)
 class ModelLineage:
-    """The chain of one version.
+    """The lineage of one version.
 
     Args:
-        dataset, dataset_digest: that it was made from; empty where its lineage names none.
-        missing: why the dataset version cannot be followed any further; empty where it can.
-        source: the chain of that dataset version, to its raw files.
-        parents: model versions that it was made from.
-        children: model versions that were made from it, directly or through another one.
-        uses: results that rest on it.
+        dataset, dataset_digest: of its data; empty if its lineage names none.
+        missing: why the lineage of the dataset version is not available; empty if it is.
+        source: the lineage of that dataset version, to its raw files.
+        parents: model versions that it was made from, directly or indirectly.
+        children: model versions made from it, directly or indirectly.
+        uses: results that use it.
     """
 
     model: str
@@ -53,9 +53,9 @@ class ModelLineage:
     dataset_digest: str
     missing: str
     source: Lineage | None
-    parents: tuple[Relative, ...]
-    children: tuple[Relative, ...]
-    uses: tuple[Use, ...]
+    parents: tuple[RelatedVersion, ...]
+    children: tuple[RelatedVersion, ...]
+    uses: tuple[ResultUse, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, schema 1."""
@@ -64,19 +64,18 @@ class ModelLineage:
         return {"schema": 1, **values}
 
 
-def lineage_of(version: ModelVersion, versions: Sequence[ModelVersion], store: Store, uses: Sequence[Use] = ()) -> ModelLineage:
+def lineage_of(
+    version: ModelVersion, versions: Sequence[ModelVersion], store: Store, uses: Sequence[ResultUse] = ()
+) -> ModelLineage:
     """Follow the lineage of a version both ways.
 
     Args:
-        versions: all that the registry holds.
+        versions: all versions of the registry.
         store: of the datasets.
-        uses: stored results that rest on it.
+        uses: stored results that use it.
     """
-    parents = made_of(versions, version)
-    dataset, digest = next(
-        (found for found in map(_dataset, (version, *parents)) if found[0]),
-        ("", ""),
-    )
+    parents = ancestors(versions, version)
+    dataset, digest = next((found for found in map(_dataset, (version, *parents)) if found[0]), ("", ""))
     source, missing = _source(store, dataset, digest)
     return ModelLineage(
         model=version.reference,
@@ -89,13 +88,13 @@ def lineage_of(version: ModelVersion, versions: Sequence[ModelVersion], store: S
         missing=missing,
         source=source,
         parents=tuple(map(_relative, parents)),
-        children=tuple(map(_relative, made_from(versions, version.reference))),
+        children=tuple(map(_relative, descendants(versions, version.reference))),
         uses=tuple(uses),
     )
 
 
 def _source(store: Store, dataset: str, digest: str) -> tuple[Lineage | None, str]:
-    """The chain of the dataset version, or why there is none."""
+    """The lineage of the dataset version, or why it is not available."""
     if not dataset:
         return None, "its lineage names no dataset version"
     try:
@@ -103,7 +102,7 @@ def _source(store: Store, dataset: str, digest: str) -> tuple[Lineage | None, st
     except StoreError as error:
         return None, str(error)
     if digest and found.digest != digest:
-        return None, f"{dataset} is another dataset of the same name here (digest {found.digest[:12]}…)"
+        return None, f"{dataset} is another dataset of the same name (digest {found.digest[:12]}…)"
     return found, ""
 
 
@@ -112,5 +111,5 @@ def _dataset(version: ModelVersion) -> tuple[str, str]:
     return (str(name), str(version.lineage.get("dataset_digest", ""))) if isinstance(name, str) else ("", "")
 
 
-def _relative(version: ModelVersion) -> Relative:
-    return Relative(version.reference, version.kind, version.digest, version.aliases)
+def _relative(version: ModelVersion) -> RelatedVersion:
+    return RelatedVersion(version.reference, version.kind, version.digest, version.aliases)

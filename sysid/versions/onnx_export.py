@@ -1,4 +1,4 @@
-"""Networks as ONNX files, for a controller that has no Python: written, run, and kept only if they predict the same."""
+"""Export of networks as ONNX files, with a parity check by ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -24,23 +24,22 @@ from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
 Array = npt.NDArray[np.float64]
 Precision = Literal["float32", "float64"]
 
-#: A prediction may differ by this share of the largest value of its output: by some thirty roundings in float32; in float64,
-#: which is there for what float32 cannot carry, by what nobody will ever measure.
+#: Largest difference of a prediction, relative to the largest value of its output: 32 roundings in float32.
 SHARES: dict[Precision, float] = {"float32": 32.0 * 2.0**-23, "float64": 1e-9}
-#: Points that are compared inside the fitted range, and as many beyond it: by half its width on either side.
+#: Number of compared points inside the fitted range, and as many up to half its width beyond it on either side.
 POINTS, BEYOND = 4096, 0.5
 
 
 @dataclass(frozen=True)
-class Exported:
-    """One ONNX file and how closely it agrees.
+class ExportedFile:
+    """One ONNX file and its agreement with the version.
 
     Args:
         file: its path.
         inputs, outputs: columns of its input and output tensor [SI].
-        low, high: range of each input that the network was fitted on.
-        largest: difference from the version's own prediction [SI], inside the fitted range and beyond it, by output.
-        allowed: by output: what rounding may make of it.
+        low, high: fitted range of each input.
+        largest: largest difference from the version's own prediction [SI], inside and beyond the fitted range, by output.
+        allowed: largest accepted difference [SI], by output.
     """
 
     file: str
@@ -55,8 +54,8 @@ class Exported:
 
 
 @dataclass(frozen=True)
-class _Part:
-    """What one file holds: ``put`` adds its nodes to a graph, ``predict`` says what they have to give."""
+class _OnnxSource:
+    """Content of one file: ``put`` adds its nodes to a graph, ``predict`` gives the expected outputs."""
 
     name: str
     inputs: tuple[str, ...]
@@ -72,29 +71,28 @@ def export_onnx(
     folder: Path,
     about: Mapping[str, str] | None = None,
     precision: Precision = "float32",
-    seed: int = 0,
-) -> tuple[Exported, ...]:
+) -> tuple[ExportedFile, ...]:
     """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, ``policy.onnx``, ``boom.to_joint.onnx`` …
 
-    Every file is run by ONNX Runtime on random inputs inside and beyond the fitted range; where it does not predict what the
-    network does, within rounding, nothing is written.
+    ONNX Runtime evaluates every file on random inputs inside and beyond the fitted range; if a prediction differs from the
+    network's by more than rounding, nothing is written.
 
     Args:
-        folder: must not exist yet, or be the export of before.
-        about: put into the files as metadata (``reference``, ``digest``).
+        folder: must not exist, or be an earlier export.
+        about: metadata of the files (``reference``, ``digest``).
 
     Raises:
-        SettingsError: onnx or onnxruntime are not installed; the folder holds something else; a network with history.
-        StoreError: a file does not predict the same.
+        SettingsError: onnx or onnxruntime are not installed; the folder has other content; a network with history.
+        StoreError: a file predicts other values.
         StorageError: the disk is full, or may not be written.
     """
     runtime = _runtime()
     if folder.exists() and not (folder / "export.json").is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SettingsError(f"--out {folder}", "holds something that is no export", "a new folder")
+        raise SettingsError(f"--out {folder}", "exists and is not an export", "a new folder")
     found, contents = [], {}
     for part in _parts(model):
         content = _content(part, precision, about or {})
-        exported = _compared(part, content, precision, runtime, seed)
+        exported = _compared(part, content, precision, runtime)
         found.append(exported)
         contents[exported.file] = content
     described = {"schema": 1, **(about or {}), "files": [asdict(entry) for entry in found]}
@@ -114,24 +112,26 @@ def _runtime() -> Any:
     return onnxruntime
 
 
-def _parts(model: Model | PolicyNetwork) -> tuple[_Part, ...]:
+def _parts(model: Model | PolicyNetwork) -> tuple[_OnnxSource, ...]:
     if isinstance(model, PolicyNetwork):
         ranges = model.mlp.inputs
         low, high = ranges.mean - ranges.scale, ranges.mean + ranges.scale
-        return (_Part("policy", model.inputs, model.outputs, low, high, lambda graph, s: graph.policy(model, s), model.act),)
+        return (
+            _OnnxSource("policy", model.inputs, model.outputs, low, high, lambda graph, s: graph.policy(model, s), model.act),
+        )
     if isinstance(model, ForwardNetwork | StructuredForward):
         outputs = point_signals("ee")
 
         def put(graph: Graph, q: str) -> str:
             return graph.forward(model, q)
 
-        return (_Part("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
+        return (_OnnxSource("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
     found = []
     for axis, motion in motion_networks(model).items():
         names = motion.window.names(motion.command, motion.driven)
         inputs = motion.members[0].inputs
         found.append(
-            _Part(
+            _OnnxSource(
                 f"{axis}.motion",
                 names,
                 (f"speed of {motion.driven}",),
@@ -142,16 +142,16 @@ def _parts(model: Model | PolicyNetwork) -> tuple[_Part, ...]:
             )
         )
     if history_networks(model):
-        expected = "networks that answer row by row"
+        expected = "networks without a state"
         remedy = "Export actuator networks without history, or step it in Python."
-        raise SettingsError("sysid models export", "actuator networks with history, which remember", expected, remedy)
+        raise SettingsError("sysid models export", "actuator networks with history", expected, remedy)
     for axis, network in static_networks(model).items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         ends = (network.displacements, network.joints)
         for direction, source in zip(DIRECTIONS, (0, 1), strict=True):
             mlp = network.to_joint if direction == "to_joint" else network.to_cylinder
             found.append(
-                _Part(
+                _OnnxSource(
                     f"{axis}.{direction}",
                     (signals[source],),
                     (signals[1 - source],),
@@ -164,8 +164,8 @@ def _parts(model: Model | PolicyNetwork) -> tuple[_Part, ...]:
     return tuple(found)
 
 
-def _content(part: _Part, precision: Precision, about: Mapping[str, str]) -> bytes:
-    """The file, checked by ONNX itself."""
+def _content(part: _OnnxSource, precision: Precision, about: Mapping[str, str]) -> bytes:
+    """The file, verified by ``onnx.checker``."""
     import onnx
     from onnx import TensorProto, helper
 
@@ -189,32 +189,32 @@ def _content(part: _Part, precision: Precision, about: Mapping[str, str]) -> byt
     return bytes(file.SerializeToString())
 
 
-def _compared(part: _Part, content: bytes, precision: Precision, runtime: Any, seed: int) -> Exported:
+def _compared(part: _OnnxSource, content: bytes, precision: Precision, runtime: Any) -> ExportedFile:
     options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
     dtype = np.float32 if precision == "float32" else np.float64
-    share = np.random.default_rng(seed).uniform(0.0, 1.0, (2 * POINTS, len(part.inputs)))
+    share = np.random.default_rng(0).uniform(0.0, 1.0, (2 * POINTS, len(part.inputs)))
     share[POINTS:] = share[POINTS:] * (1.0 + 2.0 * BEYOND) - BEYOND
     points = (part.low + share * (part.high - part.low)).astype(dtype)
-    # What is handed in is rounded already: that is no fault of the file.
+    # Both sides get the rounded inputs.
     own = part.predict(points.astype(np.float64))
     try:
         session = runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        said = np.asarray(session.run(None, {"inputs": points})[0], dtype=np.float64)
-    except Exception as error:  # the runtime's errors have no root of their own but this
+        predicted = np.asarray(session.run(None, {"inputs": points})[0], dtype=np.float64)
+    except Exception as error:  # the runtime's errors have no common base class
         found = f"cannot be run ({str(error).splitlines()[0]})"
         raise StoreError(f"ONNX of {part.name}", found, "a file that ONNX Runtime runs") from None
-    if said.shape != own.shape:
-        raise StoreError(f"ONNX of {part.name}", f"shape {said.shape}", f"{own.shape}")
-    largest = np.abs(said - own).max(axis=0)
+    if predicted.shape != own.shape:
+        raise StoreError(f"ONNX of {part.name}", f"shape {predicted.shape}", f"{own.shape}")
+    largest = np.abs(predicted - own).max(axis=0)
     allowed = SHARES[precision] * np.abs(own).max(axis=0)
     for name, difference, most in zip(part.outputs, largest, allowed, strict=True):
         if not difference <= most:  # NaN fails as well
             remedy = "Export it with --precision float64." if precision == "float32" else ""
             found = f"{name} differs by {difference:.3g} from the version itself"
             raise StoreError(f"ONNX of {part.name}", found, f"at most {most:.3g} (rounding of {precision})", remedy)
-    return Exported(
+    return ExportedFile(
         file=f"{part.name}.onnx",
         inputs=part.inputs,
         outputs=part.outputs,
@@ -228,7 +228,7 @@ def _compared(part: _Part, content: bytes, precision: Precision, runtime: Any, s
 
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """All files or none: a folder beside, then one rename."""
+    """Write all files or none: into a temporary folder that is then renamed."""
     half = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,8 @@
-"""Networks as ONNX graphs, written node by node: no torch, and nothing in them but arithmetic.
+"""Networks as ONNX graphs of arithmetic operators, built without torch.
 
-A perceptron is matrix products and rectifiers between its normalisations. The tip of an open chain is linear in products of one
-factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`), so a calibrated geometry becomes the same few nodes
-as a fitted chain: its weights follow exactly from the tip at three values of each angle and two of each slide.
+The tip of an open chain is linear in products of one factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`).
+A calibrated geometry therefore has the same nodes as a fitted chain: its weights follow exactly from the tip position at three
+values of each revolute joint and two of each prismatic one.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from sysid.networks.policy import PolicyNetwork
 
 Array = npt.NDArray[np.float64]
 
-#: Read by ONNX Runtime from 1.14 (early 2023) on.
+#: Supported by ONNX Runtime from 1.14 (early 2023) on.
 OPSET, IR_VERSION = 18, 8
-#: Values of a joint at which the tip settles the weights of its factors.
+#: Joint values at which the tip determines the weights of its factors.
 ANGLES, SLIDES = (0.0, math.pi / 2.0, math.pi), (0.0, 1.0)
 
 
 class Graph:
-    """Nodes and constants in the order in which they were added; values are known by name.
+    """Nodes and constants in the order of their addition; values are referred to by name.
 
     Args:
-        dtype: of every number in it.
+        dtype: of all numbers.
     """
 
     def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
@@ -77,7 +77,7 @@ class Graph:
         return self.add("Min", self.add("Max", setpoints, self.constant(model.low)), self.constant(model.high))
 
     def mean(self, values: Sequence[str]) -> str:
-        """The mean of members; not the operator of that name, which ONNX Runtime has for float32 alone."""
+        """The mean of members; ONNX Runtime has the operator ``Mean`` only for float32."""
         total = values[0]
         for value in values[1:]:
             total = self.add("Add", total, value)
@@ -87,7 +87,8 @@ class Graph:
         return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
 
     def features(self, q: str, revolute: Sequence[bool]) -> str:
-        """Sines, cosines and slides of the joints, as :func:`sysid.networks.forward.to_features` orders them."""
+        """Sines and cosines of revolute joints, values of prismatic ones, in the order of
+        :func:`sysid.networks.forward.to_features`."""
         angles = [number for number, angle in enumerate(revolute) if angle]
         slides = [number for number, angle in enumerate(revolute) if not angle]
         parts = []
@@ -99,7 +100,7 @@ class Graph:
         return parts[0] if len(parts) == 1 else self.add("Concat", *parts, axis=1)
 
     def products(self, q: str, revolute: Sequence[bool]) -> str:
-        """All products of one factor a joint, that of ones first, (n, P + 1)."""
+        """All products of one factor a joint, the constant first, (n, P + 1)."""
         rows = ""
         for number, angle in enumerate(revolute):
             column = self.columns(q, [number])
@@ -140,7 +141,7 @@ class Graph:
 
 
 def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
-    """By how much each joint's reading is stretched, (n_axes,), and the products' weights, (P + 1, 3), that of ones first."""
+    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first."""
     if isinstance(structure, FittedChain):
         weights = structure.weights / structure.scale[:, None]
         return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])

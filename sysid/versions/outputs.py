@@ -1,4 +1,4 @@
-"""What a network of any kind answers, output by output: from which signals, over which ranges, by which function."""
+"""The outputs of a network of any kind: input signals, fitted ranges, and the function of each."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
-#: Points at which two networks are compared: along a line, and in more dimensions than one.
+#: Number of points at which two networks are compared: in one dimension, and in several.
 LINE_POINTS, CLOUD_POINTS = 1001, 4096
-#: How far ahead command → motion is evaluated where it is evaluated row by row [s].
-AHEAD = 1.0
+#: Prediction horizon of command → motion networks in row-wise evaluation [s].
+HORIZON = 1.0
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class OutputMap:
         inputs, units: the signals that it is predicted from, and their SI units.
         low, high: range of each input in the rows that the network was fitted on, (d,).
         predict: inputs (n, d) → output (n,).
-        run: where the answer depends on what came before: a recording → output on its rows (n,), NaN where there is none.
-        rate_hz: at which rows of ``predict`` then follow one another.
+        run: of networks with history: a recording → output on its rows (n,), NaN where there is none.
+        rate_hz: of networks with history: sampling rate of the rows of ``predict``.
     """
 
     output: str
@@ -54,7 +54,7 @@ class OutputMap:
 
     @property
     def key(self) -> tuple[str, tuple[str, ...]]:
-        """What is the same of two networks that answer the same question."""
+        """Equal for outputs of two networks that can be compared."""
         return self.output, self.inputs
 
 
@@ -103,7 +103,7 @@ def output_maps(model: Model) -> tuple[OutputMap, ...]:
 
 
 def _with_history(network: HistoryNetwork) -> list[OutputMap]:
-    """Both directions along a motion; the trial is sampled as the memory looks."""
+    """Both directions along a motion, sampled at the steps of the recurrent part."""
     cylinder, joint = axis_signal(network.axis, "cylinder"), axis_signal(network.axis, "joint")
     found = []
     for output, source, units, ends, along, memory in (
@@ -128,7 +128,7 @@ def _with_history(network: HistoryNetwork) -> list[OutputMap]:
 
 
 def _motion(network: MotionNetwork) -> OutputMap:
-    """The position that a command leads to: :data:`AHEAD` seconds ahead on a recording, from rest in the middle on a trial."""
+    """The position after :data:`HORIZON` seconds on a recording; from rest in the middle for ``predict``."""
 
     def predict(values: Array) -> Array:
         middle = values[0, 0] if network.window.follows else 0.5 * sum(network.bounds.positions)
@@ -144,30 +144,30 @@ def _motion(network: MotionNetwork) -> OutputMap:
         np.array([low]),
         np.array([high]),
         predict,
-        lambda recording: network.ahead(recording, AHEAD),
+        lambda recording: network.ahead(recording, HORIZON),
         1.0 / network.window.step,
     )
 
 
-def trial_between(low: Array, high: Array) -> Array:
-    """A motion there and back through a range, faster each time, (n, 1)."""
+def sweep_between(low: Array, high: Array) -> Array:
+    """A swept sine through a range, (n, 1)."""
     turns = 6.0 * np.linspace(0.0, 1.0, LINE_POINTS) ** 2
     return np.asarray(low + (high - low) * (0.5 + 0.5 * np.sin(2.0 * np.pi * turns))[:, None])
 
 
-def points_between(low: Array, high: Array, seed: int = 0) -> Array:
-    """Points that fill a box evenly, its corners among them, (n, d): a line of them, or a scrambled Sobol sequence."""
+def points_between(low: Array, high: Array) -> Array:
+    """Points in a box, corners included, (n, d): evenly spaced in one dimension, else a scrambled Sobol sequence."""
     if len(low) == 1:
         return np.asarray(np.linspace(low, high, LINE_POINTS))
     from scipy.stats import qmc
 
-    share = qmc.Sobol(len(low), seed=np.random.default_rng(seed)).random(CLOUD_POINTS)
+    share = qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(CLOUD_POINTS)
     corners = np.array(np.meshgrid(*[[0.0, 1.0]] * len(low))).reshape(len(low), -1).T[:1024]
     return np.asarray(low + np.vstack([share, corners]) * (high - low))
 
 
 def shown(value: float, unit: str, digits: int = 3) -> str:
-    """A figure in the unit that people read it in: ``shown(0.0034, "m") == "3.40 mm"``, angles in mrad."""
+    """A figure with a readable unit: ``shown(0.0034, "m") == "3.40 mm"``, angles in mrad."""
     factor, label = {"m": (1e3, " mm"), "rad": (1e3, " mrad"), "1": (1.0, "")}.get(unit, (1.0, f" {unit}"))
     scaled = factor * value
     if scaled == 0.0 or not np.isfinite(scaled):

@@ -1,7 +1,7 @@
-"""What a network has to show before its name means it: a policy in TOML, limits with units (``docs/guide/models.md``).
+"""Promotion policy of networks: conditions in TOML, limits with units (``docs/guide/models.md``).
 
-Both versions are evaluated on the held-out rows of one dataset version, that of the candidate: figures on different rows cannot
-be compared. The champion may have been fitted to some of them, which speaks for staying.
+Candidate and champion are evaluated on the held-out rows of one dataset version, the candidate's. The champion may have been
+fitted to some of them, which favours it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _QUANTITY = re.compile(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)\s*")
 
 @dataclass(frozen=True)
 class Limit:
-    """The most that figures of an output may be, each with its unit (``"15 mm"``), on rows of one kind or of both."""
+    """Upper limits of an output's figures, each with its unit (``"15 mm"``), on rows of one kind or of both."""
 
     __pydantic_config__ = STRICT
 
@@ -50,11 +50,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class KindPolicy:
-    """For networks of one kind.
+    """Rules for networks of one kind.
 
     Args:
         not_worse: figures in which no output may be worse than with the champion.
-        margin: by more than this share is worse.
+        margin: relative increase that is not yet worse.
         baselines: whether no output may have a larger RMSE than the best simple model fitted on the same rows.
         limits: output, or pattern of outputs (``ee.*``) → its limit.
     """
@@ -69,7 +69,7 @@ class KindPolicy:
 
 @dataclass(frozen=True)
 class PromotionPolicy:
-    """The whole policy; without a file: no worse than the champion by more than 5 % in RMSE and 95 % error."""
+    """The whole policy; default: RMSE and 95 % error at most 5 % larger than the champion's."""
 
     __pydantic_config__ = STRICT
 
@@ -92,7 +92,7 @@ def load_policy(path: Path | None = None) -> PromotionPolicy:
     """The policy in ``path``; None: the default.
 
     Raises:
-        SettingsError: unknown keys, wrong types, a limit without a unit or that is no positive number.
+        SettingsError: unknown keys, wrong types, a limit that is not a positive number with a unit.
     """
     if path is None:
         return PromotionPolicy()
@@ -113,15 +113,15 @@ def load_policy(path: Path | None = None) -> PromotionPolicy:
 def policy_checks(
     policy: PromotionPolicy, report: ValidationReport, champion: ValidationReport | None = None, where: object = "policy"
 ) -> tuple[Check, ...]:
-    """What the policy says of a network, line by line.
+    """The result of each condition of the policy.
 
     Args:
         report: of the candidate.
-        champion: of what its name means until now, on the same rows; None where nothing was promoted.
+        champion: report of the champion on the same rows; None if there is none.
         where: the policy's file, for messages.
 
     Raises:
-        SettingsError: a limit for an output that the network does not have, or in a unit that is not the output's.
+        SettingsError: a limit for an output that the network does not have, or in a unit of another dimension.
     """
     part = policy.of(report.kind)
     checks = list(_limits(part, report, f"{where}: {report.kind}.limits"))
@@ -130,7 +130,7 @@ def policy_checks(
     if part.not_worse:
         checks += _against(part, report, champion)
     if not checks:
-        raise SettingsError(f"{where}: {report.kind}", "nothing is asked", "limits, not_worse or baselines")
+        raise SettingsError(f"{where}: {report.kind}", "no condition", "limits, not_worse or baselines")
     return tuple(checks)
 
 
@@ -170,10 +170,8 @@ def _baseline(entry: OutputReport, margin: float) -> Check:
     title, best = min(entry.baselines.items(), key=lambda item: item[1].rmse)
     ours, theirs = entry.metrics.rmse, best.rmse
     what = f"{_name(entry)}: rmse {shown(ours, entry.unit)}"
-    told = f"{_compared(ours, theirs)} the {shown(theirs, entry.unit)} of the best simple model ({title})"
-    if ours <= theirs * (1.0 + margin):
-        return Check(name, "passed", f"{what}, {told}")
-    return Check(name, "failed", f"{what}, {told}; {100.0 * margin:g} % allowed")
+    text = f"{what}, {_compared(ours, theirs)} the {shown(theirs, entry.unit)} of the best simple model ({title})"
+    return _within_margin(name, ours, theirs, margin, text)
 
 
 def _against(part: KindPolicy, report: ValidationReport, champion: ValidationReport | None) -> list[Check]:
@@ -199,14 +197,18 @@ def _figure_against(ours: OutputReport, theirs: OutputReport, figure: Figure, ma
     mine, other = _figure(ours, figure), _figure(theirs, figure)
     name = f"champion in {figure} of {_name(ours)}"
     what = f"{_name(ours)}: {figure} {shown(mine, ours.unit)}"
-    told = f"{_compared(mine, other)} the {shown(other, ours.unit)} of {champion}"
-    if mine <= other * (1.0 + margin):
-        return Check(name, "passed", f"{what}, {told}")
-    return Check(name, "failed", f"{what}, {told}; {100.0 * margin:g} % allowed")
+    text = f"{what}, {_compared(mine, other)} the {shown(other, ours.unit)} of {champion}"
+    return _within_margin(name, mine, other, margin, text)
+
+
+def _within_margin(name: str, value: float, other: float, margin: float, text: str) -> Check:
+    if value <= other * (1.0 + margin):
+        return Check(name, "passed", text)
+    return Check(name, "failed", f"{text}; {100.0 * margin:g} % allowed")
 
 
 def _compared(value: float, other: float) -> str:
-    """``12.3 % above``: by how much one figure differs from another."""
+    """The relative difference of a figure from another, as ``12.3 % above``."""
     if value == other or other == 0.0:
         return "the same as" if value == other else "above"
     return f"{100.0 * abs(value / other - 1.0):.1f} % {'above' if value > other else 'below'}"
@@ -223,26 +225,25 @@ def _name(entry: OutputReport) -> str:
 def _quantity(value: str | float, where: str) -> tuple[float, str]:
     """``"15 mm"`` → ``(0.015, "m")``."""
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
-    if match is None:
-        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
     try:
-        number = float(match[1])
+        number = float(match[1]) if match is not None else math.nan
     except ValueError:
-        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'") from None
+        number = math.nan
+    if match is None or not (math.isfinite(number) and number > 0.0):
+        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
     try:
         factor, unit = si_factor(match[2], where)
     except InputError as error:
         raise SettingsError(where, error.found, error.expected) from None
-    if not (math.isfinite(number) and number > 0.0):
-        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
     return factor * number, unit
 
 
 def evaluated_by(policy: PromotionPolicy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
-    """What the record of a decision says of what it was evaluated by."""
-    name = path.name if path is not None else "default"
-    rules = asdict(policy.of(kind))
-    rules["limits"] = {
-        pattern: {key: value for key, value in limit.items() if value is not None} for pattern, limit in rules["limits"].items()
+    """The basis of a decision, for its record."""
+    part = policy.of(kind)
+    limits = {
+        pattern: {key: value for key, value in asdict(limit).items() if value is not None}
+        for pattern, limit in part.limits.items()
     }
-    return {"by": "policy", "policy": name, "rules": rules, "dataset": dataset}
+    name = path.name if path is not None else "default"
+    return {"by": "policy", "policy": name, "rules": {**asdict(part), "limits": limits}, "dataset": dataset}

@@ -102,7 +102,7 @@ def test_rows_with_gaps_are_left_out_and_the_rest_is_fitted(place: Workspace, ca
     assert np.isfinite(model.predict(np.zeros((1, 4)))).all()  # type: ignore[union-attr]
     assert run(place, "validate", "some-missing-forward", "some-missing") == 0
     told = capsys.readouterr().out
-    assert re.search(r"8\d.% intervals of ee\.x, poses: ± [\d.]+.mm, hold in \d+.%; [\d.]+.% outside the data", told)
+    assert re.search(r"8\d.% intervals of ee\.x, poses: ± [\d.]+.mm, coverage \d+.%; [\d.]+.% flagged", told)
 
 
 def test_a_joint_that_stands_still_leaves_its_geometry_open_and_says_where_it_was(place: Workspace) -> None:
@@ -143,7 +143,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_version(
     with monkeypatch.context() as patch:
         patch.setattr("sysid.cli.fit.progress_bar", stopped)
         assert fit(place, "good", "long") == 130
-    assert "the same command starts again" in capsys.readouterr().err
+    assert "the command can be repeated" in capsys.readouterr().err
     assert place.models.list() == before
     assert list((place.folder / "training").glob("*.safetensors"))
     assert fit(place, "good", "long") == 0

@@ -118,7 +118,7 @@ def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pyt
     text = capsys.readouterr().out
     assert "lift@2 = lift@1 repaired" in text, "the same repair is the same version"
     assert '  +[[effects]]\n  +name = "valve_deadband"\n  +target = "boom"\n' in text
-    assert "Promoted: `lift` alone means lift@2 from now on." in text, "it was before this run already"
+    assert "Promoted: `lift` alone now means lift@2." in text, "it was before this run already"
     assert re.search(r"passed +stages: command stage of boom \d+ → [01]", text)
     assert re.search(r"Undo it:  sysid --workspace \S+ models promote lift@1 ", text)
     assert "Not run in the PyBullet world" in text
@@ -138,7 +138,7 @@ def test_gap_names_what_is_hidden(answered: Path) -> None:
 
 
 def test_lineage_shows_the_gap_result_that_a_plant_was_in(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for version, role in (("lift@1", "questioned it"), ("lift@2", "made it")):
+    for version, role in (("lift@1", "tested it"), ("lift@2", "created it")):
         assert run("--workspace", answered / "ws", "models", "lineage", version) == 0
         assert f"used by   gap result on lift@1: {role}" in capsys.readouterr().out
 
@@ -256,7 +256,7 @@ def test_the_name_alone_means_what_is_promoted_and_can_be_set_back(answered: Pat
     assert (answered / "ws" / "results" / "lift@1" / "gap" / "machine.diff").read_text() == result["machine_diff"]
     for reference, instead in (("lift@1", "lift@2"), ("lift@2", "lift@1")):
         assert run("--workspace", answered / "ws", "models", "promote", reference) == 0
-        assert f"`lift` alone means {reference} from now on instead of {instead}." in capsys.readouterr().out
+        assert f"`lift` alone now means {reference} instead of {instead}." in capsys.readouterr().out
         assert run("--workspace", answered / "ws", "models", "lift") == 0
         shown = capsys.readouterr().out
         assert shown.startswith(f"{reference}  (champion)  plant")

@@ -54,7 +54,7 @@ def test_ingest_says_where_to_look(workspace: Path, capsys: pytest.CaptureFixtur
     capsys.readouterr()
     assert run("--workspace", workspace, "ingest", folder / "logs", "--machine", folder / "machine.toml") == 0
     assert capsys.readouterr().out.splitlines()[-1] == (
-        f"What it is good for: sysid --workspace {workspace} datasets lift@1 --quality"
+        f"Coverage and excitation: sysid --workspace {workspace} datasets lift@1 --quality"
     )
 
 
@@ -88,7 +88,7 @@ def test_flags_are_counted_and_the_first_are_told(capsys: pytest.CaptureFixture[
     flag = {"recording": "run-1", "source": "a.csv", "signal": "boom.joint", "kind": "marker_swap", "from_s": 1.5, "to_s": 2.0}
     show_flags(Printer(), [{**flag, "samples": 3, "text": f"swap {k:02}"} for k in range(15)])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "flagged (values stay as they are, unless it says otherwise): 15 × marker swap"
+    assert lines[0] == "flagged (values are unchanged unless stated): 15 × marker swap"
     assert lines[1] == "  run-1 1.50 s  marker swap of boom joint: swap 00"
     assert lines[-1] == "  … and 3 more (the report and --json have them all)"
     assert len(lines) == 14
@@ -96,6 +96,6 @@ def test_flags_are_counted_and_the_first_are_told(capsys: pytest.CaptureFixture[
 
 def test_without_a_name_the_only_dataset_is_meant(workspace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--workspace", workspace, "datasets", "--quality") == 0
-    assert "Could the recordings show it?" in capsys.readouterr().out
+    assert "Excitation of the effects:" in capsys.readouterr().out
     assert run("--workspace", workspace, "datasets", "lifd", "--quality") == 2
     assert "lift" in capsys.readouterr().err

@@ -10,8 +10,8 @@ import pytest
 
 KEEP = """
 import os, sys
-from sysid.cli.run import _keep_descriptors, _whoever_reads
-_keep_descriptors()
+from sysid.cli.output import closed_stdout_ignored, open_standard_streams
+open_standard_streams()
 line = os.open(os.devnull, os.O_RDWR)
 sys.stdout.write("text")
 sys.stderr.write("text")
@@ -19,17 +19,16 @@ sys.exit(0 if line > 2 and not sys.stdin.read() else 1)
 """
 READ = """
 import sys
-from sysid.cli.output import Printer
-from sysid.cli.run import _whoever_reads
+from sysid.cli.output import Printer, closed_stdout_ignored
 printer = Printer()
 for _ in range(3):
-    with _whoever_reads():
+    with closed_stdout_ignored():
         printer.line("x" * 100000)
 sys.exit(7)
 """
 OWN = """
-from sysid.cli.run import _whoever_reads
-with _whoever_reads(False):
+from sysid.cli.output import closed_stdout_ignored
+with closed_stdout_ignored(False):
     raise OSError(28, "No space left on device")
 """
 

@@ -59,12 +59,12 @@ def test_append_then_diff_then_split(place: Path, capsys: pytest.CaptureFixture[
     assert "added to demo@1: r3 as fit" in capsys.readouterr().out
     assert json.loads((place / "a.json").read_text())["dataset"] == "demo@2"
     assert run(*workspace, "ingest", place / "logs", "--append", "demo") == 0
-    assert "demo@2 holds all of these recordings: nothing was added." in capsys.readouterr().out
+    assert "demo@2 already holds all of these recordings: nothing was added." in capsys.readouterr().out
     assert run(*workspace, "datasets", "diff", "demo@1", "demo@2", "--json", place / "d.json") == 0
     assert "recording added: r3" in capsys.readouterr().out
     assert json.loads((place / "d.json").read_text())["recordings"]["added"] == ["r3"]
     assert run(*workspace, "datasets", "diff", "demo@2", "demo") == 0
-    assert "The same: nothing differs." in capsys.readouterr().out
+    assert "No differences." in capsys.readouterr().out
     assert run(*workspace, "datasets", "split", "demo", "--held-out", "r3", "--held-out", "r0", "--fit", "r2") == 0
     assert "demo@3: the tables of demo@2." in capsys.readouterr().out
     assert Store(place / "ws").load("demo@3").splits == {"r0": "held_out", "r1": "select", "r2": "fit", "r3": "held_out"}

@@ -1,4 +1,4 @@
-"""Every effect keeps the promises of the catalogue, and the checker notices where one is broken."""
+"""Every effect of the catalogue has all properties, and the checker finds violations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LAG, DEADBAND, PLAY = BY_NAME["first_order_lag"], BY_NAME["valve_deadband"], BY_
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
-def test_promises(effect: Effect) -> None:
+def test_properties(effect: Effect) -> None:
     check_effect(effect)
 
 
@@ -106,7 +106,7 @@ def with_parameter(effect: Effect, **changes: object) -> Effect:
         (with_parameter(LAG, bounds=(2.0, 0.0)), "time_constant: bounds [2.0, 0.0]"),
         (with_parameter(LAG, bounds=(0.0, 0.05)), "starts [0.1, 0.3] lie outside of the bounds [0.0, 0.05]"),
         (with_parameter(LAG, starts=()), "no value to start a fit from"),
-        (with_parameter(LAG, about=""), "time_constant: says nothing about itself"),
+        (with_parameter(LAG, about=""), "time_constant: about is empty"),
         (with_parameter(LAG, negligible=-1.0), "negligible = -1.0"),
     ],
 )
@@ -118,7 +118,7 @@ def test_broken_metadata_are_found(effect: Effect, message: str) -> None:
 def test_bounds_that_leave_out_the_neutral_value_are_found() -> None:
     """With a lag of at least 0.05 s a fit could never say that there is none."""
     effect = with_parameter(LAG, bounds=(0.05, 2.0), starts=(0.1,))
-    assert {f.promise for f in failures_of(effect)} == {"neutral"}
+    assert {f.check for f in failures_of(effect)} == {"neutral"}
 
 
 # -- broken behaviour: the compiled plant, spoiled in one way ------------------------------------------------------
@@ -188,7 +188,7 @@ def keeps_memory(sound: Run) -> Run:
 
 
 @pytest.mark.parametrize(
-    ("effect", "spoil", "promise"),
+    ("effect", "spoil", "name"),
     [
         (LAG, looks_ahead, "causal"),
         (LAG, remembers, "deterministic"),
@@ -203,13 +203,13 @@ def keeps_memory(sound: Run) -> Run:
     ],
     ids=lambda value: value.__name__ if callable(value) else "",
 )
-def test_broken_behaviour_is_found(effect: Effect, spoil: Callable[[Run], Run], promise: str) -> None:
+def test_broken_behaviour_is_found(effect: Effect, spoil: Callable[[Run], Run], name: str) -> None:
     run = spoil(plant_run(effect, places_of(effect)[0]))
     slew_only = replace(effect, actuations=("velocity",))
     found = failures_of(slew_only, run)
-    assert promise in {f.promise for f in found}, [str(f) for f in found]
-    assert any(re.search(r"\d", f.figures) for f in found if f.promise == promise)
-    with pytest.raises(EffectError, match=f"effect {effect.name}: .*{promise} at slew"):
+    assert name in {f.check for f in found}, [str(f) for f in found]
+    assert any(re.search(r"\d", f.figures) for f in found if f.check == name)
+    with pytest.raises(EffectError, match=f"effect {effect.name}: .*{name} at slew"):
         check_effect(slew_only, run)
 
 
@@ -223,7 +223,7 @@ def test_a_run_that_depends_on_the_one_before_is_found() -> None:
         seen.append(mark)
         return sound(values, recording) + (1e-3 if len(set(seen[-2:])) > 1 else 0.0)  # type: ignore[arg-type]
 
-    assert "reset" in {f.promise for f in failures_of(replace(LAG, actuations=("velocity",)), run)}
+    assert "reset" in {f.check for f in failures_of(replace(LAG, actuations=("velocity",)), run)}
 
 
 def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
@@ -256,7 +256,7 @@ def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
     assert found == []
 
 
-def test_every_promise_has_been_broken_here() -> None:
-    """No promise is in the list that no test above can break."""
+def test_every_property_is_violated_by_a_test() -> None:
+    """Every property in the list is violated by a test above."""
     broken = {"neutral", "acts", "causal", "deterministic", "reset", "finite", "time_invariant", "memoryless"}
     assert set(PROPERTIES) == broken | {"rate_independent", "shift"}

@@ -64,7 +64,7 @@ def test_room_of_an_array_is_used_again(small: Scratch) -> None:
 
 
 def test_room_of_an_array_is_given_back(small: Scratch, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.scratch.IDLE", 0)
+    monkeypatch.setattr("sysid.scratch.MAX_FREE_LIST", 0)
     values = scratch.filled(2**20, 1.0)
     view = values[10:20]
     del values

@@ -18,6 +18,9 @@ import pytest
 
 from sysid.errors import StorageError, StoreError
 from sysid.registry import Check, PromotionDecision, Registry, decide
+from sysid.registry.seal import sealed
+from sysid.registry.stored import ModelChange
+from sysid.registry.tables import WorkspaceTables
 
 FILES = {"plant.json": b"{}"}
 PASSED, FAILED = (
@@ -86,7 +89,8 @@ def test_a_decision_about_what_is_no_more_is_not_carried_out(workspace: Path) ->
 
 
 def test_a_registry_of_before_keeps_its_promoted_version(workspace: Path) -> None:
-    Registry(workspace).set_alias("arm@1", "promoted")
+    tables = WorkspaceTables(workspace, 30.0)
+    tables.change("arm", lambda model: sealed(model, ModelChange(aliases={"promoted": 1}), aliases=True))
     registry = Registry(workspace)
     assert registry.find("arm").version == registry.find("arm@champion").version == 1
     decide(registry, "arm@2", registry.promoted("arm"), [PASSED])
@@ -120,7 +124,7 @@ def test_a_manifest_that_names_a_path_is_refused(workspace: Path) -> None:
         for key, value in (("sysid.manifest", text), ("sysid.digest", digest)):
             connection.execute("UPDATE model_version_tags SET value = ? WHERE key = ? AND version = 2", (value, key))
     connection.close()
-    with pytest.raises(StoreError, match=r"arm@2: manifest: not one of ours .*'\.\./\.\./secrets\.json'"):
+    with pytest.raises(StoreError, match=r"arm@2: manifest: not a manifest of sysid .*'\.\./\.\./secrets\.json'"):
         Registry(workspace).load("arm")
 
 
@@ -169,7 +173,7 @@ DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
     "no room for a folder": lambda m: m.setattr("os.mkdir", full),
     "no room for a file": lambda m: m.setattr("sysid.root.Root.create", full),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
-    "no room for a row": lambda m: m.setattr("sysid.registry.tables._insert_version", full_table),
+    "no room for a row": lambda m: m.setattr("sysid.registry.tables.insert_version", full_table),
 }
 
 
@@ -179,7 +183,7 @@ def test_a_full_disk_registers_nothing(workspace: Path, monkeypatch: pytest.Monk
     assert len(registry.list()) == 2
     with monkeypatch.context() as patch:
         DISKS[disk](patch)
-        message = "cannot be written .*; nothing was registered, the versions that are there are whole.*Make room"
+        message = "cannot be written .*; nothing was registered, existing versions are unchanged.*Free disk space"
         with pytest.raises(StorageError, match=message):
             registry.register("arm", "plant", {"plant.json": b"[1]"}, {"n": 9})
     assert [version.version for version in Registry(workspace).list()] == [1, 2]
@@ -192,13 +196,13 @@ def test_a_database_that_may_not_grow(workspace: Path, monkeypatch: pytest.Monke
     """A real refusal of sqlite, half-way through the rows of a version."""
     from sysid.registry import tables
 
-    begin = tables._insert_version
+    begin = tables.insert_version
 
     def capped(connection: sqlite3.Connection, *rest: Any) -> None:
         connection.execute("PRAGMA max_page_count = 1")  # sqlite keeps what is there and takes no page more
         begin(connection, *rest)
 
-    monkeypatch.setattr(tables, "_insert_version", capped)
+    monkeypatch.setattr(tables, "insert_version", capped)
     registry = Registry(workspace)
     with pytest.raises(StorageError, match="database or disk is full"):
         registry.register("arm", "plant", FILES, {"long": "x" * 90_000})

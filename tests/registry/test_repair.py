@@ -63,7 +63,7 @@ TIME = "UPDATE model_versions SET creation_time = 5 WHERE name = 'arm' AND versi
 @pytest.mark.parametrize(
     ("change", "reference", "message"),
     [
-        (METRICS, "arm@2", "arm@2: its figures or decisions were changed after they were recorded.*sysid models repair"),
+        (METRICS, "arm@2", "arm@2: its figures or decisions were changed by hand.*sysid models repair"),
         (DECISION, "arm@1", "arm@1: its figures or decisions were changed"),
         (SEAL, "arm@2", "arm"),
         (
@@ -72,7 +72,7 @@ TIME = "UPDATE model_versions SET creation_time = 5 WHERE name = 'arm' AND versi
             "its aliases were changed by hand .candidate is version 2, champion is version 2.; .*champion is version 1",
         ),
         (OTHER_ALIAS, "arm@1", "its aliases were changed by hand .best is version 2"),
-        (MODEL_SEAL, "arm@1", "the seal of its aliases is gone"),
+        (MODEL_SEAL, "arm@1", "the seal of its aliases is missing"),
         (TIME, "arm@1", "rows of its versions were changed or exchanged"),
     ],
 )
@@ -152,7 +152,7 @@ def test_a_broken_registry_is_told_apart_and_made_anew_from_the_files(workspace:
     with pytest.raises(StoreError, match="sysid models repair"):
         Registry(workspace).register("arm", "plant", FILES, {"n": 9})
     found = Registry(workspace).repair()
-    assert "made anew with 3 versions, 3 of them from the files of the models" in found.done[0]
+    assert "rebuilt with 3 versions, 3 of them from the model files" in found.done[0]
     assert "Decisions of restored versions are lost" in found.left[0]
     after = state(workspace)
     assert [row[0] for row in after] == [row[0] for row in before]
@@ -168,7 +168,7 @@ def test_a_broken_registry_is_told_apart_and_made_anew_from_the_files(workspace:
 def test_a_registry_that_is_gone_is_made_anew(workspace: Path) -> None:
     (workspace / "registry.db").unlink()
     assert Registry(workspace).list() == ()
-    assert "there was no registry.db" in Registry(workspace).repair().done[0]
+    assert "registry.db was missing" in Registry(workspace).repair().done[0]
     assert len(Registry(workspace).list()) == 3
 
 
@@ -194,7 +194,7 @@ def test_an_older_schema_is_read_and_migrated(workspace: Path) -> None:
 
 def test_a_schema_that_is_too_old_is_told_apart_and_migrated(workspace: Path) -> None:
     older(workspace / "registry.db", "3500859a5d39")
-    with pytest.raises(StoreError, match=r"no column storage_location: an older MLflow made it.*sysid models repair"):
+    with pytest.raises(StoreError, match=r"no column storage_location: it is of an older MLflow.*sysid models repair"):
         Registry(workspace).list()
     assert "was migrated" in Registry(workspace).repair().done[0]
     assert Registry(workspace).list() == ()
@@ -210,7 +210,7 @@ def test_a_migration_that_was_interrupted_is_made_anew_from_its_rows(tmp_path: P
     assert Registry(tmp_path).register("arm", "plant", FILES, {}).version == 1
     before = state(tmp_path)
     found = Registry(tmp_path).repair()
-    assert "half made" in found.done[0]
+    assert "incomplete" in found.done[0]
     assert "1 versions, 0 of them from the files" in found.done[0]
     assert state(tmp_path) == before
     assert Registry(tmp_path).repair().done == ()
@@ -236,11 +236,11 @@ def older(path: Path, revision: str) -> None:
 def test_a_damaged_copy_of_the_tables_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = empty_registry()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("sysid.registry.schema._migrated", lambda: content)
+    monkeypatch.setattr("sysid.registry.schema.migrated_tables", lambda: content)
     assert empty_registry() == content
     (kept,) = (tmp_path / "sysid" / "registry").glob("*.db")
     kept.write_bytes(content[:-1])
-    monkeypatch.setattr("sysid.registry.schema._migrated", lambda: content + b"new")
+    monkeypatch.setattr("sysid.registry.schema.migrated_tables", lambda: content + b"new")
     assert empty_registry() == content + b"new"
 
 

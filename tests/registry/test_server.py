@@ -37,7 +37,7 @@ def uri(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def die(registry: Registry, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """Let the process die before its request ``at``."""
-    client: Any = registry._server.client  # type: ignore[union-attr]
+    client: Any = registry.server.client  # type: ignore[union-attr]
     made = 0
 
     def counted(name: str) -> None:
@@ -93,7 +93,7 @@ def test_a_promotion_is_finished(uri: str, tmp_path: Path, monkeypatch: pytest.M
 def test_a_journal_that_is_damaged_is_named(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     registry = Registry(tmp_path / "mine", uri=uri)
     registry.register("arm", "plant", FILES, {"n": 1})
-    (tmp_path / "mine" / registry._server._journal).write_text("{")  # type: ignore[union-attr]
+    (tmp_path / "mine" / registry.server.journal).write_text("{")  # type: ignore[union-attr]
     with pytest.raises(StoreError, match=r"registry-.*\.journal: not readable .*Delete it"):
         registry.list()
 
@@ -101,7 +101,7 @@ def test_a_journal_that_is_damaged_is_named(uri: str, tmp_path: Path, monkeypatc
 def test_figures_changed_on_the_server_are_noticed_and_aliases_are_its_users_own(uri: str, tmp_path: Path) -> None:
     registry = Registry(tmp_path / "mine", uri=uri)
     registry.register("arm", "plant", FILES, {"n": 1}, {"rmse": 0.5})
-    registry._server.client.set_registered_model_alias("arm", "best", "1")  # type: ignore[union-attr]
+    registry.server.client.set_registered_model_alias("arm", "best", "1")  # type: ignore[union-attr]
     assert registry.find("arm@best").aliases == ("best", "candidate")
     with closing(sqlite3.connect(tmp_path / "server.db")) as connection, connection:
         connection.execute("UPDATE model_version_tags SET value = '{\"rmse\": 0.1}' WHERE key = 'sysid.metrics'")

@@ -59,7 +59,7 @@ def test_a_result_that_was_changed_by_hand_is_refused(crane: Dataset, tmp_path: 
         load_gap(tmp_path / "gap")
     path.unlink()
     if name != "result.json":
-        with pytest.raises(StoreError, match=f"{name}: the file is gone"):
+        with pytest.raises(StoreError, match=f"{name}: the file is missing"):
             load_gap(tmp_path / "gap")
     path.write_bytes(content)
     assert load_gap(tmp_path / "gap") is not None

@@ -47,8 +47,8 @@ def test_a_mark_finds_the_free_side() -> None:
     assert spot[0] < 82.0, "left of the link: the right is taken"
     second = canvas.place(np.array([100.0, 100.0]), (12.0, 12.0), (8.0, 16.0, 24.0))
     assert np.abs(second - spot).max() >= 24.0, "the first mark has taken its place"
-    assert canvas.room(spot, (12.0, 12.0)) < 0.0
-    assert canvas.room(np.array([30.0, 190.0]), (12.0, 12.0)) == pytest.approx(-4.0), "beyond the edge"
+    assert canvas.clearance(spot, (12.0, 12.0)) < 0.0
+    assert canvas.clearance(np.array([30.0, 190.0]), (12.0, 12.0)) == pytest.approx(-4.0), "beyond the edge"
 
 
 def test_a_heat_map_is_darkest_at_its_largest_cell_and_blank_where_nothing_is() -> None:

@@ -20,7 +20,7 @@ def test_every_piece_of_a_stream_is_shown_with_its_pictures(crane: Dataset) -> N
     assert "s its clock was set by +1." in values["records"][1]["reason"]
     text = build_report(inputs)
     assert text.count("mocap.csv of take") == 2
-    assert "what every 2 s ask for beyond the record" in text
+    assert "offset correction of every 2 s" in text
 
 
 def test_without_raw_channels_the_section_is_left_out(crane: Dataset) -> None:

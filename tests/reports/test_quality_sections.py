@@ -20,7 +20,7 @@ from sysid.reports.coverage_pictures import MAP, MAP_LEFT, MAP_TOP, command_pict
 from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.sections import excitation as section
 from sysid.reports.sections import quality
-from sysid.reports.verdicts import Group, amount, by_effect, by_reason, request_text, spread
+from sysid.reports.verdicts import VerdictGroup, amount, by_effect, by_reason, request_text, spread
 
 
 @pytest.fixture(scope="module")
@@ -118,17 +118,17 @@ def test_a_dataset_without_motion_has_a_section_too(crane: Dataset) -> None:
     still = replace(crane, recordings=crane.of_kind("poses"), splits={})
     values = quality.context(ReportInputs(still))
     assert values["axes"] == []
-    assert values["rest"] == "The machine never stood still for a second."
+    assert values["rest"] == "The machine was never at rest for a second."
     assert all(isinstance(item["picture"], Markup) for item in values["maps"])
-    assert "Where the machine was" in build_report(ReportInputs(still))
+    assert "Joint space" in build_report(ReportInputs(still))
 
 
 def test_amounts_never_round_up_to_enough() -> None:
     assert amount(verdict(have=4.0)) == "4 of 8"
     assert amount(verdict(have=7.96)) == "7.96 of 8"
     assert amount(verdict(have=None)) == "–"
-    assert spread(Group("", (verdict(have=3.0), verdict(have=12.4)))) == "3 to 12"
-    assert spread(Group("", (verdict(have=12.1), verdict(have=12.4)))) == "12"
+    assert spread(VerdictGroup("", (verdict(have=3.0), verdict(have=12.4)))) == "3 to 12"
+    assert spread(VerdictGroup("", (verdict(have=12.1), verdict(have=12.4)))) == "12"
 
 
 def test_groups_name_each_place_once() -> None:

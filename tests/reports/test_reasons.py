@@ -7,7 +7,7 @@ import math
 from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.machine import Machine
 from sysid.reports.places import part_of, place_text
-from sysid.reports.reasons import confidence, fate, label_of, losses, relative_width
+from sysid.reports.reasons import confidence, label_of, outcome, rejected, relative_width
 
 REASON = "evidence: ΔBIC 5838 on fitted recordings, 2067 nats on unseen ones"
 
@@ -43,22 +43,22 @@ def test_labels_of_candidates() -> None:
 
 
 def test_the_nearest_rival_comes_first_and_each_says_what_it_left() -> None:
-    found = losses(NAMED, ROWS)
-    assert [loss.title for loss in found][:3] == ["Spool hysteresis", "Stiction", "Curved valve gain"]
-    assert "wrong from moment to moment (evidence ΔBIC 5838" in found[0].why
+    found = rejected(NAMED, ROWS)
+    assert [item.title for item in found][:3] == ["Spool hysteresis", "Stiction", "Curved valve gain"]
+    assert "a worse prediction of blocks (evidence ΔBIC 5838" in found[0].why
     assert "30\N{NARROW NO-BREAK SPACE}% more error" in found[1].why
     assert "12\N{NARROW NO-BREAK SPACE}× the error" in found[2].why
     # What was merely readjusted beside others was never tried as a name.
-    assert all(math.isnan(loss.times) for loss in found[3:])
+    assert all(math.isnan(item.times) for item in found[3:])
     assert "evidence ΔBIC 5838, where 10 is strong" in found[3].why
 
 
 def test_confidence_counts_rivals_and_gives_the_widest_interval() -> None:
     first, second = confidence(NAMED, ROWS)
-    assert first == "5 other effects were tried in its place."
+    assert first == "5 alternatives were tested."
     assert second == "Its values are known to within ±5.0\N{NARROW NO-BREAK SPACE}%."
     without = tuple(r for r in ROWS if "hysteresis" not in r.effects[0])
-    assert "the nearest, stiction, leaves 1.3" in confidence(NAMED, without)[0]
+    assert "the best, stiction, leaves 1.3" in confidence(NAMED, without)[0]
 
 
 def test_no_percentage_for_a_value_near_zero_or_a_vector() -> None:
@@ -71,11 +71,11 @@ def test_no_percentage_for_a_value_near_zero_or_a_vector() -> None:
 
 def test_what_became_of_a_fit() -> None:
     named = [("valve_deadband", "boom")]
-    assert fate(row("valve_deadband(boom)", unseen=1.01), 1.0, named) == ("explains it", True)
-    assert fate(ROWS[1], 1.0, named) == ("kept: no worse without gain error of the boom", True)
-    assert fate(ROWS[2], 1.0, named) == ("leaves 12\N{NARROW NO-BREAK SPACE}× the error of the best", False)
-    assert fate(ROWS[4], 1.0, named) == ("about as good, but needs more to say the same", False)
-    assert fate(ROWS[5], 1.0, named) == ("could not be fitted", False)
+    assert outcome(row("valve_deadband(boom)", unseen=1.01), 1.0, named) == ("explains it", True)
+    assert outcome(ROWS[1], 1.0, named) == ("kept: no worse without gain error of the boom", True)
+    assert outcome(ROWS[2], 1.0, named) == ("leaves 12\N{NARROW NO-BREAK SPACE}× the error of the best", False)
+    assert outcome(ROWS[4], 1.0, named) == ("about as good, with more effects", False)
+    assert outcome(ROWS[5], 1.0, named) == ("could not be fitted", False)
 
 
 def test_places_in_words(crane_machine: Machine) -> None:

@@ -179,10 +179,10 @@ def test_nothing_on_the_picture_lies_on_anything_else(
 
 
 def test_cards_say_where_how_sure_and_what_share(page: Page) -> None:
-    assert "At the valve of the boom. Explains 63 % of the disagreement in its stage." in page.text
+    assert "At the valve of the boom. Explains 63 % of the error of its stage." in page.text
     assert "At the joint of the slew (between joint sensor and structure)." in page.text
     assert "Its values are known to within ±5.8 %." in page.text
-    assert "To know more, record: Slew slowly to and fro" in page.text
+    assert "Next recording: Slew slowly to and fro" in page.text
 
 
 def test_evidence_says_why_the_others_lost(page: Page) -> None:
@@ -191,12 +191,10 @@ def test_evidence_says_why_the_others_lost(page: Page) -> None:
 
 
 def test_who_owns_the_gap_and_when_it_happens(page: Page) -> None:
-    assert "tool position is off by 60.0 mm" in page.text
+    assert "tool position: error 60.0 mm" in page.text
     assert "70 % boom Command → actuator" in page.text
     assert "1 other stage below 1 %." in page.text
-    assert (
-        "The speed error depends most on boom command, which accounts for 91 % of it (largest at 0.60: −2.0 mm/s)." in page.text
-    )
+    assert "The speed error depends most on boom command, which explains 91 % of it (largest at 0.60: −2.0 mm/s)." in page.text
 
 
 def test_the_worst_moments_are_shown(crane: Dataset, gap: GapResult, page: Page) -> None:
@@ -207,8 +205,8 @@ def test_the_worst_moments_are_shown(crane: Dataset, gap: GapResult, page: Page)
     assert worst.before == pytest.approx(errors.max())
     assert worst.time == trace.measured["time"].to_numpy()[errors.argmax()]
     shown = display.quantity(worst.before, "m", 2).replace("\N{NARROW NO-BREAK SPACE}", " ")
-    assert f"boom cylinder, manual-04 at {worst.time:.1f} s: {shown} off before" in page.text
-    assert "worst that is left: " in page.text
+    assert f"boom cylinder, manual-04 at {worst.time:.1f} s: error {shown} before" in page.text
+    assert "largest error after: " in page.text
 
 
 def test_a_localisation_marks_the_stages_and_names_nothing(crane: Dataset, gap: GapResult) -> None:
@@ -245,7 +243,7 @@ def test_a_machine_without_geometry_and_a_name_full_of_markup(crane: Dataset, ga
 
 def test_an_abstention_offers_no_name(crane: Dataset) -> None:
     page = Page(build_report(ReportInputs(crane, sample_unnamed(crane))))
-    assert "cannot tell the remaining candidates apart" in page.text
+    assert "cannot distinguish the remaining candidate effects" in page.text
     assert "Spool hysteresis (boom) or Backlash (boom)" in page.text
     assert "0.004 − 0.031·boom.cylinder" in page.text
     assert "parameters" not in page.ids
@@ -287,12 +285,12 @@ def judged(gap: GapResult, *checks: Check) -> GapResult:
 def test_the_proof_says_what_was_asked_and_what_is_in_use(crane: Dataset, gap: GapResult) -> None:
     stages = Check("stages", "passed", "command stage of boom 259 → 0.99 noise floors")
     page = Page(build_report(ReportInputs(crane, judged(gap, stages))))
-    assert "autolog@2 is in use." in page.text
-    assert "The stages that it repairs are better" in page.text
+    assert "autolog@2 is promoted." in page.text
+    assert "The error of the repaired stages is smaller" in page.text
     assert "259 → 0.99 noise floors" in page.text
     assert "sysid models promote autolog@1" in page.text, "the way back"
     assert ["Valve dead-band", "boom", "63\u202f%", "12\u202f×"] in page.rows
-    assert "The tool position is further off there than in the compiled plant" in page.text
+    assert "The tool position has a larger error there than in the compiled plant" in page.text
     assert "@@ -1 +1 @@" in page.text, "the change of machine.toml to copy"
 
 
@@ -302,8 +300,8 @@ def test_a_refused_promotion_says_why_and_how_all_the_same(crane: Dataset, gap: 
     nothing = Gap({}, {}, {})
     missing = WorldGap(nothing, nothing, (), 0.0, "pybullet is not installed (Python 3.12)")
     page = Page(build_report(ReportInputs(crane, replace(result, world_gap=missing))))
-    assert "autolog@2 is stored, but not in use." in page.text
+    assert "autolog@2 is stored, but not promoted." in page.text
     assert "Further off than before: stick.joint" in page.text
-    assert "alone goes on meaning autolog@1" in page.text
+    assert "alone still refers to autolog@1" in page.text
     assert "sysid models promote autolog@2 --anyway" in page.text
-    assert "Not run there: pybullet is not installed (Python 3.12)" in page.text
+    assert "Not run: pybullet is not installed (Python 3.12)" in page.text

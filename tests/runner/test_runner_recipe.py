@@ -19,7 +19,7 @@ from sysid.cli.app import app
 from sysid.errors import SettingsError, StorageError
 from sysid.networks import to_files
 from sysid.networks.uncertainty import NetworkUncertainty
-from sysid.registry import CHAMPION, Registry
+from sysid.registry import Registry
 from sysid.rl.reach import joint_limits
 from sysid.runner.checks.settings import BOUNDS, CHECKS, MILDEST, CheckSettings
 from sysid.runner.flight_log import FlightLog
@@ -106,7 +106,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     registry: Registry = open_workspace(folder / "ws").models
     plant = crane_plant()
     version = registry.register("crane", "plant", plant.to_files(), {"dataset": "crane@1", "machine": "crane"})
-    registry.set_alias(version.reference, CHAMPION)
+    registry.promote(version.reference)
     low, high = joint_limits(plant)
     joints = np.random.default_rng(1).uniform(low, high, (1500, 4))
     model = learned(plant)
@@ -195,7 +195,7 @@ def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path,
     build = transports.connect
     monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, simulated=False))
     error = invoke(workspace, write(workspace, ""), "--unattended").exception
-    assert "a machine that can hurt somebody; expected a person at it" in str(error)
+    assert "a real machine; expected an operator" in str(error)
 
 
 def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(workspace: Path) -> None:

@@ -68,7 +68,7 @@ def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sysid.cli.run import _show
+    from sysid.cli.run import show_log
 
     started: list[tuple[list[str], dict[str, str]]] = []
 
@@ -78,7 +78,7 @@ def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(subprocess, "Popen", start)
     monkeypatch.setattr(os, "setpriority", lambda *_: None)
-    _show(Path("-odd.mcap"))
+    show_log(Path("-odd.mcap"))
     ((command, environment),) = started
     assert command[:3] == [sys.executable, "-P", "-m"]
     assert command[-2:] == ["--", "-odd.mcap"], "a file is no option, whatever its name"

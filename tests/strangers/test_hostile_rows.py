@@ -188,7 +188,7 @@ ROWS = {
     "text that is not UTF-8": (f"{TAG} ('sysid.metrics', CAST(x'7bff' AS TEXT), 'boom', 1, 'default')", "not figures"),
     "a deep seal": (
         "UPDATE registered_model_tags SET value = '" + "[" * 4000 + "' WHERE name = 'boom'",
-        "the seal of its aliases is gone or damaged",
+        "the seal of its aliases is missing or damaged",
     ),
     "an alias of no number": (
         "UPDATE registered_model_aliases SET version = 'x' WHERE name = 'boom'",

@@ -95,7 +95,10 @@ def test_versions_differ_by_what_they_say_along_a_motion(tmp_path: Path) -> None
     assert 1e-3 < moved.largest < 0.2
     assert list(moved.at) == ["boom.command"]
     assert diff_versions(slow, slow).empty  # type: ignore[arg-type]
-    for item, model, words in ((one, history(), "a memory of 1 units"), (slow, motion(), "the mean of 2 perceptrons (2)")):
+    for item, model, words in (
+        (one, history(), "a recurrent part of 1 units"),
+        (slow, motion(), "the mean of 2 perceptrons (2)"),
+    ):
         text = card_of(item, NOTHING, model).markdown()  # type: ignore[arg-type]
         assert words in text
 
@@ -104,7 +107,7 @@ def test_motion_goes_to_onnx_and_history_says_why_not(tmp_path: Path) -> None:
     (file,) = export_onnx(motion(), tmp_path / "motion")
     assert file.file == "boom.motion.onnx"
     assert file.inputs == ("boom.command 0 s before",)
-    with pytest.raises(SettingsError, match=r"actuator networks with history, which remember"):
+    with pytest.raises(SettingsError, match=r"actuator networks with history"):
         export_onnx(history(), tmp_path / "history")
     assert not (tmp_path / "history").exists()
 

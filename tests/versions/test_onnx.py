@@ -84,7 +84,7 @@ def test_what_float32_cannot_carry_is_said(tmp_path: Path) -> None:
 
 def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(SettingsError, match="holds something that is no export; expected a new folder"):
+    with pytest.raises(SettingsError, match="exists and is not an export; expected a new folder"):
         export_onnx(actuator(), tmp_path)
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for _ in range(2):  # the export of before is replaced

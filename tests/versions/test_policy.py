@@ -121,5 +121,5 @@ def test_a_policy_that_does_not_fit_the_network(tmp_path: Path, exact: Validatio
 def test_kinds_have_rules_of_their_own(tmp_path: Path) -> None:
     rules = policy(tmp_path, '[actuator.limits]\n"boom.joint" = {max = "1 mrad"}\n[forward]\nnot_worse = []\n')
     report = validate_model(forward(), dataset())
-    with pytest.raises(SettingsError, match=r"policy: forward: nothing is asked; expected limits, not_worse or baselines"):
+    with pytest.raises(SettingsError, match=r"policy: forward: no condition; expected limits, not_worse or baselines"):
         policy_checks(rules, report)

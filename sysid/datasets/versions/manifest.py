@@ -19,7 +19,7 @@ from sysid.datasets.recording import ClockRecord, Dataset
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
 from sysid.files import plain
-from sysid.foreign import MOST_NAME, shown, visible
+from sysid.foreign import MAX_NAME, shown, visible
 from sysid.parse import parse_json
 from sysid.release import __version__
 
@@ -190,7 +190,7 @@ def from_text(content: bytes, where: object) -> Manifest:
     except (ValueError, TypeError, KeyError) as error:
         raise _damaged(where, f"damaged ({error or type(error).__name__})") from None
     if not isinstance(schema, int) or not 1 <= schema <= SCHEMA:
-        written_by = visible(manifest.get("sysid", "?"), MOST_NAME)
+        written_by = visible(manifest.get("sysid", "?"), MAX_NAME)
         found, expected = f"schema {shown(schema)}, written by sysid {written_by}", f"schema 1 to {SCHEMA}"
         raise StoreError(where, found, expected, "Use the sysid that wrote it, or a newer one.")
     if schema > 1 and manifest.pop("seal", None) != _seal(manifest):

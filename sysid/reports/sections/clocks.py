@@ -1,4 +1,4 @@
-"""How well the clocks were aligned: what the motions still differ by, over time and over the motion."""
+"""Residuals of the clock alignment, over time and over the motion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sysid.reports import display, words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 
-#: Points of a curve over time; more of them cannot be distinguished.
+#: Largest number of points of a curve over time.
 POINTS = 300
 
 
@@ -29,7 +29,7 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
     times = item.times[::step]
     shift, spread = 1e3 * item.shift[::step], 1e3 * item.error[::step]
     drawn = chart(
-        times, [ChartCurve(shift, "before", dots=len(times) < 80, spread=spread)], ("time [s]", "offset asked for [ms]"), half
+        times, [ChartCurve(shift, "before", dots=len(times) < 80, spread=spread)], ("time [s]", "offset correction [ms]"), half
     )
     rest = chart(times, [ChartCurve(item.residual[::step], "before")], ("time [s]", "residual [noise]"))
     return {
@@ -41,7 +41,7 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
         "skew": display.fixed(record.skew_ppm, 1),
         "reason": record.reason[:1].upper() + record.reason[1:],
         "pictures": [
-            {"picture": Markup(drawn), "caption": "what every 2 s ask for beyond the record; grey: its 95 % interval"},
+            {"picture": Markup(drawn), "caption": "offset correction of every 2 s; grey: 95 % interval of the record"},
             {"picture": Markup(rest), "caption": "residual of every 2 s in standard deviations of its noise"},
             *[_pair(pair, dataset) for pair in item.pairs],
         ],

@@ -1,9 +1,8 @@
-"""Every candidate that was fitted, and why each one lost."""
+"""All fitted candidates, and why each was rejected."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from sysid.gap.result import ComparedModel, GapResult, NamedEffect
@@ -11,9 +10,9 @@ from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.reasons import Loss, fate, label_of, least_error, losses
+from sysid.reports.reasons import RejectedEffect, label_of, least_error, outcome, rejected
 
-#: Rows shown of a stage; a search may try hundreds of combinations.
+#: Largest number of shown rows of a stage.
 MAX_ROWS = 25
 
 
@@ -31,18 +30,18 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
 
 
 def _named(effect: NamedEffect, gap: GapResult) -> dict[str, Any]:
-    found = losses(effect, gap.candidates)
-    largest = max((loss.times for loss in found if math.isfinite(loss.times)), default=math.nan)
+    found = rejected(effect, gap.candidates)
+    largest = max((item.times for item in found if math.isfinite(item.times)), default=math.nan)
     target = words.owner_name(effect.target)
-    by_reason: dict[str, list[Loss]] = {}
-    for loss in found:  # those that lost alike share a line
-        by_reason.setdefault(loss.why, []).append(loss)
+    by_reason: dict[str, list[RejectedEffect]] = {}
+    for item in found:  # alternatives with the same reason share a line
+        by_reason.setdefault(item.why, []).append(item)
     return {
         "title": words.effect_title(effect.name),
         "target": target,
         "alternatives": [
             {
-                "titles": ", ".join(loss.title if loss.target == target else f"{loss.title} ({loss.target})" for loss in group),
+                "titles": ", ".join(item.title if item.target == target else f"{item.title} ({item.target})" for item in group),
                 "why": why.replace("its best fit leaves", "their best fits leave") if len(group) > 1 else why,
                 "bar": _bar(group[0].times, largest),
             }
@@ -52,7 +51,7 @@ def _named(effect: NamedEffect, gap: GapResult) -> dict[str, Any]:
 
 
 def _bar(times: float, largest: float) -> int | None:
-    """Length of the bar of an error [%], on a logarithmic scale that begins at the winner's."""
+    """Length of the bar of an error [%], on a logarithmic scale from that of the named effect."""
     if not math.isfinite(times) or largest <= 1.0:
         return None
     return round(100.0 * max(0.0, math.log(max(times, 1.0))) / math.log(max(largest, 1.1)))
@@ -63,7 +62,7 @@ def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, m
     best, named = least_error(ordered), [(effect.name, effect.target) for effect in gap.effects]
     shown_rows = []
     for row in ordered[:MAX_ROWS]:
-        why, won = fate(row, best, named)
+        why, won = outcome(row, best, named)
         added, refitted = _titles(row, target)
         shown_rows.append(
             {
@@ -80,7 +79,7 @@ def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, m
 
 
 def _titles(row: ComparedModel, target: str) -> tuple[str, str]:
-    """What was added, and what was merely refitted beside it."""
+    """Titles of the added effects, and of those that were only refitted."""
     added: list[str] = []
     refitted: list[str] = []
     for text in row.effects:
@@ -93,7 +92,7 @@ def _titles(row: ComparedModel, target: str) -> tuple[str, str]:
 
 
 def _parameters(row: ComparedModel, machine: Machine) -> str:
-    """Values in words; a key is ``parameter`` or ``effect(target).parameter``, with ``[i]`` for a part of a vector."""
+    """Values as text; a key is ``parameter`` or ``effect(target).parameter``, with ``[i]`` for a vector component."""
     groups: dict[str, list[str]] = {}
     for key, value in row.parameters.items():
         label, _, name = key.rpartition(".")
@@ -103,8 +102,4 @@ def _parameters(row: ComparedModel, machine: Machine) -> str:
             continue
         text = shown(effect, name.partition("[")[0], target or row.target, value, machine)
         groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
-    return _joined(groups)
-
-
-def _joined(groups: Mapping[str, list[str]]) -> str:
     return "; ".join(", ".join(parts) for parts in groups.values())

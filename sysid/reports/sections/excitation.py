@@ -1,4 +1,4 @@
-"""Excitation of the recordings: the verdict for every effect and place, and what to record where it is insufficient."""
+"""Excitation verdict for every effect and location, and what to record if it is insufficient."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sysid.reports.inputs import ReportInputs
 from sysid.reports.verdicts import SIDES, amount, by_reason, request_text
 from sysid.signals import split_signal
 
-#: The need stands at this share of the length of a bar: what is to the right of it is more than enough.
+#: Position of the needed amount on a bar [%].
 MARK = 50.0
 _ORDER = ("lacking", "ready", "hidden")
 
@@ -51,14 +51,14 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
 
 
 def _rows(found: ExcitationReport, machine: Machine, columns: Sequence[str], others: bool) -> list[dict[str, Any]]:
-    """One row for each effect and side of the sensor; what lacks something first."""
+    """One row for each effect and side of the sensor; insufficient ones first."""
     lines: dict[tuple[str, str | None], list[ExcitationVerdict]] = {}
     for verdict in found.verdicts:
         lines.setdefault((verdict.name, verdict.side), []).append(verdict)
     rows = []
     for (name, side), verdicts in lines.items():
         counted = [v for v in verdicts if v.need is not None]
-        if not counted:  # what nothing shows is listed with its reason
+        if not counted:  # not observable: listed with its reason
             continue
         names = [*columns, ""] if others else columns
         cells = [_cell([v for v in verdicts if _column(v, machine) == column], named=column == "") for column in names]
@@ -82,10 +82,10 @@ def _column(verdict: ExcitationVerdict, machine: Machine) -> str:
 
 
 def _cell(verdicts: Sequence[ExcitationVerdict], named: bool) -> dict[str, Any] | None:
-    """The worst of the verdicts of a place (two sensors of an axis share a cell); None where there is none.
+    """The worst of the verdicts of a cell (two sensors of an axis share one); None if there is none.
 
     Args:
-        named: say which place, where the column does not.
+        named: include the location, which the column does not state.
     """
     if not verdicts:
         return None

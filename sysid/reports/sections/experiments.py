@@ -1,4 +1,4 @@
-"""What the recordings could not show, and what to record so that they can."""
+"""Effects that the recordings do not excite, and what to record."""
 
 from __future__ import annotations
 

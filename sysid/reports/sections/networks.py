@@ -1,4 +1,4 @@
-"""How well the fitted networks predict what they have not seen: figures, where the errors are, and when they jump."""
+"""Errors of the fitted networks on held-out recordings: figures, profiles, spikes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ TITLES = {
     "forward": "Forward network",
 }
 ABOUT = {
-    "actuator": "Cylinder displacement to joint angle and back, one network a direction.",
-    "history": "Cylinder displacement to joint angle and back along a motion, with a memory of where it came from.",
-    "motion": "Commands to motion, running freely: errors some seconds after each start, and over whole recordings.",
+    "actuator": "Cylinder displacement to joint angle and back, one network per direction.",
+    "history": "Cylinder displacement to joint angle and back along a motion, depending on past motion.",
+    "motion": "Commands to motion in free runs: errors some seconds after each start, and over whole recordings.",
     "forward": "Joint values to the position of the boom tip.",
 }
 ROWS = {"motion": "in motion", "poses": "static poses"}
@@ -65,7 +65,7 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
 
 
 def _decimals(report: ValidationReport, unit: str) -> int:
-    """Decimals for all figures of one unit, so that they line up: two digits of the smallest error or noise floor."""
+    """Common decimals of all figures of one unit: two digits of the smallest error or noise floor."""
     factor, _ = display.shown_unit(unit)
     figures = [value for output in report.outputs if output.unit == unit for value in (output.metrics.rmse, output.noise_floor)]
     return display.decimals_for(factor * value for value in figures if value is not None)
@@ -90,14 +90,14 @@ def _row(output: OutputReport, decimals: int) -> dict[str, Any]:
 
 
 def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
-    """Error against each input's position, speed, direction and load: a panel a profile, one column an input."""
+    """Error over each input's position, speed, direction and load: one panel per profile, one column per input."""
     signals = list(output.inputs)
     kinds = [
         kind
         for kind in ("position", "speed", "direction", "load")
         if any(_kind(p.variable)[0] == kind for p in output.profiles)
     ]
-    # One input: its panels side by side. Several: a column each, so that panels of one kind can be compared.
+    # One input: panels in a row. Several inputs: one column each.
     alone = len(signals) == 1
     rows, columns = (1, len(kinds)) if alone else (len(kinds), len(signals))
     factor, unit = display.shown_unit(output.unit)

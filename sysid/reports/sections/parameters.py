@@ -53,7 +53,7 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
 
 
 def _digits(low: Any, high: Any) -> int:
-    """As many digits for the value as its interval is given with."""
+    """Digits of the value, equal to those of its interval."""
     if isinstance(low, (list, tuple)):
         return max(display.digits_for(float(a), float(b)) for a, b in zip(low, high, strict=True))
     return display.digits_for(float(low), float(high))
@@ -69,7 +69,7 @@ def _interval(effect: NamedEffect, name: str, low: Any, high: Any, machine: Mach
 
 
 def _bar(value: Any, low: Any, high: Any) -> Markup:
-    """The interval around the estimate on a scale of ± 20 % of it: how well the value is known."""
+    """The interval around the estimate on a scale of ± 20 %."""
     if isinstance(value, (list, tuple)) or not math.isfinite(float(low) + float(high)) or value == 0.0:
         return Markup("")
     span = 0.2 * abs(value)

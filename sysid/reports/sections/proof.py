@@ -1,4 +1,4 @@
-"""Whether the repair may be relied on: what was asked of it, what each effect closes, the same gap in the PyBullet world."""
+"""The proof: promotion conditions, share of the gap that each effect closes, gap in the PyBullet world."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from markupsafe import Markup
 from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections.summary import closings, dumbbells
+from sysid.reports.sections.summary import dumbbells, signal_gaps
 
-#: What each condition asks, by its name.
-ASKED = {
-    "names": "Everything in it has a name",
-    "stages": "The stages that it repairs are better",
-    "free run": "No signal of the whole chain is further off",
-    "promoted until now": "It is no worse than the version in use",
-    "world": "Nothing is further off in the PyBullet world",
+#: Name of a condition → text.
+CONDITIONS = {
+    "names": "Every added effect is named",
+    "stages": "The error of the repaired stages is smaller",
+    "free run": "No signal of the whole chain has a larger error",
+    "promoted until now": "No error is larger than with the promoted version",
+    "world": "No error is larger in the PyBullet world",
 }
-#: A gap in the world that is so many times that of the compiled plant wants a word.
-APART = 1.5
+#: Ratio of the gap in the world to that of the compiled plant from which it is reported.
+WORLD_RATIO = 1.5
 MARKS = {"passed": "✓", "failed": "✗", "left out": "–"}
 
 
@@ -49,7 +49,12 @@ def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
         "back": back if found.promoted else found.version,
         "reason": found.reason,
         "checks": [
-            {"mark": MARKS[c.status], "status": c.status.replace(" ", "-"), "asked": ASKED.get(c.name, c.name), "text": c.text}
+            {
+                "mark": MARKS[c.status],
+                "status": c.status.replace(" ", "-"),
+                "condition": CONDITIONS.get(c.name, c.name),
+                "text": c.text,
+            }
             for c in found.checks
         ],
     }
@@ -74,7 +79,7 @@ def _chance(value: float) -> str:
 
 def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
     units = inputs.dataset.units
-    there, plain = (closings(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
+    there, plain = (signal_gaps(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
     rows = []
     for world, compiled in zip(there, plain, strict=True):
         factor, unit = display.shown_unit(world.unit)
@@ -83,7 +88,7 @@ def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
         rows.append({"name": world.name, "unit": unit, "values": [display.fixed(value, decimals) for value in values]})
     return {
         "rows": rows,
-        "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > APART * max(c.after, c.noise_floor)],
+        "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > WORLD_RATIO * max(c.after, c.noise_floor)],
         "chart": Markup(dumbbells(there, repaired=found.world.after != found.world.before)),
         "recordings": found.recordings,
         "skipped": found.skipped,

@@ -1,4 +1,4 @@
-"""What the recordings contain: length, completeness, use of each axis, joint space, noise, clocks, files."""
+"""Content of the recordings: length, completeness, use of each axis, joint space, noise, clocks, files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sysid.reports.coverage_pictures import command_picture, map_picture
 from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.inputs import ReportInputs
 
-#: Maps of pairs of axes shown at once, those with most left to visit; the others are folded.
+#: Number of maps shown unfolded, those with the lowest coverage.
 SHOWN = 3
 _ROLES = {"fit": "fit", "select": "selection", "held_out": "held out (proof)"}
 
@@ -76,21 +76,12 @@ def _recording(recording: Recording, dataset: Dataset) -> dict[str, Any]:
         "signals": len(recording.signals),
         "complete": 1.0 - (sum(missing.values()) / len(missing) if missing else 0.0),
         "worst": f"{worst}: {display.percent(missing[worst])} missing" if worst and missing[worst] > 0.0 else "",
-        "flags": _flags(dataset.quality, recording.name),
+        "flags": dataset.quality.get("recordings", {}).get(recording.name, {}).get("flags", ()),
     }
 
 
-def _flags(quality: Mapping[str, Any], name: str) -> list[str]:
-    """What ingest noticed about a recording, wherever the summary keeps it."""
-    entry = quality.get("recordings", quality).get(name, {})
-    flags = entry.get("flags", ()) if isinstance(entry, Mapping) else ()
-    if isinstance(flags, Mapping):
-        return [f"{key.replace('_', ' ')}: {value}" for key, value in flags.items() if value]
-    return [str(flag) for flag in flags]
-
-
 def _ranges(dataset: Dataset) -> list[dict[str, Any]]:
-    """The part of each axis' range that the motion recordings visit, in per cent of the range."""
+    """The part of each axis' range that the motion recordings cover [%]."""
     rows = []
     for axis in dataset.machine.axes:
         ends = axis.range
@@ -137,7 +128,7 @@ def _sides(negative: float, positive: float) -> str:
 
 
 def _by_recording(evidence: DatasetEvidence) -> list[dict[str, Any]]:
-    """The same figures, recording by recording: in which one an axis was used."""
+    """The figures of each recording and axis."""
     rows = []
     for recording in evidence.recordings:
         for name, use in recording.axes.items():
@@ -157,7 +148,9 @@ def _by_recording(evidence: DatasetEvidence) -> list[dict[str, Any]]:
 
 
 def _map(item: PairMap, evidence: DatasetEvidence, dataset: Dataset) -> dict[str, Any]:
-    missing = " (no limits are known: of what was recorded)" if "recorded" in (item.first.source, item.second.source) else ""
+    missing = (
+        " (no limits known: relative to the recorded range)" if "recorded" in (item.first.source, item.second.source) else ""
+    )
     visited = display.percent(item.covered_moving)
     if item.covered > item.covered_moving:
         visited += f" (with the poses {display.percent(item.covered)})"
@@ -170,12 +163,12 @@ def _map(item: PairMap, evidence: DatasetEvidence, dataset: Dataset) -> dict[str
 def _rest(evidence: DatasetEvidence) -> str:
     phases = [phase for recording in evidence.recordings for phase in recording.rests]
     if not phases:
-        return "The machine never stood still for a second."
+        return "The machine was never at rest for a second."
     times, postures = len(phases), len(evidence.postures)
     total, longest = sum(phase.seconds for phase in phases), max(phase.seconds for phase in phases)
     return (
-        f"The machine stood still {times} time{'s' if times > 1 else ''}, {display.number(total)} s in all, at most "
-        f"{display.number(longest)} s, in {postures} clearly different posture{'s' if postures > 1 else ''}."
+        f"The machine was at rest {times} time{'s' if times > 1 else ''}, {display.number(total)} s in all, at most "
+        f"{display.number(longest)} s, in {postures} different posture{'s' if postures > 1 else ''}."
     )
 
 
@@ -190,7 +183,7 @@ def _noise(evidence: DatasetEvidence, dataset: Dataset) -> list[dict[str, str]]:
 
 
 def _flagged(quality: Mapping[str, Any]) -> list[dict[str, str]]:
-    """What ingest flagged sample by sample."""
+    """The flagged samples."""
     return [
         {
             "recording": line.recording,

@@ -1,4 +1,4 @@
-"""The answer in plain words: verdict, what is missing, how much of the gap goes away, and a picture of where."""
+"""Summary: verdict, missing effects, closed share of the gap, and a drawing with their locations."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
 from sysid.reports.places import Mark, marks_of, part_of, place_text, stage_marks
 from sysid.reports.reasons import confidence
-from sysid.reports.sections.where import guilty, over_name, sentence
+from sysid.reports.sections.where import above_floor, over_name, sentence
 from sysid.signals import point_signals
 
 
 @dataclass(frozen=True)
-class Closing:
-    """One line of the before/after table: a signal, or the position of a point (its coordinates taken together)."""
+class SignalGap:
+    """One line of the before/after table: a signal, or the position of a point (Euclidean norm of its coordinates)."""
 
     name: str
     unit: str
@@ -41,7 +41,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     machine = inputs.dataset.machine
     if inputs.gap is None:
         return {
-            "headline": "The recordings are in; simulation and machine have not been compared yet.",
+            "headline": "Simulation and machine have not been compared yet.",
             "advice": f"Run: sysid gap {inputs.dataset.reference}",
             "tone": "open",
             "sentences": [],
@@ -57,7 +57,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         }
     gap = inputs.gap
     only = bool(gap.settings.get("localise_only"))
-    lines = closings(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
+    lines = signal_gaps(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
@@ -71,7 +71,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "lines": [_row(line) for line in lines],
         "picture": Markup(machine_picture(machine, marks)),
         "legend": _legend(
-            machine, "" if not marks else "Numbers mark where they disagree." if only else "Numbers mark what was found."
+            machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
         ),
         "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
         "held_out": gap.held_out_recordings,
@@ -82,18 +82,18 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
 
 
 def _legend(machine: Machine, numbers: str) -> str:
-    """How to read the drawing."""
+    """Legend of the drawing."""
     text = "Every axis from its drive to its joint."
     if machine.kinematics() is not None:
         valves = ", valves" if any(axis.actuation == "velocity" for axis in machine.axes) else ""
-        text = f"The machine as its URDF describes it: joints (round ones turn, square ones slide), cylinders{valves}."
+        text = f"The machine as its URDF describes it: joints (round: revolute, square: prismatic), cylinders{valves}."
     return f"{text} {numbers}".rstrip()
 
 
 def disagreeing(gap: GapResult) -> list[StageGap]:
-    """The worst output of each stage that is above its noise floor, the worst stage first."""
+    """The output with the largest error of each stage above its noise floor, the largest first."""
     worst: dict[tuple[str, str], StageGap] = {}
-    for item in guilty(gap):
+    for item in above_floor(gap):
         worst.setdefault((item.stage, item.target), item)
     return list(worst.values())
 
@@ -103,24 +103,24 @@ def _place(item: StageGap) -> str:
 
 
 def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
-    """One card for each stage that disagrees."""
+    """One card for each stage with an error."""
     cards = []
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
-        size = f"{words.signal_name(item.signal)} is off by {display.quantity(item.stage_rmse, unit)}, "
-        times = f"{display.ratio(item.stage_rmse / item.noise_floor)} what sensor noise gives."
+        size = f"{words.signal_name(item.signal)} has an error of {display.quantity(item.stage_rmse, unit)}, "
+        times = f"{display.ratio(item.stage_rmse / item.noise_floor)} the noise floor."
         maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
-        told = [sentence(maps[0], item, unit)] if maps else []
-        title, said = words.owner_name(item.target).capitalize(), size + times
-        cards.append(_card(number, title, words.stage_name(item.stage), said[0].upper() + said[1:], told, sure=False))
+        details = [sentence(maps[0], item, unit)] if maps else []
+        title, text = words.owner_name(item.target).capitalize(), size + times
+        cards.append(_card(number, title, words.stage_name(item.stage), text[0].upper() + text[1:], details, sure=False))
     return cards
 
 
-def closings(
+def signal_gaps(
     before: Mapping[str, float], after: Mapping[str, float], noise_floor: Mapping[str, float], units: Mapping[str, str]
-) -> list[Closing]:
-    """Signals in their order, with the coordinates of each point joined to one distance."""
-    lines: list[Closing] = []
+) -> list[SignalGap]:
+    """Signals in their order, with the coordinates of each point combined to one distance."""
+    lines: list[SignalGap] = []
     for signal in before:
         owner = signal.rpartition(".")[0]
         if owner in ("ee", "tool"):
@@ -129,41 +129,40 @@ def closings(
                 values = [
                     math.sqrt(sum(source.get(n, math.nan) ** 2 for n in names)) for source in (before, after, noise_floor)
                 ]
-                lines.append(Closing(f"{words.owner_name(owner)} position", "m", *values))
+                lines.append(SignalGap(f"{words.owner_name(owner)} position", "m", *values))
             continue
         numbers = [source.get(signal, math.nan) for source in (before, after, noise_floor)]
-        lines.append(Closing(words.signal_name(signal), units.get(signal, "1"), *numbers))
+        lines.append(SignalGap(words.signal_name(signal), units.get(signal, "1"), *numbers))
     return lines
 
 
 def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mapping[str, str]) -> list[dict[str, Any]]:
-    """One card a number on the picture: what was named, what ties, what has no name."""
+    """One card per number on the drawing: named effects, ambiguous sets, unnamed errors."""
     cards = [_effect(number, effect, gap, machine) for number, effect in enumerate(gap.effects, 1)]
     for tie in gap.ambiguous:
         names = " or ".join(f"{words.effect_title(name)} ({words.owner_name(target)})" for name, target in tie)
         cards.append(
-            _card(len(cards) + 1, "Undecided", "", names + ".", ["These recordings cannot tell them apart."], sure=False)
+            _card(len(cards) + 1, "Ambiguous", "", names + ".", ["These recordings cannot distinguish them."], sure=False)
         )
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
         size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
-        said = f"Something at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
+        text = f"An error at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
         known = (
-            f"It goes with {over_name(item.depends_on)}."
+            f"It depends on {over_name(item.depends_on)}."
             if not item.depends_on.startswith("nothing")
-            else "It follows nothing that was measured."
+            else "It depends on no measured signal."
         )
         quiet = [known, *_residual_models(gap, item, machine, units)]
-        cards.append(_card(len(cards) + 1, "Unexplained", words.owner_name(item.target), said, quiet, sure=False))
+        cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), text, quiet, sure=False))
     return cards
 
 
 def _residual_models(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
-    """What a residual network changes, and that it is no physics."""
+    """Text about the residual network of an unnamed error."""
     unit = remainder_unit(item.stage, item.target, machine, units)
     return [
-        "Described by a bounded residual network (unnamed_residual), learned from the recordings: it is no physics and names "
-        "no cause. "
+        "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause. "
         f"Held-out error of the stage: {display.quantity(c.before, unit, 2)} → {display.quantity(c.after, unit, 2)}."
         for c in gap.carried
         if c.accepted and (c.stage, c.target) == (item.stage, item.target)
@@ -179,49 +178,47 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) 
     where = place_text(part_of(effect.name, effect.target, machine), effect.target)
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
-    quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the disagreement in its stage."]
+    quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the error of its stage."]
     quiet += confidence(effect, gap.candidates)
     if effect.aliases:
         others = ", ".join(f"{words.effect_title(name)} ({target})" for name, target in effect.aliases)
-        quiet.append(f"Cannot be told from: {others}.")
+        quiet.append(f"Cannot be distinguished from: {others}.")
     sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target))
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
     return _card(number, words.effect_title(effect.name), target, sentence, quiet, sure=True)
 
 
 def _still_open(gap: GapResult) -> list[str]:
-    """What is left over, in a sentence: nothing, or how far above noise the worst signal stays."""
+    """The largest remaining error in noise floors, as a sentence."""
     left = {s: a / gap.gap.noise_floor[s] for s, a in gap.gap.after.items() if gap.gap.noise_floor.get(s, 0.0) > 0.0}
     if not gap.effects or not left:
         return []
     worst = max(left, key=lambda signal: left[signal])
     if left[worst] < 1.5:
-        return ["With the repair every signal is within 1.5 times what sensor noise alone would give."]
-    return [
-        f"What is left: {words.signal_name(worst)} stays at {display.ratio(left[worst])} what sensor noise alone would give."
-    ]
+        return ["With the repair every signal is within 1.5 times its noise floor."]
+    return [f"Largest remaining error: {words.signal_name(worst)}, {display.ratio(left[worst])} its noise floor."]
 
 
-def _sentences(gap: GapResult, lines: list[Closing]) -> list[str]:
-    """What the figures say, about the position of the tip where it is measured, else about the signal that was worst."""
-    judged = [line for line in lines if math.isfinite(line.before) and line.noise_floor > 0.0]
-    if not judged:
+def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:
+    """The gap of the tip position, or of the signal with the largest gap, as a sentence."""
+    scored = [line for line in lines if math.isfinite(line.before) and line.noise_floor > 0.0]
+    if not scored:
         return []
-    worst = max(judged, key=lambda line: line.before / line.noise_floor)
-    points = [line for line in judged if line.name == f"{words.owner_name('ee')} position"]
+    worst = max(scored, key=lambda line: line.before / line.noise_floor)
+    points = [line for line in scored if line.name == f"{words.owner_name('ee')} position"]
     main = points[0] if points and points[0].before > 1.5 * points[0].noise_floor else worst
     before, after, floor = (display.quantity(value, main.unit) for value in (main.before, main.after, main.noise_floor))
-    text = f"On recordings that no fit has seen, the simulated {main.name} is off by {before} (RMS, from the commands alone)"
+    text = f"On held-out recordings, the simulated {main.name} has an error of {before} (RMS, from the commands alone)"
     if gap.effects:
-        text += f"; with the repair by {after}. Sensor noise alone would give {floor}."
+        text += f"; with the repair {after}. The noise floor is {floor}."
         if math.isfinite(main.closed):
-            text += f" {display.percent(main.closed)} of what can be closed is closed."
+            text += f" The repair closes {display.percent(main.closed)} of the gap above the noise floor."
     else:
-        text += f"; sensor noise alone would give {floor}."
+        text += f"; the noise floor is {floor}."
     return [text]
 
 
-def _row(line: Closing) -> dict[str, Any]:
+def _row(line: SignalGap) -> dict[str, Any]:
     factor, unit = display.shown_unit(line.unit)
     values = [factor * value for value in (line.before, line.after, line.noise_floor)]
     decimals = display.decimals_for(values)
@@ -229,15 +226,15 @@ def _row(line: Closing) -> dict[str, Any]:
     return {"name": line.name, "unit": unit, "before": before, "after": after, "noise_floor": floor, "closed": line.closed}
 
 
-def dumbbells(lines: list[Closing], repaired: bool) -> str:
+def dumbbells(lines: list[SignalGap], repaired: bool) -> str:
     """Before and after as multiples of the noise floor on one logarithmic axis (inline SVG)."""
-    judged = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
-    if not judged:
+    scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
+    if not scored:
         return ""
-    ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in judged]
+    ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in scored]
     decades = max(1, math.ceil(math.log10(max(max(pair) for pair in ratios) * 1.05)))
     left, width, row = 190, 520, 28
-    height = 44 + row * len(judged)
+    height = 44 + row * len(scored)
 
     def x(value: float) -> float:
         return left + width * (math.log10(max(value, 0.6)) + 0.25) / (decades + 0.25)
@@ -248,7 +245,7 @@ def dumbbells(lines: list[Closing], repaired: bool) -> str:
         parts.append(f'<line class="tick" x1="{at:.1f}" x2="{at:.1f}" y1="8" y2="{height - 28}"/>')
         label = "noise floor" if decade == 0 else display.ratio(10.0**decade)
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 10}" text-anchor="middle">{label}</text>')
-    for number, (line, (before, after)) in enumerate(zip(judged, ratios, strict=True)):
+    for number, (line, (before, after)) in enumerate(zip(scored, ratios, strict=True)):
         y = 24 + row * number
         parts.append(f'<text class="row" x="{left - 12}" y="{y + 5}" text-anchor="end">{line.name}</text>')
         if not repaired:

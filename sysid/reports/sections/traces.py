@@ -1,4 +1,4 @@
-"""Measured and simulated signals of held-out recordings, to look at closely."""
+"""Measured and simulated signals of held-out recordings."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sysid.gap.result import Traces
 from sysid.reports import display, words
 from sysid.reports.figures import embed, packed, thin
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.moments import error_chart, moment_chart, telling_signals, worst_moment
+from sysid.reports.moments import error_chart, largest_error_signals, moment_chart, worst_moment
 
-#: A page with more recordings than this would be too heavy to open.
+#: Largest number of recordings on the page.
 MAX_RECORDINGS = 3
 
 
@@ -43,17 +43,17 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
 
 
 def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:
-    """The worst moment of the worst signals before the repair, and beside it the worst that is left after it."""
+    """The largest error of the signals with the largest errors, before and after the repair."""
     assert inputs.gap is not None
     traces = {trace.recording: trace for trace in inputs.gap.traces}
     found = []
-    for signal in telling_signals(inputs.gap):
+    for signal in largest_error_signals(inputs.gap):
         unit, label = inputs.dataset.units.get(signal, "1"), words.signal_name(signal)
         floor = inputs.gap.gap.noise_floor.get(signal, 0.0)
         worst = worst_moment(inputs.gap.traces, signal, "before")
         if worst is None:
             continue
-        text = f"{label}, {worst.recording} at {worst.time:.1f} s: {display.quantity(worst.before, unit, 2)} off"
+        text = f"{label}, {worst.recording} at {worst.time:.1f} s: error {display.quantity(worst.before, unit, 2)}"
         if repaired:
             text += f" before, {display.quantity(worst.after, unit, 2)} after"
         entry = {
@@ -66,7 +66,7 @@ def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:
         if left is not None:
             entry["left"] = Markup(error_chart(traces[left.recording], left, unit, label, floor))
             entry["left_caption"] = (
-                f"worst that is left: {display.quantity(left.after, unit, 2)} in {left.recording} at {left.time:.1f} s "
+                f"largest error after: {display.quantity(left.after, unit, 2)} in {left.recording} at {left.time:.1f} s "
                 f"(grey: twice the noise floor)"
             )
         found.append(entry)

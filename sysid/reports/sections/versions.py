@@ -1,4 +1,4 @@
-"""Which versions the figures belong to, and what each was made from."""
+"""Versions and their sources, settings and software of the figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where they disagree: every stage against sensor noise, what each owns of the whole gap, and over what the error appears."""
+"""Localisation: error of every stage, its share of the whole gap, and error maps."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import point_signals
 
-#: Maps shown at once of an output; the others are folded.
+#: Number of maps of an output shown unfolded.
 SHOWN = 3
-#: A stage below this multiple of its noise floor has nothing to show.
-QUIET = 1.5
-#: A map that accounts for less tells little.
-TELLING = 0.15
-#: Shares below this are not listed.
-LEAST_SHARE = 0.01
+#: A stage has an error from this multiple of its noise floor on.
+MIN_RATIO = 1.5
+#: Smallest explained share of a map that is described.
+MIN_EXPLAINED = 0.15
+#: Smallest listed share.
+MIN_SHARE = 0.01
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
@@ -47,7 +47,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
 
 
 def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, Any] | None:
-    """The worst signal of a stage and axis; None where nothing is measured."""
+    """The signal of a stage and axis with the largest error; None if nothing is measured."""
     scored = [(item.free_run_rmse if free else item.stage_rmse, item) for item in items]
     scored = [(error, item) for error, item in scored if math.isfinite(error) and item.noise_floor > 0.0]
     if not scored:
@@ -60,8 +60,8 @@ def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, 
         "error": display.quantity(error, unit, 2),
         "floor": display.quantity(item.noise_floor, unit, 2),
         "signal": words.signal_name(item.signal),
-        # 0 at 1.5 times the floor, full colour at a hundred times: a factor of ten is one step for the eye.
-        "heat": round(100 * min(1.0, max(0.0, math.log10(max(times, 1e-9) / QUIET) / math.log10(100 / QUIET)))),
+        # Logarithmic colour scale: 0 at 1.5 times the floor, 100 at a hundred times.
+        "heat": round(100 * min(1.0, max(0.0, math.log10(max(times, 1e-9) / MIN_RATIO) / math.log10(100 / MIN_RATIO)))),
     }
 
 
@@ -69,14 +69,14 @@ def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, 
 
 
 def significant(shares: Sequence[Share], localised: Sequence[StageGap]) -> list[tuple[str, list[Share]]]:
-    """End of the chain → its shares, the largest first; only ends whose error is above what sensor noise gives."""
+    """End of the chain → its shares, the largest first; only ends with an error above the noise floor."""
     floors = {item.signal: item.noise_floor for item in localised}
     found = []
     for end in dict.fromkeys(share.end for share in shares):
         of_end = sorted((share for share in shares if share.end == end), key=lambda share: -share.share)
         signals = point_signals(end) if end in ("ee", "tool") else (end,)
         floor = math.sqrt(sum(floors.get(signal, 0.0) ** 2 for signal in signals))
-        if of_end[0].rmse > QUIET * floor:
+        if of_end[0].rmse > MIN_RATIO * floor:
             found.append((end, of_end))
     return found
 
@@ -85,7 +85,7 @@ def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
     ends = []
     for end, shares in reversed(significant(gap.shares, gap.localised)):  # the tool first
         unit = inputs.dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
-        listed = [share for share in shares if abs(share.share) >= LEAST_SHARE]
+        listed = [share for share in shares if abs(share.share) >= MIN_SHARE]
         ends.append(
             {
                 "what": f"{words.owner_name(end)} position" if end in ("ee", "tool") else words.signal_name(end),
@@ -109,26 +109,26 @@ def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
 # -- maps ----------------------------------------------------------------------------------------------------------------
 
 
-def guilty(gap: GapResult) -> list[StageGap]:
-    """Outputs above their noise floor, the worst first."""
-    above = [i for i in gap.localised if i.noise_floor > 0.0 and i.stage_rmse > QUIET * i.noise_floor]
+def above_floor(gap: GapResult) -> list[StageGap]:
+    """Outputs above their noise floor, the largest error first."""
+    above = [i for i in gap.localised if i.noise_floor > 0.0 and i.stage_rmse > MIN_RATIO * i.noise_floor]
     return sorted(above, key=lambda item: -item.stage_rmse / item.noise_floor)
 
 
 def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
     outputs = []
-    for item in guilty(gap):
+    for item in above_floor(gap):
         maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
         if not maps:
             continue
         drawn = [_figure(m) for m in maps]
-        count = SHOWN if maps[0].explains > TELLING else 1
+        count = SHOWN if maps[0].explains > MIN_EXPLAINED else 1
         characteristic = next((_characteristic(m) for m in maps if m.measured and m.over == f"{item.target}.command"), None)
         outputs.append(
             {
                 "signal": words.signal_name(item.signal),
                 "stage": words.stage_name(item.stage),
-                "says": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
+                "text": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
                 "first": [*([characteristic] if characteristic else []), *drawn][:count],
                 "others": [*([characteristic] if characteristic else []), *drawn][count:],
             }
@@ -137,22 +137,22 @@ def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
 
 
 def constant_share(item: Map, whole: StageGap) -> tuple[float, float]:
-    """(mean error, its part of the mean square) of a map over the error itself."""
+    """(mean error, its share of the mean square) of a map of the error."""
     weights = np.array(item.count, dtype=np.float64)
     mean = float(np.sum(weights * np.array(item.mean)) / weights.sum())
     return mean, min(1.0, (mean / whole.stage_rmse) ** 2) if whole.stage_rmse > 0.0 else 0.0
 
 
 def sentence(most: Map, whole: StageGap, unit: str) -> str:
-    """What the most telling map of an output says."""
+    """Description of the map that explains most of an output's error."""
     parts = []
     if most.quantity == "error":
         mean, share = constant_share(most, whole)
         if share > 0.5:
             parts.append(f"{display.percent(share)} of it is a constant {display.quantity(mean, unit, 2)}")
     if whole.frequency > 0.0:
-        parts.append(f"{'the rest' if parts else 'it'} swings at {display.quantity(whole.frequency, 'Hz', 3)}")
-    if most.explains > TELLING:
+        parts.append(f"{'the rest' if parts else 'it'} oscillates at {display.quantity(whole.frequency, 'Hz', 3)}")
+    if most.explains > MIN_EXPLAINED:
         largest = int(np.argmax(np.abs(most.mean)))
         factor, label = display.shown_unit(most.unit)
         at = f"{display.number(factor * most.at[largest], 2)}{display.NARROW_SPACE}{label}".rstrip()
@@ -164,16 +164,16 @@ def sentence(most: Map, whole: StageGap, unit: str) -> str:
             if parts and whole.frequency == 0.0
             else "the error"
         )
-        text = f"{what} depends most on {over_name(most.over)}, which accounts for {display.percent(most.explains)} of it"
+        text = f"{what} depends most on {over_name(most.over)}, which explains {display.percent(most.explains)} of it"
         parts.append(f"{text} (largest {at}: {display.quantity(most.mean[largest], most.error_unit, 2)})")
     elif not parts:
-        parts.append("it depends clearly on nothing that was measured here")
+        parts.append("it depends on no measured variable")
     text = "; ".join(parts)
     return text[0].upper() + text[1:] + "."
 
 
 def over_name(over: str) -> str:
-    """``boom.command`` → ``boom command``; ``load of boom`` stays."""
+    """``boom.command`` → ``boom command``; ``load of boom`` is unchanged."""
     return words.signal_name(over) if "." in over and " " not in over else _spoken(over)
 
 
@@ -202,12 +202,12 @@ def _figure(item: Map) -> dict[str, Any]:
     rows = display.fixed(float(sum(item.count)), 0)
     return {
         "picture": Markup(chart(x, lines, (x_label, y_label), factor * item.noise_floor, names)),
-        "caption": f"over {over_name(item.over)}: accounts for {display.percent(item.explains)} ({rows} samples)",
+        "caption": f"over {over_name(item.over)}: explains {display.percent(item.explains)} ({rows} samples)",
     }
 
 
 def _characteristic(item: Map) -> dict[str, Any]:
-    """Speed over command, measured and simulated: what a hydraulics engineer would plot first."""
+    """Speed over command, measured and simulated."""
     factor, y_label = _axis_label("speed", item.error_unit)
     x_factor, x_label = _axis_label(over_name(item.over), item.unit)
     lines = [
