@@ -38,7 +38,8 @@ def size(value: float, unit: str) -> str:
 def table(rows: Sequence[Agreement]) -> str:
     """The generated part of the page."""
     lines = [
-        "| effect | machine and feature | shows in | before | after | left | nothing hidden | fitted | its own |",
+        "| effect | machine and feature | signal | without effect | with effect | remaining | baseline | fitted"
+        " | true setting |",
         "| --- | --- | --- | ---: | ---: | ---: | ---: | --- | --- |",
     ]
     for row in rows:

@@ -134,7 +134,7 @@ class KinematicEnvironment(VectorEnvironment):
         rewards = np.empty(self.size)
         task = self.task
         finite = follow(
-            self.model.theta, self.model.rig, wanted, self.reach.low, self.reach.high, self._now, self._count, rewards,
+            self.model.theta, self.model.arrays, wanted, self.reach.low, self.reach.high, self._now, self._count, rewards,
             task.step_reward + task.near_reward, task.outside_reward,
         )  # fmt: skip
         if not finite:

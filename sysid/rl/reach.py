@@ -85,5 +85,5 @@ def joint_limits(plant: Plant) -> tuple[Array, Array]:
 def tips(model: Model, joints: Array) -> Array:
     """End effectors of the plant, as measured, at rest at joints as their sensors read them, (n, A) → (n, 3) [m]."""
     out = np.empty((len(joints), 3))
-    stands(model.theta, model.rig, np.ascontiguousarray(joints, dtype=np.float64), out)
+    stands(model.theta, model.arrays, np.ascontiguousarray(joints, dtype=np.float64), out)
     return out
