@@ -202,8 +202,7 @@ def _seen(real: BenchRecipe, truth: Truth, axis: str) -> Array:
     """What the sensor of a drive shows, without noise: its wire, or the camera's view of the column."""
     if axis == "slew":
         return np.asarray(truth.joint[:, 0])
-    signal = f"{axis}.{'cylinder' if real.axis(axis).cylinder is not None else 'joint'}"
-    return through(truth.drive[:, AXES.index(axis)], real.sensor(signal))
+    return through(truth.drive[:, AXES.index(axis)], real.sensor(real.drive_signal(axis)))
 
 
 def _rms(parts: Sequence[Array]) -> float:
