@@ -28,8 +28,8 @@ def main(data: Path, folder: Path, page: Path | None = None, quick: bool = False
         quick: fewer folds and recordings, for a test of the line.
     """
     result: dict[str, Any] = provenance("python pipelines/calibration_sets.py DATA", 0, ("scikit-learn", "torch"))
-    result["arms"] = {arm.name: poses.judged(arm, data / "tiago_mocap", quick) for arm in poses.ARMS}
-    result["servos"] = servos.judged(data, quick)
+    result["arms"] = {arm.name: poses.evaluated(arm, data / "tiago_mocap", quick) for arm in poses.ARMS}
+    result["servos"] = servos.evaluated(data, quick)
     write_result(folder / "result.json", result)
     if page is not None:
         text = f"{poses.tables(result['arms'])}\n\n{servos.table(result['servos'])}"

@@ -31,7 +31,7 @@ from typing import Any
 from committed import provenance, write_result, write_tables
 from hidden.bench import BENCHES, PAGE, Bench
 from hidden.cases import GROUPS, CaseSpec, Group, Tier, listed
-from hidden.judge import Judgement, judge
+from hidden.evaluate import CaseResult, evaluate
 from hidden.page import page_tables
 from hidden.runner import ANSWERING, Place, run_all
 from hidden.score import scored
@@ -40,7 +40,7 @@ from hidden.seed import Seed, check_same_seed, check_unchanged, seed_of
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgement]) -> list[Judgement]:
+def evaluated(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, CaseResult]) -> list[CaseResult]:
     """Every case that has an answer, and the others that were evaluated earlier."""
     place = Place(work)
     found = []
@@ -55,27 +55,27 @@ def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgemen
                 continue
             reach = place.reach(spec)
             reached = json.loads(reach.read_text("utf-8")) if reach.exists() else None
-            found.append(judge(json.loads(sealed.read_text("utf-8")), answer, reached))
+            found.append(evaluate(json.loads(sealed.read_text("utf-8")), answer, reached))
         elif spec.name in earlier:
             found.append(earlier[spec.name])
     return found
 
 
-def judged_in(result: Path, specs: Sequence[CaseSpec]) -> dict[str, Judgement]:
+def evaluated_in(result: Path, specs: Sequence[CaseSpec]) -> dict[str, CaseResult]:
     """By name, what a result file says of cases that are still the same; nothing where there is no file."""
     if not result.exists():
         return {}
-    known = [Judgement.from_json(each) for each in json.loads(result.read_text("utf-8"))["judgements"]]
+    known = [CaseResult.from_json(each) for each in json.loads(result.read_text("utf-8"))["judgements"]]
     same = {spec.name: spec for spec in specs}
     return {each.spec.name: each for each in known if same.get(each.spec.name) == each.spec}
 
 
-def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
-    return judge({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
+def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> CaseResult:
+    return evaluate({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
 
 
 def result_of(
-    tier: str, seed: Seed, cases: Sequence[Judgement], listed: int, command: str, packages: tuple[str, ...] = ()
+    tier: str, seed: Seed, cases: Sequence[CaseResult], listed: int, command: str, packages: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """The contents of the result file."""
     return {
@@ -109,13 +109,13 @@ def main(
     specs = bench.cases_of(tier, seed.value, only)[:limit]
     if resume:
         check_same_seed(seed, bench.result)
-    earlier = judged_in(bench.result, specs) if resume else {}
+    earlier = evaluated_in(bench.result, specs) if resume else {}
     place = work / f"seed-{seed.value}"
     if not answered:
         waiting = [spec for spec in specs if spec.name not in earlier]
         run_all(waiting, place, workers, keep, lambda text: print(text, flush=True), ANSWERING, bench.make)
     command = f"python {bench.command} --tier {tier}" + ("" if seed.published else f" --seed {seed.value}")
-    result = result_of(tier, seed, judged(specs, place, earlier), len(specs), command, bench.packages)
+    result = result_of(tier, seed, evaluated(specs, place, earlier), len(specs), command, bench.packages)
     write_result(place / f"result-{tier}.json", result)
     print(page_tables(result))
     if only is None and limit is None and seed.published:

@@ -47,7 +47,7 @@ WIDTH, RMSE = "half width, median [m]", "rmse [m]"
 def main(folder: Path, page: Path | None, seeds: int = SEEDS) -> Path:
     """Run all models and return the path of ``result.json``."""
     machine = load_machine(ROOT / "datasets" / "autolog" / "machine.toml")
-    rows = {name: [judged(machine, recipe, seed) for seed in range(seeds)] for name, recipe in RECIPES.items()}
+    rows = {name: [evaluated(machine, recipe, seed) for seed in range(seeds)] for name, recipe in RECIPES.items()}
     result = provenance("python pipelines/network_intervals.py", 0, ("torch",))
     result |= {"poses": POSES, "asked": ASKED, "seeds": seeds, "beyond": BEYOND, "models": rows}
     write_result(folder / "result.json", result)
@@ -56,7 +56,7 @@ def main(folder: Path, page: Path | None, seeds: int = SEEDS) -> Path:
     return folder / "result.json"
 
 
-def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any]:
+def evaluated(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any]:
     """One model of one seed: how often its intervals hold, by level and by region, and what it flags."""
     rng = np.random.default_rng([seed, 7])
     low, high = limits(machine)

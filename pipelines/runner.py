@@ -411,7 +411,7 @@ def timing(flown: Flown) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def judged(name: str, flown: Flown) -> dict[str, Any]:
+def evaluated(name: str, flown: Flown) -> dict[str, Any]:
     """What became of the machine after a fault."""
     truth, t0 = flown.truth, flown.fault_ns
     at, places = truth["at_ns"], _places(truth)
@@ -507,7 +507,7 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     for phase in range(PHASES if name == "disk full" else 1):
         turns = TURNS + phase * 100 // PHASES
         for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
-            row = judged(name, fly(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
+            row = evaluated(name, fly(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
             if row["state"] != EARLY:
                 break
         rows.append(row)

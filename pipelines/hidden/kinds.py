@@ -40,7 +40,7 @@ class Kind:
     most: float
     variants: tuple[int, ...] = tuple(range(VARIANTS))
     excitation: str = "rich"
-    judged: bool = True
+    evaluated: bool = True
     least: float = 0.0
     known: Tables = field(default_factory=dict)
 
@@ -133,8 +133,8 @@ def _mechanical_kinds() -> list[Kind]:
     found = [
         kind("backlash", "slew", "command", _axis("slew", backlash=lambda m: m), 0.04),
         # The bench's play of a cylinder is in metres of its rod, the plant's in radians of the joint.
-        kind("backlash", "boom", "joint", _axis("boom", backlash=lambda m: m), 0.004, judged=False),
-        kind("backlash", "stick", "joint", _axis("stick", backlash=lambda m: m), 0.004, judged=False),
+        kind("backlash", "boom", "joint", _axis("boom", backlash=lambda m: m), 0.004, evaluated=False),
+        kind("backlash", "stick", "joint", _axis("stick", backlash=lambda m: m), 0.004, evaluated=False),
         kind("joint_compliance", "boom", "joint", _axis("boom", stiffness=lambda m: 1.0 / m), 1e-3),
         kind("joint_compliance", "stick", "joint", _axis("stick", stiffness=lambda m: 1.0 / m), 1e-3),
         kind(

@@ -64,7 +64,7 @@ class Task:
     held: Run
 
 
-def judged(data: Path, quick: bool = False) -> list[dict[str, Any]]:
+def evaluated(data: Path, quick: bool = False) -> list[dict[str, Any]]:
     """Free-run errors [mrad] of every joint and recording that was left out."""
     with tempfile.TemporaryDirectory() as folder:
         tasks = [*xl330(data / "bam_xl330", Path(folder), quick), *so101(data / "sage_so101", Path(folder), quick)]

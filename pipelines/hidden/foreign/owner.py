@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from hidden.foreign.excitation import Program, Take
 from hidden.foreign.machines import FORCE_AXIS, Tables
 from hidden.foreign.mjcf import mjcf
 from hidden.foreign.simulate import quantised, simulate
+from hidden.make import kept
 from sysid.datasets import Recording
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Plant, nominal_plant
@@ -45,17 +45,14 @@ class Owner:
 def kept_owner(tables: Tables, folder: Path) -> Owner:
     """The owner of a machine; fitted once for each machine."""
     machine = mjcf(tables) if tables["family"].startswith("mujoco") else ""
-    path = folder / f"{sha256((machine + repr(sorted(tables.items()))).encode()).hexdigest()[:16]}.json"
-    if path.exists():
-        kept = json.loads(path.read_text("utf-8"))
-        return Owner(kept["gains"], tuple(KnownEffect(**each) for each in kept["effects"]))
-    owner = owner_of(tables)
-    told = [{"name": e.name, "target": e.target, "parameters": dict(e.parameters)} for e in owner.effects]
-    folder.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps({"gains": owner.gains, "effects": told}), "utf-8")
-    beside.replace(path)
-    return owner
+
+    def fitted() -> dict[str, Any]:
+        owner = owner_of(tables)
+        effects = [{"name": e.name, "target": e.target, "parameters": dict(e.parameters)} for e in owner.effects]
+        return {"gains": owner.gains, "effects": effects}
+
+    found = kept(folder, machine + repr(sorted(tables.items())), fitted)
+    return Owner(found["gains"], tuple(KnownEffect(**each) for each in found["effects"]))
 
 
 def owner_of(tables: Tables) -> Owner:

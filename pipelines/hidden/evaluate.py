@@ -23,7 +23,7 @@ DESCRIBED = 0.5
 
 
 @dataclass(frozen=True)
-class Judgement:
+class CaseResult:
     """One case.
 
     Args:
@@ -70,7 +70,7 @@ class Judgement:
         return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
 
     @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Judgement:
+    def from_json(cls, values: Mapping[str, Any]) -> CaseResult:
         """What :meth:`to_json` wrote."""
         given = {each.name: values[each.name] for each in fields(cls)}
         given |= {key: tuple((name, target) for name, target in given[key]) for key in ("hidden", "named", "wrong", "missed")}
@@ -80,7 +80,7 @@ class Judgement:
         return cls(**(given | {"spec": CaseSpec.from_json(given["spec"])}))
 
 
-def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> Judgement:
+def evaluate(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> CaseResult:
     """Compare an answer with the truth.
 
     Args:
@@ -90,7 +90,7 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     hidden = tuple((e["name"], e["target"]) for each in sealed["hidden"] for e in each["effects"])
     factor = min((each["factor"] for each in sealed["hidden"]), default=math.inf)
     if "failure" in answered:
-        return Judgement(
+        return CaseResult(
             spec, hidden, (), factor, "failure", (), hidden, {}, {}, None, False, math.nan, failure=answered["failure"]
         )
     answer = answered["answer"]
@@ -98,12 +98,12 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
     named = tuple((e["name"], e["target"]) for e in effects)
     truths = {(e["name"], e["target"]): e for e in sealed["effects"]}
-    judged = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
+    evaluated = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
     compared = {
-        name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in judged & truths.keys()
+        name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in evaluated & truths.keys()
     }
     found = {_meant(e, hidden) for e in effects}
-    return Judgement(
+    return CaseResult(
         spec=spec,
         hidden=hidden,
         named=named,
