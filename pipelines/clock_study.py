@@ -24,7 +24,7 @@ import numpy.typing as npt
 from clock_peers import PEERS, peer_rows
 from clock_picture import picture
 from clock_room import EPOCH, KINDS, MACHINE_HZ, NOISE, OTHER_HZ, Room, motion, room
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.records import RecordingClocks, align, machine_times
 from sysid.errors import AlignmentError
@@ -213,33 +213,17 @@ def refusals(case: str, seeds: int) -> dict[str, Any]:
 
 
 def tables(rows: Sequence[dict[str, Any]], refused: Sequence[dict[str, Any]], peers: Sequence[dict[str, Any]]) -> str:
-    lines = [
-        "| way | mid [ms] | end [ms] | mid, with gaps [ms] | end, with gaps [ms] |",
-        "| --- | ---: | ---: | ---: | ---: |",
+    of_peers = [
+        (row["way"], *(f"{row[key]:.3f}" for key in ("mid_ms", "end_ms", "gaps_mid_ms", "gaps_end_ms"))) for row in peers
     ]
-    for row in peers:
-        values = " | ".join(f"{row[key]:.3f}" for key in ("mid_ms", "end_ms", "gaps_mid_ms", "gaps_end_ms"))
-        lines.append(f"| {row['way']} | {values} |")
-    lines += [
-        "",
-        "| log | motion | with | n | refused | mid [ms] | end [ms] | skew [ppm] | skew applied | offset held | skew held |",
-        "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    grid = []
     for r in rows:
         right = r["recordings"] - r["refused"] - r["parted_wrongly"]
-        figures = [_shown(r[key]) for key in ("mid_ms", "end_ms", "skew_ppm")]
-        counts = [f"{r[key]}/{right}" for key in ("skew_applied", "offset_holds", "skew_holds")]
-        cells = [
-            NAMES[r["seconds"]],
-            f"{r['hertz']:g} Hz",
-            r["kind"],
-            str(r["recordings"]),
-            str(r["refused"]),
-            *figures,
-            *counts,
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", "| log | offset held | skew held | refused | parted wrongly |", "| --- | ---: | ---: | ---: | ---: |"]
+        figures = (_shown(r[key]) for key in ("mid_ms", "end_ms", "skew_ppm"))
+        counts = (f"{r[key]}/{right}" for key in ("skew_applied", "offset_holds", "skew_holds"))
+        where = (NAMES[r["seconds"]], f"{r['hertz']:g} Hz", r["kind"], str(r["recordings"]), str(r["refused"]))
+        grid.append((*where, *figures, *counts))
+    by_length = []
     for seconds in (*DURATIONS, None):
         part = [r for r in rows if seconds in (r["seconds"], None)]
         if not part:
@@ -247,12 +231,19 @@ def tables(rows: Sequence[dict[str, Any]], refused: Sequence[dict[str, Any]], pe
         total = sum(r["recordings"] for r in part)
         refusals_of, wrong = sum(r["refused"] for r in part), sum(r["parted_wrongly"] for r in part)
         right = max(total - refusals_of - wrong, 1)
-        held = [f"{sum(r[key] for r in part) / right:.1%}" for key in ("offset_holds", "skew_holds")]
+        held = (f"{sum(r[key] for r in part) / right:.1%}" for key in ("offset_holds", "skew_holds"))
         name = NAMES[seconds] if seconds is not None else "all"
-        lines.append(f"| {name} | {' | '.join(held)} | {refusals_of}/{total} | {wrong}/{total} |")
-    lines += ["", "| must be refused | recordings | missed | reason given |", "| --- | ---: | ---: | --- |"]
-    lines += [f"| {r['case']} | {r['recordings']} | {r['missed']} | {'; '.join(r['reasons'])} |" for r in refused]
-    return "\n".join(lines)
+        by_length.append((name, *held, f"{refusals_of}/{total}", f"{wrong}/{total}"))
+    must = [(r["case"], str(r["recordings"]), str(r["missed"]), "; ".join(r["reasons"])) for r in refused]
+    errors, held_in = ("mid [ms]", "end [ms]"), ("offset held", "skew held")
+    return "\n\n".join(
+        [
+            markdown(("way", *errors, "mid, with gaps [ms]", "end, with gaps [ms]"), of_peers),
+            markdown(("log", "motion", "with", "n", "refused", *errors, "skew [ppm]", "skew applied", *held_in), grid, "lrl"),
+            markdown(("log", *held_in, "refused", "parted wrongly"), by_length),
+            markdown(("must be refused", "recordings", "missed", "reason given"), must, "lrrl"),
+        ]
+    )
 
 
 def _shown(value: float | None) -> str:

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def write_tables(page: Path, text: str, pipeline: str) -> None:
     page.write_text(f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}", "utf-8")
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table, everything but the first column to the right."""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l") -> str:
+    """A table. ``align`` has ``l`` or ``r`` for each column; those beyond its end are right-aligned."""
+    marks = ["---" if letter == "l" else "---:" for letter in align.ljust(len(header), "r")]
+    return "\n".join("|" + "".join(f" {cell} |" if cell else " |" for cell in line) for line in [header, marks, *rows])

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.control import AxisTuning, simple, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
@@ -92,14 +92,16 @@ def main(workspace: Path, plant: str, before: str, forward: str) -> None:
 
 
 def page(rows: Sequence[dict[str, Any]]) -> str:
+    head = ("controller", "RMSE x / y / z, mm", "max x / y / z, mm", "RMSE with perfect sensors")
     lines = [
-        "| controller | RMSE x / y / z, mm | max x / y / z, mm | RMSE with perfect sensors |",
-        "| --- | --- | --- | --- |",
+        (
+            row["policy"],
+            *(shown(row["settled"][key]) for key in ("rmse_mm", "max_mm")),
+            shown(row["quiet"]["settled"]["rmse_mm"]),
+        )
+        for row in rows
     ]
-    for row in rows:
-        late, quiet = row["settled"], row["quiet"]["settled"]
-        lines.append(f"| {row['policy']} | {shown(late['rmse_mm'])} | {shown(late['max_mm'])} | {shown(quiet['rmse_mm'])} |")
-    return "\n".join(lines)
+    return markdown(head, lines, "llll")
 
 
 def shown(values: Sequence[float]) -> str:

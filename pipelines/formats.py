@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from committed import write_tables
+from committed import markdown, write_tables
 from sysid.datasets import ingest
 from sysid.datasets.draft import draft_recipe
 from sysid.errors import SysidError
@@ -144,14 +144,12 @@ def quoted(text: str) -> str:
 
 def table(found: list[Walk]) -> str:
     """Markdown, one row a file."""
-    lines = []
+    head = ("file", "reader", "streams", "longest", "rate [Hz]", "clocks", "became")
+    parts = []
     for folder in FOLDERS:
-        lines += [f"### `{folder}`", "| file | reader | streams | longest | rate [Hz] | clocks | became |", "| --- " * 7 + "|"]
-        for item in found:
-            if item.file.startswith(f"{folder}/"):
-                lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells(item)) + " |")
-        lines.append("")
-    return "\n".join(lines).rstrip()
+        rows = [[c.replace("|", "\\|") for c in cells(item)] for item in found if item.file.startswith(f"{folder}/")]
+        parts.append(f"### `{folder}`\n{markdown(head, rows, 'lllllll')}")
+    return "\n\n".join(parts)
 
 
 def cells(item: Walk) -> tuple[str, ...]:

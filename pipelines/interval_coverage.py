@@ -25,7 +25,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from agreement.machines import STREAMS, description, recipe_of, record
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
@@ -355,25 +355,26 @@ def row_of(found: Sequence[Estimate]) -> Row:
 
 
 def table(rows: Sequence[Row], found: Sequence[Estimate]) -> str:
+    head = [
+        "effect", "parameter", "repeats", "interval covers", "plain sandwich covers", "median error, that of the plain fit",
+        "half width, median", "in 1.96 rms errors", "seconds",
+    ]  # fmt: skip
     lines = [
-        "| effect | parameter | repeats | interval covers | plain sandwich covers | median error, that of the plain fit"
-        " | half width, median | in 1.96 rms errors | seconds |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for r in rows:
-        errors = f"{r.error:.2g}, {r.plain_error:.2g}"
-        lines.append(
-            f"| {r.family} | {r.parameter} | {r.repeats} | {r.covers:.0%} | {r.plain_covers:.0%} | {errors} | {r.half:.2g}"
-            f" | {r.width:.2f} | {r.seconds:.2f} |"
+        (
+            r.family, r.parameter, str(r.repeats), f"{r.covers:.0%}", f"{r.plain_covers:.0%}",
+            f"{r.error:.2g}, {r.plain_error:.2g}", f"{r.half:.2g}", f"{r.width:.2f}", f"{r.seconds:.2f}",
         )
-    lines += ["", "| disturbed by | intervals | cover | Wilson 95 % | plain sandwich |", "| --- | ---: | ---: | ---: | ---: |"]
+        for r in rows
+    ]  # fmt: skip
+    totals = []
     for name in [*dict.fromkeys(e.disturbed for e in found), "all"]:
         part = [e for e in found if name in (e.disturbed, "all")]
         hits = sum(e.low <= e.true <= e.high for e in part)
         plain = sum(e.plain[1] <= e.true <= e.plain[2] for e in part) / len(part)
         low, high = stats.binomtest(hits, len(part)).proportion_ci(0.95, "wilson")
-        lines.append(f"| {name} | {len(part)} | {hits / len(part):.1%} | {low:.1%} – {high:.1%} | {plain:.1%} |")
-    return "\n".join(lines)
+        totals.append((name, str(len(part)), f"{hits / len(part):.1%}", f"{low:.1%} – {high:.1%}", f"{plain:.1%}"))
+    by_disturbance = markdown(("disturbed by", "intervals", "cover", "Wilson 95 %", "plain sandwich"), totals)
+    return f"{markdown(head, lines, 'll')}\n\n{by_disturbance}"
 
 
 def main() -> None:

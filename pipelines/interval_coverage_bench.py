@@ -23,7 +23,7 @@ from agreement.fitting import FIRST_GUESS
 from agreement.machines import STANDS, STREAMS, description, recipe_of, record
 from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
-from committed import write_tables
+from committed import markdown, write_tables
 from interval_coverage import NOISE, PAGE, SEED, STILL, Family, problem_of, sensed
 from sysid.bench.recipe import BenchRecipe
 from sysid.datasets import Recording
@@ -171,16 +171,20 @@ def main() -> None:
     rows = [row for row in ROWS if stage_of(row) is not None]
     with ProcessPoolExecutor(args.workers) as pool:
         found = [each for part in pool.map(outcome, rows, [args.repeats] * len(rows)) for each in part]
+    head = (
+        "effect and machine",
+        "parameter",
+        "best fit without noise",
+        "covers",
+        "median error",
+        "half width",
+        "residual, floors",
+    )
     lines = [
-        "| effect and machine | parameter | best fit without noise | covers | median error | half width | residual, floors |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        (r.label, r.parameter, f"{r.true:.4g}", f"{r.covers:.0%}", f"{r.error:.2%}", f"{r.half:.2%}", f"{r.left:.2f}")
+        for r in found
     ]
-    for r in found:
-        lines.append(
-            f"| {r.label} | {r.parameter} | {r.true:.4g} | {r.covers:.0%} | {r.error:.2%} | {r.half:.2%} | {r.left:.2f} |"
-        )
-    lines += ["", f"All of them: {np.mean([r.covers for r in found]):.0%}."]
-    text = "\n".join(lines)
+    text = f"{markdown(head, lines, 'll')}\n\nAll of them: {np.mean([r.covers for r in found]):.0%}."
     print(text)
     write_tables(PAGE, text, "pipelines/interval_coverage_bench.py")
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from hydraulic_actuator import HALF, LITERATURE, columns
 from sysid.bench import BenchRecipe, RecordingSettings
 from sysid.bench.case import overlaid
@@ -199,13 +199,7 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 
 def tables(result: Mapping[str, Any]) -> str:
     """What docs/networks.md shows."""
-    lines = [
-        f"Stand-in crane, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by "
-        "direction of the input.",
-        "",
-        "| output | play | falling | still | rising | all | sensor noise |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    history, runs = [], []
     for machine, found in result["history"].items():
         for output, entry in found["outputs"].items():
             factor, unit, digits = (1e3, "mrad", 2) if entry["unit"] == "rad" else (1e3, "mm", 3)
@@ -213,19 +207,21 @@ def tables(result: Mapping[str, Any]) -> str:
             pairs.append((entry["static"]["rmse"], entry["history"]["rmse"]))
             cells = [f"{factor * a:.{digits}f} → {factor * b:.{digits}f}" for a, b in pairs]
             cells[-1] += " (silent)" if entry["silent"] else ""
-            lines.append(f"| {output} [{unit}] | {machine} | {' | '.join(cells)} | {factor * entry['noise']:.{digits}f} |")
-    lines += [
+            history.append((f"{output} [{unit}]", machine, *cells, f"{factor * entry['noise']:.{digits}f}"))
+    for machine, found in result["motion"].items():
+        for driven in dict.fromkeys(name.split(" ")[0] for name in found["outputs"]):
+            cells = [_triple(found["outputs"].get(f"{driven} {end}"), machine) for end in ENDS]
+            runs.append((machine, f"{driven} [{_unit(found, driven, machine)}]", *cells))
+    lines = [
+        f"Simulated test bench, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by "
+        "direction of the input.",
+        "",
+        markdown(("output", "backlash", "falling", "still", "rising", "all", "sensor noise"), history, "ll"),
         "",
         "Free runs on held-out recordings, RMSE: network / nominal simulation / linear ARX of the same inputs.",
         "",
-        "| machine | axis | 0.5 s | 1 s | 2 s | 5 s | whole recording |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        markdown(("machine", "axis", "0.5 s", "1 s", "2 s", "5 s", "whole recording"), runs, "ll"),
     ]
-    for machine, found in result["motion"].items():
-        drives = dict.fromkeys(name.split(" ")[0] for name in found["outputs"])
-        for driven in drives:
-            cells = [_triple(found["outputs"].get(f"{driven} {end}"), machine) for end in ENDS]
-            lines.append(f"| {machine} | {driven} [{_unit(found, driven, machine)}] | {' | '.join(cells)} |")
     if result["pressure"]:
         said = result["pressure"]
         others = ", ".join(f"{name} {value:.3f}" for name, value in LITERATURE.items())
