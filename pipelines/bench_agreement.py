@@ -34,7 +34,9 @@ def main(chosen: Sequence[Row] = ROWS, result: Path = RESULT, page: Path | None 
     rows = []
     for row in chosen:
         rows.append(agreement(row))
-        print(f"{row.effect:20s} {row.stand:16s} {100 * rows[-1].share:6.1f} % left, {rows[-1].seconds:.0f} s", flush=True)
+        print(
+            f"{row.effect:20s} {row.machine_name:16s} {100 * rows[-1].share:6.1f} % left, {rows[-1].seconds:.0f} s", flush=True
+        )
     found = {"rows": [{**asdict(row), "share": row.share} for row in rows]}
     write_result(result, provenance(f"python {PIPELINE}", SEED) | found)
     if page is not None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from clock_room import OTHER_HZ, motion
+from clock_simulation import OTHER_HZ, motion
 from sysid.datasets.clocks.alignment import Pair, estimate
 
 Array = npt.NDArray[np.float64]

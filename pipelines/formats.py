@@ -43,7 +43,7 @@ SLOWEST, FASTEST = 5.0, 1000.0
 
 
 @dataclass(frozen=True)
-class Walk:
+class FileResult:
     """One file: what it holds, and what became of it. ``rows`` of the stored table, or why there is none."""
 
     file: str
@@ -52,13 +52,13 @@ class Walk:
     refusal: str = ""
 
 
-def walks(data: Path, databases: dict[str, str] | None = None) -> Iterator[Walk]:
+def file_results(data: Path, databases: dict[str, str] | None = None) -> Iterator[FileResult]:
     """All files of the three folders of ``data``. ``databases``: log → DBC beside it, both as ``folder/name``."""
     for folder in FOLDERS:
         for path in sorted((data / folder).iterdir()):
             name = f"{folder}/{path.name}"
             if not is_log(path):
-                yield Walk(name, None, refusal=refusal_of(path))
+                yield FileResult(name, None, refusal=refusal_of(path))
                 continue
             dbc = (databases or {}).get(name)
             seen = inspect_file(path, dbc=data / dbc if dbc is not None else None)
@@ -74,11 +74,13 @@ def refusal_of(path: Path) -> str:
     return ""
 
 
-def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> Walk:
+def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> FileResult:
     """The file through a drafted recipe to a stored version."""
     best = best_stream(seen)
     if seen.refusal or best is None:
-        return Walk(name, seen, refusal=reason(seen.refusal).removeprefix(f"{path.name}: ") or "no numbers in its messages")
+        return FileResult(
+            name, seen, refusal=reason(seen.refusal).removeprefix(f"{path.name}: ") or "no numbers in its messages"
+        )
     rate = min(max(best.clocks[0].rate_hz, SLOWEST), FASTEST) if best.clocks[0].rate_hz > 0.0 else SLOWEST
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
@@ -92,8 +94,8 @@ def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> W
         try:
             stored = ingest(folder / path.name, folder / "ws", recipe=folder / "recipe.toml")
         except SysidError as error:
-            return Walk(name, seen, refusal=reason(str(error)).removeprefix(f"{path.name}: axis.joint: "))
-        return Walk(name, seen, rows=sum(len(recording.table) for recording in stored.recordings))
+            return FileResult(name, seen, refusal=reason(str(error)).removeprefix(f"{path.name}: axis.joint: "))
+        return FileResult(name, seen, rows=sum(len(recording.table) for recording in stored.recordings))
 
 
 def reason(message: str) -> str:
@@ -142,7 +144,7 @@ def quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def table(found: list[Walk]) -> str:
+def table(found: list[FileResult]) -> str:
     """Markdown, one row a file."""
     head = ("file", "reader", "streams", "longest", "rate [Hz]", "clocks", "became")
     parts = []
@@ -152,7 +154,7 @@ def table(found: list[Walk]) -> str:
     return "\n\n".join(parts)
 
 
-def cells(item: Walk) -> tuple[str, ...]:
+def cells(item: FileResult) -> tuple[str, ...]:
     """What stands in the row of a file."""
     name = f"`{item.file.partition('/')[2]}`"
     if item.seen is None:
@@ -183,7 +185,7 @@ def kinds(seen: FileSummary) -> str:
 
 
 def main(data: Path) -> None:
-    found = list(walks(data))
+    found = list(file_results(data))
     write_tables(PAGE, table(found), "pipelines/formats.py")
     whole = sum(item.rows > 0 for item in found)
     print(f"{len(found)} files: {whole} ingested, {len(found) - whole} refused; {PAGE}")

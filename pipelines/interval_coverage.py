@@ -235,19 +235,16 @@ def problem_of(family: Family, model: Model, recordings: Sequence[Recording]) ->
     return drive_problem(model, axis) if family.stage == "command" else joint_problem(model, axis)
 
 
-def candidates_of(family: Family, known: Plant, problem: Problem) -> list[Candidate]:
-    """The effect in the form of its true parameters, and the nuisances that every fit of the stage has."""
-    effect, theta = family.effect, known.vector()
-    every = candidates_at(known, theta, problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
-    meant = [
-        c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
-    ]
-    others = [
-        as_nuisance(c)
-        for c in every
-        if c.effect.name in problem.nuisances and c.target == problem.target and c.key != meant[0].key
-    ]
-    return [*meant, *others]
+def candidates_of(family: Family, plant: Plant, problem: Problem, names: Sequence[str], target: str) -> list[Candidate]:
+    """The effect in the form of its true parameters, then the effects ``names`` of ``target`` as nuisances."""
+    effect = family.effect
+    every = candidates_at(plant, plant.vector(), problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
+    key = effect.name, effect.target, effect.side
+    found = {c.key: c for c in every if c.key == key and set(c.form.names) == set(effect.parameters)}
+    for c in every:
+        if c.effect.name in names and c.target == target:
+            found.setdefault(c.key, as_nuisance(c))
+    return list(found.values())
 
 
 @dataclass(frozen=True)
@@ -288,7 +285,7 @@ def fitted(family: Family, recordings: Sequence[Recording], seed: int) -> tuple[
     problem = problem_of(family, model, recordings)
     sigma = problem_floor(problem, truth.vector(), recordings, NOISE, seed)
     data = Data(problem, recordings, sigma)
-    candidates = candidates_of(family, known, problem)
+    candidates = candidates_of(family, known, problem, problem.nuisances, problem.target)
     true = [float(v) for v in family.effect.parameters.values()]  # type: ignore[arg-type]
     unknowns = [u for c in candidates for u in c.unknowns]
     start = np.array([*true, *(u.nominal for u in unknowns[len(true) :])])

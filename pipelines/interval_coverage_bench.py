@@ -20,15 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from agreement.fitting import FIRST_GUESS
-from agreement.machines import STANDS, STREAMS, description, recipe_of, record
+from agreement.machines import MACHINES, STREAMS, description, recipe_of, record
 from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
 from committed import markdown, write_tables
-from interval_coverage import NOISE, PAGE, SEED, STILL, Family, problem_of, sensed
+from interval_coverage import NOISE, PAGE, SEED, STILL, Family, candidates_of, problem_of, sensed
 from sysid.bench.recipe import BenchRecipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
@@ -69,22 +68,22 @@ class Outcome:
 
 def best_fit(row: Row) -> list[float]:
     """What the committed agreement says of the row."""
-    told = {key: list(value) if isinstance(value, tuple) else value for key, value in row.feature.items()}
+    parameters = {key: list(value) if isinstance(value, tuple) else value for key, value in row.feature.items()}
     under = {key: list(value) if isinstance(value, tuple) else value for key, value in row.base.items()}
     for entry in json.loads(AGREEMENT.read_text("utf-8"))["rows"]:
-        same = (entry["effect"], entry["target"], entry["machine"]) == (row.effect, row.target, row.stand)
-        if same and entry["feature"] == told and entry["base"] == under:
+        same = (entry["effect"], entry["target"], entry["machine"]) == (row.effect, row.target, row.machine_name)
+        if same and entry["feature"] == parameters and entry["base"] == under:
             return [float(value) for value in entry["parameters"].values()]
     raise KeyError(row.effect)
 
 
 def machines_of(row: Row) -> tuple[BenchRecipe, BenchRecipe]:
-    return recipe_of(row.stand, dict(row.base)), recipe_of(row.stand, {**row.base, **row.feature})  # type: ignore[return-value]
+    return recipe_of(row.machine_name, dict(row.base)), recipe_of(row.machine_name, {**row.base, **row.feature})  # type: ignore[return-value]
 
 
 def taken(machine: BenchRecipe, row: Row, seed: int, seconds: float, count: int) -> list[Recording]:
     programs = (*row.programs, "operator", "steps")
-    if row.stand == "slide":
+    if row.machine_name == "slide":
         seconds = 0.25 * seconds
     return [
         replace(record(machine, programs[k % len(programs)], seed + k, seconds), name=f"take-{k + 1}") for k in range(count)
@@ -97,17 +96,6 @@ def data_of(family: Family, plant: Plant, recordings: Sequence[Recording]) -> tu
     return problem, Data(problem, recordings, sigma)
 
 
-def free(plant: Plant, problem: Problem, names: Sequence[str], family: Family, axis: str) -> list[Candidate]:
-    """The effect of the row first, then what else is fitted with it."""
-    effect = family.effect
-    every = candidates_at(plant, plant.vector(), problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
-    first = [
-        c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
-    ]
-    rest = [as_nuisance(c) for c in every if c.effect.name in names and c.target == axis and c.key != first[0].key]
-    return [*first, *(c for k, c in enumerate(rest) if c.key not in {other.key for other in rest[:k]})]
-
-
 def outcome(row: Row, repeats: int) -> list[Outcome]:
     """Fit the baseline, then the truth, then noisy recordings."""
     stage = stage_of(row)
@@ -116,14 +104,14 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
     side = row.side or ("drive" if row.effect == "backlash" else None)
     family = Family(stage, KnownEffect(row.effect, row.target, guess, side))  # type: ignore[arg-type]
     plain, real = machines_of(row)
-    names = STANDS[row.stand].baseline if stage in ("command", "force") else ()
+    names = MACHINES[row.machine_name].baseline if stage in ("command", "force") else ()
     before = nominal_plant(description(plain), streams=STREAMS if isinstance(plain, BenchRecipe) else None)
     for name in names:
         values = {key: float(value) for key, value in FIRST_GUESS[name].items()}  # type: ignore[arg-type]
         before = before.with_effect(KnownEffect(name, row.target, values))
     if names:
         problem, data = data_of(family, before, taken(plain, row, 101, LONG, 3))
-        theirs = [c for c in free(before, problem, names, family, row.target) if c.effect.name in names]
+        theirs = [c for c in candidates_of(family, before, problem, names, row.target) if c.effect.name in names]
         fit = fit_candidates(data, before.vector(), theirs, [np.array([u.nominal for c in theirs for u in c.unknowns])])
         for candidate in theirs:
             before = before.with_effect(candidate.instance(fit.values_of(candidate)))
@@ -139,7 +127,7 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
         found.append(np.column_stack([known.fit.values, known.limits])[: len(true)])
         left.append(spread_of(data.residuals(known.fit.theta[None])))
     table = np.array(found)
-    label = f"`{row.effect}` on {row.target}, {row.stand}"
+    label = f"`{row.effect}` on {row.target}, {row.machine_name}"
     rows = []
     for j, key in enumerate(u.key for u in fit.unknowns[: len(true)]):
         value, low, high = table[:, j].T
@@ -158,7 +146,7 @@ def disturbed(machine: BenchRecipe, row: Row) -> BenchRecipe:
 
 def fitted(family: Family, plant: Plant, recordings: Sequence[Recording], row: Row, start: list[float]) -> tuple[Fit, Data]:
     problem, data = data_of(family, plant, recordings)
-    candidates = free(plant, problem, problem.nuisances, family, row.target)
+    candidates = candidates_of(family, plant, problem, problem.nuisances, row.target)
     known = [u.nominal for c in candidates[1:] for u in c.unknowns]
     return fit_candidates(data, plant.vector(), candidates, [np.array([*start, *known])]), data
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares, minimize
 
-from agreement.machines import STANDS, STREAMS, description, recipe_of, record
+from agreement.machines import MACHINES, STREAMS, description, recipe_of, record
 from sysid.datasets import Recording
 from sysid.effects import effect_named, form_for
 from sysid.machine import KnownEffect
@@ -148,13 +148,13 @@ FIRST_GUESS: dict[str, Mapping[str, float | tuple[float, ...]]] = {
 
 
 @cache
-def baseline(stand: str, base: tuple[tuple[str, Any], ...], axes: tuple[str, ...], also: tuple[str, ...]) -> Plant:
+def baseline(machine_name: str, base: tuple[tuple[str, Any], ...], axes: tuple[str, ...], also: tuple[str, ...]) -> Plant:
     """What an engineer fits to steps and an operator's work on the machine without the feature."""
-    machine = recipe_of(stand, dict(base))
+    machine = recipe_of(machine_name, dict(base))
     plant = nominal_plant(description(machine), streams=STREAMS)
     recordings = [record(machine, program, 101 + k, 60.0) for k, program in enumerate(("steps", "operator"))]
     for axis in axes:
-        names = (*STANDS[stand].baseline, *also)
+        names = (*MACHINES[machine_name].baseline, *also)
         unknowns = [Unknown(name, axis, FIRST_GUESS[name]) for name in names]
         plant = fit(plant, unknowns, recordings, (plant.machine.axis(axis).driven,))
     return plant

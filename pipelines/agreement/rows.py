@@ -27,7 +27,7 @@ class Row:
 
     effect: str
     target: str
-    stand: str
+    machine_name: str
     feature: Mapping[str, Any]
     signals: tuple[str, ...]
     guess: Mapping[str, float | tuple[float, ...]]

@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hidden.machines import COLD_VARIANTS, PISTONS, VARIANTS, Family, Tables, hydraulic_axes
+from agreement.machines import PISTONS
+from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_axes
 from sysid.bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]

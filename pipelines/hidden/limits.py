@@ -15,8 +15,9 @@ import pandas as pd
 from scipy.optimize import brentq
 from scipy.signal import sosfiltfilt
 
+from agreement.machines import parsed
 from hidden.kinds import Kind
-from hidden.machines import Tables, parsed
+from hidden.machines import Tables
 from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import drive_of, joint_of
 from sysid.bench.joint_machines import description_of

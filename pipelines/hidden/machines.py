@@ -9,11 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from agreement.machines import PISTONS
 from sysid.bench.case import overlaid
-from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.recipe import AXES, BenchRecipe
-from sysid.bench.recipe_file import check_recipe
-from sysid.config import parse_settings, read_toml
+from sysid.bench.recipe import AXES
+from sysid.config import read_toml
 
 Family = Literal["valve_crane", "hydraulic_crane", "servo_arm", "slide"]
 Tables = dict[str, Any]
@@ -22,13 +21,6 @@ BENCH = Path(__file__).resolve().parents[2] / "datasets" / "autolog" / "bench.to
 VARIANTS = 6
 #: Standard deviations at noise 1: draw wire [m], marker coordinate [m], servo joint [rad], slide position [m] and force [N].
 WIRE, MARKER, SERVO, PLACE, FORCE = 2e-5, 1.5e-4, 1e-4, 1e-6, 0.5
-#: Pistons of the hydraulic crane [m²] and whether both directions are equally fast.
-PISTONS: Mapping[str, Tables] = {
-    "slew": {"area": 4e-5, "area_rod": 4e-5, "viscous": 2.0},
-    "boom": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.025},
-    "stick": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035},
-    "telescope": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1},
-}
 #: Oil of the hydraulic cranes, warm or just started [°C]; only cold oil can warm up enough to be felt.
 WARM, COLD = 40.0, 0.0
 COLD_VARIANTS = (0, 2)
@@ -92,9 +84,7 @@ def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
     )
     if family == "valve_crane":
         return tables
-    # One hydraulic drive among valves, or all of them.
-    driven = (AXES[variant % 3],) if variant < 3 else AXES
-    for name in driven:
+    for name in hydraulic_axes(variant):
         drive: Tables = {"drive": "hydraulic", "hydraulics": dict(PISTONS[name])}
         if "retraction" in PISTONS[name]:
             drive["hydraulics"]["retraction"] = tables["axes"][name]["valve"]["gain"]
@@ -110,7 +100,7 @@ def family_number(family: str) -> int:
 
 
 def hydraulic_axes(variant: int) -> tuple[str, ...]:
-    """Which axes of a hydraulic crane have a circuit."""
+    """Axes of a hydraulic crane that have a circuit: one of the first three, or all."""
     return (AXES[variant % 3],) if variant < 3 else AXES
 
 
@@ -131,15 +121,3 @@ def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, 
     seen = {"draw_wire": {"noise": WIRE * noise}, "capture": {"noise": MARKER * noise}}
     calm = {name: {"valve": {"disturbance": disturbance}} for name in AXES}
     return overlaid(tables, {"seed": seed, "recordings": takes, "axes": calm, **seen})
-
-
-def parsed(tables: Tables, where: str) -> BenchRecipe | ServoArm | Slide:
-    """The checked machine that tables describe."""
-    kind = tables.get("kind")
-    if kind == "servo_arm":
-        return parse_settings(tables, ServoArm, where)
-    if kind == "slide":
-        return parse_settings(tables, Slide, where)
-    recipe = parse_settings(tables, BenchRecipe, where)
-    check_recipe(recipe, where)
-    return recipe

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from agreement.fitting import Unknown, fit
-from agreement.machines import description, record
+from agreement.machines import description, parsed, record
 from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
-from hidden.machines import Tables, parsed, recorded, visible_tables
+from hidden.machines import Tables, recorded, visible_tables
 from sysid.bench.case import BenchCase, write_case
 from sysid.bench.joint_machines import write_joint_machine
 from sysid.bench.joint_recipe import ServoArm, Slide

@@ -70,7 +70,7 @@ def evaluated(data: Path, quick: bool = False) -> list[dict[str, Any]]:
         tasks = [*xl330(data / "bam_xl330", Path(folder), quick), *so101(data / "sage_so101", Path(folder), quick)]
     jobs: list[Job] = []
     for task in tasks:
-        jobs += [teach(task, histories), teach(task, told)]
+        jobs += [teach(task, histories), teach(task, command_features)]
     fit_together([(job.network, job.x, job.y, job.groups) for job in jobs])
     found = []
     for task, fed, alone in zip(tasks, jobs[::2], jobs[1::2], strict=True):
@@ -79,7 +79,7 @@ def evaluated(data: Path, quick: bool = False) -> list[dict[str, Any]]:
         for name, steps in (("network", mean_of(fed.network)), ("linear", linear(fed))):
             errors[f"{name}, fed back"] = rmse(free_run(steps, task.held, ends), task.held)
         for name, steps in (("network", mean_of(alone.network)), ("linear", linear(alone))):
-            x, _ = told(task.held)
+            x, _ = command_features(task.held)
             position = np.r_[task.held.position[:START], task.held.command[START:] + steps(x)]
             errors[f"{name}, commands alone"] = rmse(np.clip(position, *ends), task.held)
         errors["as told"] = rmse(task.held.command, task.held)
@@ -176,7 +176,7 @@ def history(run: Run, position: Array, k: int) -> Array:
     return np.r_[run.command[k - COMMANDS + 1 : k + 1] - now, np.diff(position[k - POSITIONS : k + 1]), now, run.others[k]]
 
 
-def told(run: Run) -> tuple[Array, Array]:
+def command_features(run: Run) -> tuple[Array, Array]:
     """The last second of commands against the newest, that one itself, and those of the other joints, (n, d); and how far the
     joint is from what it is told, (n,) [rad]."""
     at = np.arange(START, len(run.position))

@@ -22,7 +22,7 @@ from trained.runs import PAPER, RECIPES
 Array = npt.NDArray[np.float64]
 
 #: Steps between two looks at the helix.
-LOOK = 2000
+CHECK_STEPS = 2000
 
 
 def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
@@ -44,8 +44,8 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     torch.set_num_threads(1)
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    course = lay_out(plant, forward, "helix")
-    inner = KinematicEnvironment(plant, forward, size=1, seed=seed, task=recipe.setting.task, reach=course.reach)
+    task = lay_out(plant, forward, "helix")
+    inner = KinematicEnvironment(plant, forward, size=1, seed=seed, task=recipe.setting.task, reach=task.reach)
     low, high = inner.observation_low, inner.observation_high
     middle, half = 0.5 * (inner.action_high + inner.action_low), 0.5 * (inner.action_high - inner.action_low)
 
@@ -80,9 +80,9 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     spent, marks = 0.0, []
     while spent < limit:
         begin = time.process_time()
-        model.learn(LOOK, reset_num_timesteps=False, log_interval=None)
+        model.learn(CHECK_STEPS, reset_num_timesteps=False, log_interval=None)
         spent += time.process_time() - begin
-        tracked = course.run("sb3", Actor())
+        tracked = task.run("sb3", Actor())
         marks.append(
             {"step": model.num_timesteps, "cpu_seconds": spent, "rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
         )

@@ -24,7 +24,7 @@ KINDS = ("plain", "gaps", "jitter", "outliers", "reset")
 
 
 @dataclass(frozen=True)
-class Room:
+class SimulatedRecording:
     """A recording and the truth about its clock.
 
     Args:
@@ -37,7 +37,7 @@ class Room:
         pieces: how many the stream has, once stamps that were set back have been carried on.
     """
 
-    clocked: RecordingClocks
+    clocks: RecordingClocks
     stream_s: Array
     machine_s: Array
     skew_ppm: float
@@ -59,7 +59,9 @@ def linkage(x: Array) -> Array:
     return np.asarray(-1.7 * np.arctan(0.4 * x) + 0.3)
 
 
-def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | None = None, noise: float = NOISE) -> Room:
+def simulated(
+    seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | None = None, noise: float = NOISE
+) -> SimulatedRecording:
     """One recording: ``t_machine = t_true``, the other device's clock ``t·(1 + skew) + offset = t_true`` until it is set."""
     rng = np.random.default_rng([seed, round(10 * seconds), round(10 * hertz), KINDS.index(kind)])
     skew = 1e-6 * (rng.uniform(-100.0, 100.0) if skew_ppm is None else skew_ppm)
@@ -86,7 +88,7 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
         stamps = stream + 2e-3 * rng.uniform(-1.0, 1.0, len(stream))
     elif kind == "outliers":
         for name in y:
-            y[name] = _mistaken(truth, y[name], rng)
+            y[name] = _outliers(truth, y[name], rng)
     channels = [
         Channel(name, "log.mcap", "machine", _stamps(machine_stamps, EPOCH), values, primary=name == "boom.cylinder")
         for name, values in x.items()
@@ -95,11 +97,11 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
     carried_on = found.stamps
     rows, _ = in_order(carried_on, "mocap.csv")
     channels += [Channel(name, "mocap.csv", "mocap", carried_on[rows], values[rows]) for name, values in y.items()]
-    clocked = RecordingClocks("log", "motion", tuple(channels))
+    clocks = RecordingClocks("log", "motion", tuple(channels))
     times = (carried_on[rows] - OTHER) * 1e-9
     truth = truth + (stamps - stream) * (1.0 + skew)  # of the stamps: when the frames were taken, jitter hides
     parts = 2 if kind == "reset" and not found.rows else 1
-    return Room(clocked, times, truth[rows], 1e6 * skew, reset_s, reset_by, parts)
+    return SimulatedRecording(clocks, times, truth[rows], 1e6 * skew, reset_s, reset_by, parts)
 
 
 def _stamps(seconds: Array, origin: int) -> npt.NDArray[np.int64]:
@@ -129,7 +131,7 @@ def _gaps(times: Array, values: Array, count: float, rng: np.random.Generator) -
     return result
 
 
-def _mistaken(times: Array, values: Array, rng: np.random.Generator) -> Array:
+def _outliers(times: Array, values: Array, rng: np.random.Generator) -> Array:
     """One frame in 200 anywhere, and twice a minute a marker taken for another one for 0.1 to 1 s."""
     result = values.copy()
     wrong = rng.random(len(values)) < 0.005
