@@ -1,6 +1,6 @@
-"""Side by side with neighbouring tools, on the same logs, alternating: `make bench` writes reports/bench/result.json.
+"""Speed compared with neighbouring tools, on the same logs, alternating: `make bench` writes reports/bench/result.json.
 
-The figures are ratios of times measured in turn on one machine (above 1: ours is better); absolute times depend on the machine.
+The figures are ratios of times measured alternately on one computer (above 1: `sysid` is better); absolute times depend on it.
 The command line is measured here, logs and the plant in benchmarks/. docs/speed.md shows the result.
 `make bench PARTS="readers memory"` measures some of it and leaves the rest as it was.
 """

@@ -1,4 +1,4 @@
-"""A small simulated recording for the study of clocks: joint motion, two devices that see it, and what goes wrong with them."""
+"""Simulated recordings for the study of clocks: joint motion, two devices that measure it, and their faults."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _stamps(seconds: Array, origin: int) -> npt.NDArray[np.int64]:
 
 
 def _set(stream: Array, truth: Array, seconds: float, rng: np.random.Generator) -> tuple[Array, Array, float, float]:
-    """The clock is set back, set forward, or goes on evenly although no frame was taken for a while."""
+    """The clock is set back, set forward, or continues evenly although frames are missing."""
     row = int(rng.uniform(0.3, 0.7) * len(stream))
     size = float(rng.uniform(0.1, 3.0))
     how = rng.integers(3)
@@ -124,7 +124,7 @@ def _set(stream: Array, truth: Array, seconds: float, rng: np.random.Generator) 
 
 
 def _gaps(times: Array, values: Array, count: float, rng: np.random.Generator) -> Array:
-    """NaN for 0.1 to 3 s, so many times in the mean."""
+    """NaN for 0.1 to 3 s, ``count`` times on average."""
     result = values.copy()
     for start in rng.uniform(times[0], times[-1], rng.poisson(count)):
         result[(times > start) & (times < start + rng.uniform(0.1, 3.0))] = np.nan
@@ -132,7 +132,7 @@ def _gaps(times: Array, values: Array, count: float, rng: np.random.Generator) -
 
 
 def _outliers(times: Array, values: Array, rng: np.random.Generator) -> Array:
-    """One frame in 200 anywhere, and twice a minute a marker taken for another one for 0.1 to 1 s."""
+    """Outliers in one frame of 200, and twice a minute a confused marker for 0.1 to 1 s."""
     result = values.copy()
     wrong = rng.random(len(values)) < 0.005
     result[wrong] += rng.uniform(-3.0, 3.0, np.count_nonzero(wrong))

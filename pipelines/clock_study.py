@@ -2,10 +2,10 @@
 
     .venv/bin/python pipelines/clock_study.py [--full] [--only gaps] [--workers 1]
 
-A grid of durations, motions and mishaps, over and over with other noise: errors at mid-log and at its end, how often the 95 %
-intervals hold the truth, what is refused without need, and what is not refused although it must be. In the same run the usual
-ways of finding an offset stand beside it, on recordings of 300 s at 1 Hz. Writes ``reports/clock_study/result.json``, the
-tables of ``docs/clocks.md`` and its picture.
+A grid of durations, motions and faults, repeated with other noise: errors at mid-log and at its end, coverage of the 95 %
+intervals, recordings that are refused without need, and those that are not refused although they must be. The usual methods
+for an offset are compared on recordings of 300 s at 1 Hz. Writes ``reports/clock_study/result.json``, the tables of
+``docs/clocks.md`` and its picture.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def _number(value: float | None) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true", help=f"{SEEDS} recordings of every cell, an hour's as well")
-    parser.add_argument("--only", default="", help="one mishap; nothing is written then")
+    parser.add_argument("--only", default="", help="one fault; nothing is written then")
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     kinds = [kind for kind in KINDS if args.only in ("", kind)]

@@ -1,8 +1,8 @@
-"""What each part of the cylinder controller is worth: `python pipelines/control.py` after `make demo`.
+"""Effect of each part of the cylinder controller: `python pipelines/control.py` after `make demo`.
 
-Inverse kinematics follows the default helix through controllers of growing knowledge: proportional alone, as one tunes by hand,
-then with the inverse of the valve, speed feed-forward, the play, an integral, and a look-ahead; and tuned from the plant as it
-was before the gap was named. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
+Inverse kinematics follows the default helix through controllers with more and more parts: proportional, tuned by hand, then
+with the inverse of the valve, speed feed-forward, backlash compensation, an integral, and a look-ahead; and tuned from the
+plant before its repair. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
 """
 
 from __future__ import annotations

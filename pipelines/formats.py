@@ -1,10 +1,10 @@
-"""Every real file beside the repository, walked as a user walks it: inspected, its drafted recipe filled in, ingested, loaded.
+"""Every real file in a folder, inspected, its drafted recipe completed, ingested and loaded, as a user does it.
 
     .venv/bin/python pipelines/formats.py ../shared/data
 
 writes the table of ``docs/formats.md``. Each file that has numbers becomes a version of a machine with one axis: the longest
-stream gives its joint, or its tool where a motion capture saw a body or a marker. Which number that is means nothing; that it
-went the whole way is the point. The files themselves are in no package: the page says what is in them.
+stream is its joint, or its tool where it is of motion capture; the choice of the number has no meaning. The files are in no
+package.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def file_results(data: Path, databases: dict[str, str] | None = None) -> Iterato
 
 
 def refusal_of(path: Path) -> str:
-    """What a user is told who gives a file that is no log."""
+    """Error message for a file that is no log."""
     try:
         inspect_file(path)
     except SysidError as error:
@@ -122,7 +122,7 @@ def moves(field: FieldSummary) -> bool:
 
 
 def filled_in(draft: str, seen: FileSummary, stream: StreamSummary, dbc: Path | None) -> str:
-    """The draft as a user completes it for one signal: everything stays but the lines that stand for a choice."""
+    """The draft, completed for one signal: only the lines for a choice change."""
     head, _, _ = draft.partition("[streams.signals]" if "[streams.points]" not in draft else "[streams.points]")
     head = re.sub(r'^domain = "mocap"', 'domain = "machine"', head, flags=re.MULTILINE)
     if dbc is not None:
@@ -155,7 +155,7 @@ def table(found: list[FileResult]) -> str:
 
 
 def cells(item: FileResult) -> tuple[str, ...]:
-    """What stands in the row of a file."""
+    """Cells of the row of a file."""
     name = f"`{item.file.partition('/')[2]}`"
     if item.seen is None:
         return name, "", "", "", "", "", f"refused: {item.refusal}"

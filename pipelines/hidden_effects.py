@@ -1,23 +1,23 @@
-"""How often the gap workflow is right: sealed cases, answered blind, then evaluated.
+"""Error rates of the gap workflow on sealed cases with known hidden effects.
 
     .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--bench own|foreign] [--seed N|commit]
                                                  [--only GROUP] [--workers N] [--limit N] [--answered] [--resume]
 
-Each case is a machine that hides no, one, two or three effects, or something that the catalogue does not know, recorded with
-noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
-truth is opened when all have answered.
+Each case is a machine with no, one, two or three hidden effects, or a feature outside the catalogue, recorded with noise,
+disturbances and various excitations. The workflow gets logs and description only, in a separate process; the truth is read
+for the evaluation afterwards.
 
-The bench is that of sysid.bench, or ("foreign") machines that MuJoCo and PyBullet simulate: 200 cases whose formulas nobody
-here wrote, whose result is reports/hidden_effects/foreign.json.
+The bench is sysid.bench, or ("foreign") 200 machines that MuJoCo and PyBullet simulate, with the result in
+reports/hidden_effects/foreign.json.
 
-The cases follow from the seed. By default it is that of the commit (its first eight hex digits): whoever changes the search
-changes the cases, so that none can be tuned to. Such a run needs a tree without changes, and a whole tier of it, or with
---answered what there is, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
-result stays in the work folder. A run that was stopped goes on where it was; with --resume, on another machine too, from what
-the result file has of the same seed and tier.
+The cases follow from the seed. By default it is that of the commit (its first eight hex digits): a change of the search changes
+the cases, so that it cannot be tuned to them. Such a run needs a tree without changes. A whole tier of it, or with --answered
+the cases answered so far, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
+result stays in the work folder. An interrupted run continues; with --resume, also on another computer, from the result file of
+the same seed and tier.
 
-Order of reading of hidden/: seed, machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the
-site's files alone), runner, evaluate, score, page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
+Order of reading of hidden/: seed, machines, kinds, cases, limits, make (files), solve (the workflow), runner, evaluate, score,
+page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def evaluated(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, CaseR
 
 
 def evaluated_in(result: Path, specs: Sequence[CaseSpec]) -> dict[str, CaseResult]:
-    """By name, what a result file says of cases that are still the same; nothing where there is no file."""
+    """Evaluated cases of a result file, by name, as far as they are unchanged; empty without a file."""
     if not result.exists():
         return {}
     known = [CaseResult.from_json(each) for each in json.loads(result.read_text("utf-8"))["judgements"]]

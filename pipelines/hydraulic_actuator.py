@@ -1,4 +1,4 @@
-"""Hydraulic actuator: what a simulation of the arm as an integrator of its valve lacks, and what that says about the pressure.
+"""Hydraulic actuator: the gap of an arm simulated as an integrator of its valve, and its oil pressure from the motion.
 
     .venv/bin/python pipelines/hydraulic_actuator.py FOLDER_WITH_THE_MAT_FILES   (source: datasets/hydraulic_actuator/README.md)
 

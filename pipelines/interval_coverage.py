@@ -1,13 +1,13 @@
-"""How often 95 % intervals hold the truth: known effects in noisy recordings, fitted in the right structure, again and again.
+"""Coverage of 95 % intervals: known effects in noisy recordings, fitted in the right structure, repeatedly.
 
     .venv/bin/python pipelines/interval_coverage.py [--repeats 40] [--only backlash] [--workers 2]
 
-Commands are those of the test bench's operator and programs; the plant with the effect in it answers them, so that the
-true parameters are known exactly. Sensors add noise, and what no model explains disturbs the flow while the machine moves: as
-the fit's drift model assumes it (a random walk), as slow and slower fluctuations that it does not assume, and as sensor noise
-that is coloured. No structure is searched: the right effects are fitted, with the nuisances that every fit has. Every repeat
-has its own commands, noise and disturbance. The intervals stand beside a plain block sandwich of the fit as it is. Writes the
-tables of ``docs/intervals.md`` and ``reports/interval_coverage/result.json``.
+Commands are those of the test bench's operator and programs, and the response is that of the plant with the effect, so that
+the true parameters are known exactly. Sensors add noise, and a disturbance acts on the flow: a random walk, as the drift model
+of the fit assumes it, or slower fluctuations that it does not assume; some sensor noise is coloured. No structure is searched:
+the right effects are fitted, with the nuisances of every fit. Every repeat has other commands, noise and disturbance. The
+intervals are compared with a plain block sandwich estimate. Writes the tables of ``docs/intervals.md`` and
+``reports/interval_coverage/result.json``.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ KNOWN = tuple(
 
 @dataclass(frozen=True)
 class Disturbed:
-    """What no model explains: relative flow fluctuation (standard deviation, correlation time [s]; 0 is white, of the same
-    strength at low frequencies as one of 1 s) and the share of sensor noise (in variance) that is coloured, 0.3 s."""
+    """Disturbance: relative flow fluctuation (standard deviation, correlation time [s]; 0 is white noise with the spectral
+    density of 1 s at low frequencies) and the share of sensor noise (in variance) that is coloured, with 0.3 s."""
 
     name: str
     flow: float = 0.0
@@ -135,7 +135,7 @@ FAMILIES = (
 
 
 def plants(family: Family) -> tuple[Plant, Plant]:
-    """(what the simulation knows, what is true)."""
+    """Nominal plant and true plant."""
     if family.stage == "force":
         slide = nominal_plant(description(recipe_of("slide", {}))).with_effect(
             KnownEffect("viscous_friction", "carriage", {"coefficient": 200.0})
@@ -165,7 +165,7 @@ def recordings_of(family: Family, disturbed: Disturbed, seed: int) -> list[Recor
 
 
 def answered(model: Model, commands: Recording, disturbed: Disturbed, rng: np.random.Generator) -> Recording:
-    """The machine's answer to commands, each stage driven by what the stage before really did."""
+    """The machine's response to commands, each stage driven by the true output of the stage before."""
     run = free_run(model, commands)
     theta, machine = model.theta[None], model.machine
     table = commands.table.assign(**{str(s): run[s].to_numpy() for s in run.columns if s in commands.signals})
@@ -208,7 +208,7 @@ def coloured(count: int, samples: float, rng: np.random.Generator) -> Array:
 
 
 def sensed(true: Recording, family: Family, disturbed: Disturbed, rng: np.random.Generator) -> Recording:
-    """What the sensors say; noise lies before the rounding of one that reads in steps."""
+    """Readings of the sensors; noise is added before quantisation."""
     table = true.table.copy()
     for signal in true.signals:
         if signal in NOISE:
@@ -263,7 +263,7 @@ class Estimate:
 
 
 def repeat(family: Family, disturbed: Disturbed, seed: int) -> list[Estimate]:
-    """Record, fit, and ask for the intervals of the effect's parameters."""
+    """Record, fit, and compute the intervals of the effect's parameters."""
     recordings = recordings_of(family, disturbed, seed)
     data, theta, fit = fitted(family, recordings, seed)
     plain = block_sandwich(data, theta, fit)
@@ -293,7 +293,7 @@ def fitted(family: Family, recordings: Sequence[Recording], seed: int) -> tuple[
 
 
 def block_sandwich(data: Data, theta: Array, fit: Fit, seconds: float = 4.0) -> Array:
-    """Ends (k, 2) from scores summed over blocks: what a textbook does, for comparison."""
+    """Interval ends (k, 2) by the textbook's block sandwich, for comparison."""
     blocks, bread = [], np.zeros((len(fit.unknowns), len(fit.unknowns)))
     for recording in data.recordings:
         r, slopes = jacobian(replace(data, recordings=[recording]), theta, fit.unknowns, fit.values, fit.drifts)

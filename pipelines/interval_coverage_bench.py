@@ -1,11 +1,10 @@
-"""What intervals do not include: formulas that differ. Coverage on the simulated test bench; docs/intervals.md.
+"""Coverage of 95 % intervals under model error, on the simulated test bench; docs/intervals.md.
 
     .venv/bin/python pipelines/interval_coverage_bench.py [--repeats 10]
 
-The test bench computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature and
-without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
-noise, with everything else as it was. Recordings with noise and a disturbed flow are fitted in the right structure, nuisances
-free as in every fit, and the intervals are compared with that. The residual that is left, in noise floors, stands beside.
+A baseline is fitted to the bench without the feature and without noise; then the feature is switched on. The *true* parameters
+are those of ``bench_agreement.py``: the best fit without noise, all others unchanged. Recordings with noise and a disturbed
+flow are fitted in the right structure, with free nuisances as in every fit. The remaining residual is given in noise floors.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ class Outcome:
 
 
 def best_fit(row: Row) -> list[float]:
-    """What the committed agreement says of the row."""
+    """Parameters of the row in the committed result of ``bench_agreement.py``."""
     parameters = {key: list(value) if isinstance(value, tuple) else value for key, value in row.feature.items()}
     under = {key: list(value) if isinstance(value, tuple) else value for key, value in row.base.items()}
     for entry in json.loads(AGREEMENT.read_text("utf-8"))["rows"]:

@@ -1,4 +1,4 @@
-"""Networks that run along a motion (actuators with history, command → motion) beside what is simpler: docs/networks.md.
+"""Recurrent networks (actuators with history, command → motion) compared with simpler models: docs/networks.md.
 
     .venv/bin/python pipelines/networks_along.py [--raw FOLDER_OF_MEASURED_DATA]
 
@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATASETS = ROOT / "datasets"
 PIPELINE = "pipelines/networks_along.py"
 PAGE, RESULT = ROOT / "docs" / "networks.md", ROOT / "reports" / "networks_along" / "result.json"
-#: Full play between cylinder and boom or stick of the machine that has some [m].
+#: Full backlash between cylinder and boom or stick [m].
 PLAY = 1e-3
 #: Cylinder machines: recordings, their length [s], and the noise of the draw wires [m].
 RECORDINGS, SECONDS, WIRE = 6, 60.0, 2e-5
@@ -116,7 +116,7 @@ def history(width: float) -> dict[str, Any]:
 
 
 def cylinders(width: float) -> Dataset:
-    """The shipped bench crane with another play of boom and stick, seen by its sensors at the controller's rate."""
+    """The shipped bench crane with this backlash of boom and stick, measured by its sensors at the controller's rate."""
     play = {name: {"backlash": width} for name in ("boom", "stick")}
     tables = overlaid(read_toml(DATASETS / "autolog" / "bench.toml"), {"axes": play, "recordings": []})
     recipe = parse_settings(tables, BenchRecipe, PIPELINE)
@@ -177,7 +177,7 @@ def pressure(raw: Path) -> dict[str, Any]:
 
 
 def pressure_data(valve: Array, oil: Array) -> Dataset:
-    """The halves, as if the pressure were the motion of the arm; the second is held out, and no fit looks at it."""
+    """The halves, with the pressure in the place of the motion of the arm; the second is held out."""
     machine = load_machine(DATASETS / "hydraulic_actuator" / "machine.toml")
     machine = replace(machine, axes=(replace(machine.axes[0], limits=None),))
 

@@ -1,10 +1,10 @@
 """The runner on the simulated test bench, over slcan: `python pipelines/runner.py` after `make demo`.
 
-Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and beside three
-busy processes; then every fault is let loose while the machine moves, and the machine is commissioned with every fault of its
-wiring. What the machine did is read from its own file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
-of two pages of the guide. `--keep-runs` measures the faults alone, and leaves the runs that are timed as they are in the
-result, with where and when they were measured.
+Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and with three busy
+processes; then every fault is injected while the machine moves, and the machine is commissioned with every fault of its
+wiring. The true motion is read from the bench's file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
+of two pages of the guide. `--keep-runs` measures the faults only and keeps the timed runs of the result, with the computer and
+date of their measurement.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import AXES, DRIVEN, LINE, LOOP, POLICY, RIGHT, SECOND, TURNS, wiring
+from runner_flight import AXES, DRIVEN, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -82,7 +82,7 @@ AFTER = 4.0
 
 @dataclass
 class RunRecord:
-    """A run and what is left of it: lines that the runner said, its outcome, the machine's truth, when the fault came."""
+    """A run: lines on the runner's output, its outcome, the true motion of the machine, and the time of the fault."""
 
     lines: list[tuple[str, int, str]]
     outcome: dict[str, Any]
@@ -152,7 +152,7 @@ ENDS: dict[str, tuple[str, ...]] = {
     "line cannot be read": ("fault",),
     "SIGTERM twice": ("fault",),
 }
-#: What is wrong with a recipe, so that nothing is opened: added at its end, or what is put for what.
+#: Errors in a recipe for which the runner refuses to start: text added at its end, or a replacement.
 REFUSED: dict[str, dict[str, str]] = {
     "wrong DBC": {"wrong": "yes"},
     "threshold of 10⁶": {"more": "[checks.motion]\nseconds = 1e6\n"},
@@ -160,7 +160,7 @@ REFUSED: dict[str, dict[str, str]] = {
 }
 #: Log faults are noticed at the next sync: tried at so many moments of its second, and the worst is kept.
 PHASES = 3
-#: Of a run that was over before its fault came, which is flown again at the most so often.
+#: State of a run that ended before its fault, and the most attempts to repeat it.
 EARLY, ATTEMPTS = "ended before the fault", 3
 STOPS = ("stopped", "fault")
 
@@ -181,7 +181,7 @@ def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
 
 
 class Terminal:
-    """The runner's terminal, with somebody who reads what comes; standard error may be a pipe instead."""
+    """The runner's terminal, whose output is read; standard error may be a pipe instead."""
 
     def __init__(self, piped: bool) -> None:
         self.master, self.slave = os.openpty()
@@ -198,7 +198,7 @@ class Terminal:
         os.close(self.error)
 
     def fail(self, what: str) -> None:
-        """``stop``: Ctrl-S for 2 s, and nobody reads; ``close``, ``close error``: it, or standard error, is gone."""
+        """``stop``: Ctrl-S for 2 s without reading; ``close``, ``close error``: the terminal, or standard error, is closed."""
         if what == "stop":
             self._reads.clear()
             os.write(self.master, b"\x13")
@@ -236,7 +236,7 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT)} | threads
 
 
-def fly(
+def run_once(
     options: argparse.Namespace, path: str, policy: str, seconds: float, fault: str = "", turns: int = TURNS, **change: str
 ) -> RunRecord:
     """One run, with a fault where one is named, ``turns`` cycles after tracking began."""
@@ -290,7 +290,7 @@ def _second(recipe: Path, options: argparse.Namespace) -> Iterator[subprocess.Po
     second = recipe.parent / "second" / "runner.toml"
     second.parent.mkdir()
     second.write_text(recipe.read_text("utf-8"), "utf-8")
-    words = _program(second, options, SECOND)
+    words = _program(second, options, SECOND_RUNNER)
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=_environment()) as process:
         try:
             yield process
@@ -312,7 +312,7 @@ def _listen(
     outside: ExternalFault,
     second: subprocess.Popen[str] | None,
 ) -> tuple[list[tuple[str, int, str]], int]:
-    """What the runner says until it ends, and when the fault came."""
+    """Lines of the runner until it ends, and the time of the fault."""
     assert runner.stdout is not None
     lines, fault_ns = [], 0
     for line in runner.stdout:
@@ -362,7 +362,7 @@ def _opened(truth: dict[str, Array]) -> npt.NDArray[np.bool_]:
 
 
 def _begun(record: RunRecord) -> Array:
-    """When each cycle began, on the monotonic clock [ns]; the log is dated, the first line says when the first cycle began."""
+    """Begin of each cycle on the monotonic clock [ns]; the first line of the runner has that of the first cycle."""
     begun = record.cycles["due_ns"] + record.cycles["lateness_ns"]
     return np.asarray(begun - (begun[0] - record.lines[0][1]))
 
@@ -449,7 +449,7 @@ def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
     start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
     peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
     if state == "goes on" and record.cycles:
-        # It is on its way: what counts is how far off.
+        # It goes on: the tracking error counts.
         peak = float(np.linalg.norm(_tracking_errors(record, t0, t0 + 1e9), axis=1).max())
     ok = state in ENDS.get(name, STOPS) and inside
     if name == "a second runner on the line":
@@ -474,7 +474,7 @@ def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
 
 def commissioned(options: argparse.Namespace, name: str) -> dict[str, Any]:
     """What a commissioning makes of a fault that is there from the beginning."""
-    return commissioning_row(name, fly(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
+    return commissioning_row(name, run_once(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
 
 
 def commissioning_row(name: str, record: RunRecord) -> dict[str, Any]:
@@ -488,7 +488,7 @@ def commissioning_row(name: str, record: RunRecord) -> dict[str, Any]:
     began = bool(record.fault_ns) and record.outcome.get("ended", "refused") != "refused"
     opened = _opened(record.truth)
     last = float(at[np.flatnonzero(opened)[-1]] - record.fault_ns) * 1e-9 if opened.any() else 0.0
-    ok = began and passed == (name == RIGHT) and far <= FAR and fast <= FAST
+    ok = began and passed == (name == NO_FAULT) and far <= FAR and fast <= FAST
     row = {"fault": name, "found": not passed, "moved_for_s": last, "tip_m": far, "tip_speed": fast}
     return {**row, "why": why, "ok": ok}
 
@@ -507,7 +507,7 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     for phase in range(PHASES if name == "disk full" else 1):
         turns = TURNS + phase * 100 // PHASES
         for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
-            row = evaluated(name, fly(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
+            row = evaluated(name, run_once(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
             if row["state"] != EARLY:
                 break
         rows.append(row)
@@ -516,13 +516,13 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
 
 
 def timed(options: argparse.Namespace, policies: Sequence[str]) -> dict[str, Any]:
-    """The runs that are timed, and what of them is told first."""
+    """The timed runs, and their summary."""
     runs = []
     for path in options.paths:
         for policy in policies:
             for load in (0, 3) if policy == policies[0] and path == options.paths[0] else (0,):
                 with busy(load):
-                    record = fly(options, path, policy, 60.0 * options.minutes)
+                    record = run_once(options, path, policy, 60.0 * options.minutes)
                 row = {"path": path, "policy": policy, "busy": load, **timing(record)}
                 runs.append(row)
                 print(path, policy, load, row["lateness_us"], row["missed"], row["rmse_mm"], flush=True)

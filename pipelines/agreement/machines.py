@@ -125,7 +125,7 @@ def with_value(tables: Any, path: Sequence[str], value: Any) -> Any:
 
 
 def description(machine: BenchRecipe | ServoArm | Slide) -> Machine:
-    """What the owner wrote down: geometry, rated gains and masses."""
+    """The owner's description: geometry, rated gains and masses."""
     if not isinstance(machine, BenchRecipe):
         return machine_from_files(description_of(machine), machine.name)
     gains = {name: machine.axis(name).valve.gain for name in AXES}
@@ -151,7 +151,7 @@ def record(machine: BenchRecipe | ServoArm | Slide, program: str, seed: int, sec
     columns |= {"boom.cylinder": run.log.wires[:, 0], "stick.cylinder": run.log.wires[:, 1]}
     columns |= {"telescope.joint": run.log.wires[:, 2], "slew.joint": run.log.slew}
     count = len(run.log.stamps)
-    # The camera's frames come at the controller's rate; they are taken at their word, whatever its clock says.
+    # Frames have the controller's rate and are placed row by row, whatever the clock of the camera.
     shown = run.capture.clock.to_machine(run.capture.time) - machine.capture.latency
     joints = run.truth.at(shown, run.truth.joint)
     turned = frame_rotation(machine.capture.rpy)

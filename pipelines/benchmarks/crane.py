@@ -1,4 +1,4 @@
-"""The shipped crane with every effect that it can have, and what it is asked to do."""
+"""The shipped crane with every effect that it can have, and its commands."""
 
 from __future__ import annotations
 

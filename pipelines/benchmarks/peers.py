@@ -1,6 +1,6 @@
 """The same machine description in MuJoCo and in PyBullet: its four joints driven at commanded speeds, the gripper free.
 
-Neither knows valves, play, sensors or linkages; both solve the rigid-body dynamics of six joints. At each step both give the
+Neither has valves, backlash, sensors or linkages; both solve the rigid-body dynamics of six joints. At each step both give the
 four joints, the boom tip and the gripper, as the plant does.
 """
 
@@ -33,7 +33,7 @@ def hanging(joints: Array) -> Array:
 
 
 def must_follow(name: str, commanded: Array, done: Array) -> None:
-    """A simulation that does not move as it is told would be no comparison: speeds (n, 4) against each other.
+    """Check that a simulation follows the commanded speeds (n, 4).
 
     Raises:
         SystemExit: more than a tenth of the commanded speed is missing on an axis.

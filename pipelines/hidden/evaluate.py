@@ -65,7 +65,7 @@ class CaseResult:
         return self.factor >= DUE * 0.99
 
     def to_json(self) -> dict[str, Any]:
-        """Without infinity and not-a-number, which JSON lacks: nothing hidden has no factor, no answer took no time."""
+        """Infinity and NaN (no hidden effect, no answer) become None."""
         values = {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
         return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
 

@@ -1,7 +1,7 @@
-"""What a case can hide: every effect of the catalogue that a machine of the bench has, and features that no effect describes.
+"""Kinds of hidden effects: every effect of the catalogue that a machine of the bench has, and features outside the catalogue.
 
-A kind says what a magnitude means in the machine's own settings, between which magnitudes it is plausible, at which stage it
-shows, and which variants and programs it needs. Magnitudes grow with the effect from zero.
+A kind maps a magnitude to settings of the machine, and has the plausible range, the stage, and the variants and programs that
+it needs. Magnitude zero is no effect.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _valve_kinds(family: Family) -> list[Kind]:
                 ),
                 0.25,
             ),
-            # Short notches would be told from more overlap by nobody: beyond them the one is the other.
+            # Short notches are not distinguishable from more overlap.
             ("gain_curve", _valve(axis, taper=lambda v, m, d: d * m), 0.7),
             (
                 "flow_saturation",
@@ -126,14 +126,14 @@ def _valve_kinds(family: Family) -> list[Kind]:
 
 
 def _mechanical_kinds() -> list[Kind]:
-    """Play, sag, building errors, sensors and the hanging tool of the valve crane."""
+    """Backlash, sag, geometric errors, sensors and the hanging tool of the valve crane."""
 
     def kind(effect: str, target: str, stage: Stage, change: Change, most: float, shown: str = "", **more: Any) -> Kind:
         return Kind(f"{effect}({target})", "valve_crane", ((effect, target),), stage, shown or target, change, most, **more)
 
     found = [
         kind("backlash", "slew", "command", _axis("slew", backlash=lambda m: m), 0.04),
-        # The bench's play of a cylinder is in metres of its rod, the plant's in radians of the joint.
+        # The backlash of a cylinder is in metres of its rod on the bench, in radians of the joint in the plant.
         kind("backlash", "boom", "joint", _axis("boom", backlash=lambda m: m), 0.004, evaluated=False),
         kind("backlash", "stick", "joint", _axis("stick", backlash=lambda m: m), 0.004, evaluated=False),
         kind("joint_compliance", "boom", "joint", _axis("boom", stiffness=lambda m: 1.0 / m), 1e-3),
@@ -258,7 +258,7 @@ def _slide_kinds() -> list[Kind]:
     return [
         kind("coulomb_friction", lambda t, m, d: {"coulomb": m}, 60.0, smooth),
         kind("viscous_friction", lambda t, m, d: {"viscous": t["viscous"] * (1.0 + d * m)}, 0.8),
-        # A dip beside sliding friction that is known.
+        # Stribeck friction in addition to known Coulomb friction.
         kind("stribeck_friction", lambda t, m, d: {"static": t["coulomb"] + m}, 30.0, rough),
         kind("inertia_error", lambda t, m, d: {"mass": t["mass"] * (1.0 + d * m)}, 0.5),
         kind("load_bias", lambda t, m, d: {"offset": d * m}, 30.0),

@@ -1,7 +1,7 @@
-"""The detection limit: the magnitude at which what an effect adds to its stage's residual equals what is there without it.
+"""The detection limit: the magnitude at which an effect adds as much to the residual of its stage as is there without it.
 
-Without it there are the sensors' noise, the flow's disturbance, and what the owner's plant cannot do even on the machine he
-knows. Both are measured on runs without sensor noise; the noise is added by its standard deviation.
+The residual without it consists of sensor noise, flow disturbance, and the model error of the owner's plant. Both parts are
+measured on runs without sensor noise; the noise is added by its standard deviation.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _arm_error(kind: Kind, owner: ServoArm, tables: Tables) -> tuple[float, floa
 
 
 def _slide_error(owner: Slide) -> Callable[[Tables], tuple[float, float]]:
-    """Force at measured motion: what the real machine needs beside what the owner's formula says, filtered as a user would."""
+    """Residual of the owner's formula for the force at measured motion, filtered as in the workflow."""
     axis = machine_from_files(description_of(owner), "slide").axis("carriage")
 
     def left(slide: Slide, noisy: bool) -> Array:

@@ -1,4 +1,4 @@
-"""The machines of the cases as their owners know them: four families, a few variants of each."""
+"""The machines of the cases as their owners describe them: four families with variants."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
 
 @cache
 def visible_tables(family: str, variant: int) -> Tables:
-    """What the owner of a machine knows of it, as tables of its recipe; recordings and noise not yet in it."""
+    """The machine that the owner describes, as tables of its recipe, without recordings and noise."""
     draw = np.random.default_rng([family_number(family), variant])
     if family == "servo_arm":
         axes = []

@@ -140,7 +140,7 @@ def kept_nominal(owner: BenchRecipe, folder: Path) -> CommandChain:
 def _write_joints(
     owner: ServoArm | Slide, real: ServoArm | Slide, hidden: Sequence[Hidden], site: Path
 ) -> list[dict[str, Any]]:
-    """Logs of the real machine beside the owner's description; its truth is exact."""
+    """Write the logs of the real machine and the owner's description; returns the exact truth."""
     write_joint_machine(real, site / "logs")
     description = site / "logs" / "machine.toml"
     text = write_known(owner, description.read_text("utf-8"))

@@ -1,4 +1,4 @@
-"""The figures as Markdown: what was asked for, what came out, and who was taken for whom."""
+"""The figures as Markdown: goals, measured rates, and the confusion of effects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from committed import markdown
 
-#: Rate → what it is, and its goal; "≤" and "≥" as written.
+#: Rate, its description, and its goal.
 GOALS: tuple[tuple[str, str, str], ...] = (
     ("false_naming_none", "nothing hidden: anything named", "≤ 1 %"),
     ("single_right", "one effect, three detection limits and more: right name and place, nothing else", "≥ 97 %"),

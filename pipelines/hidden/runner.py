@@ -96,7 +96,7 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[.
     made = run_process(make, [spec, place.work, place.nominal], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
-        # The folder with the truth is not among what this process is told of.
+        # This process does not get the folder with the truth.
         failed = run_process(solve, [place.site(spec), place.answer(spec)], limit)
         failure = f"not answered: {failed}" if failed else None
     if failure is None and spec.hidden and spec.group != "unknown":
@@ -109,7 +109,7 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[.
 
 
 def run_process(task: Callable[..., object], arguments: Sequence[object], limit: float) -> str | None:
-    """Call a function of this package in a process of its own; what went wrong, if anything did.
+    """Call a function in a separate process; returns the error, or None.
 
     Args:
         limit: of its processor time [s].

@@ -35,7 +35,7 @@ def rate(hits: Iterable[bool]) -> dict[str, Any]:
 
 
 def scored(cases: Sequence[CaseResult]) -> dict[str, Any]:
-    """The figures of the result file; a case without an answer counts where something should have come out, and by itself."""
+    """The figures of the result file; a case without an answer counts as a failure and as not exact."""
 
     def of(*groups: str) -> list[CaseResult]:
         return [case for case in cases if case.spec.group in groups]

@@ -56,7 +56,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Task:
-    """A joint, what teaches it, and what is kept back."""
+    """A joint with its training and held-out recordings."""
 
     servo: str
     joint: str
@@ -163,7 +163,7 @@ def run_of(dataset: Dataset, recording: Recording, axis: str, name: str = "") ->
 
 
 def histories(run: Run) -> tuple[Array, Array]:
-    """What is known before each step (n, d), and how far the joint went (n,) [rad]."""
+    """Inputs before each step (n, d), and the displacement of the joint (n,) [rad]."""
     at = np.arange(COMMANDS, len(run.position) - 1)
     x = np.array([history(run, run.position, k) for k in at])
     return x, run.position[at + 1] - run.position[at]
@@ -199,7 +199,7 @@ def mean_of(network: NetworkRegressor) -> Step:
 
 
 def blocks(groups: npt.NDArray[np.int64], count: int = 20) -> npt.NDArray[np.int64]:
-    """Stretches of the recordings, so that no row stops the training beside one that teaches."""
+    """Blocks of the recordings, so that training and stopping rows are not neighbours."""
     return count * groups + np.arange(len(groups)) * count // len(groups)
 
 

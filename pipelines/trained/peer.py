@@ -21,7 +21,7 @@ from trained.runs import PAPER, RECIPES
 
 Array = npt.NDArray[np.float64]
 
-#: Steps between two looks at the helix.
+#: Steps between two evaluations on the helix.
 CHECK_STEPS = 2000
 
 
@@ -50,7 +50,7 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     middle, half = 0.5 * (inner.action_high + inner.action_low), 0.5 * (inner.action_high - inner.action_low)
 
     def seen(observations: Array) -> npt.NDArray[np.float32]:
-        """Within ±1, as SB3's users are told to give them."""
+        """Observations scaled to ±1, as SB3 recommends."""
         return np.asarray((observations - 0.5 * (high + low)) / (0.5 * (high - low)), dtype=np.float32)
 
     class Single(gymnasium.Env[Any, Any]):

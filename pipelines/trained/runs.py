@@ -1,4 +1,4 @@
-"""The runs of pipelines/training.py: which policies are trained, and how long until one was good enough."""
+"""The runs of pipelines/training.py: the policies to train, and the time until an accuracy is reached."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CUT: dict[str, dict[str, Any]] = {
     "learning": {"batch": 256},
     "setting": {"task": {"steps": 40}},
 }
-#: Steps to an update where nothing else of it is cut, and episodes between two looks at the helix.
+#: Steps per update of the otherwise complete recipe, and episodes between two evaluations on the helix.
 EVERY, APART = 25, 20
 #: One thing at a time that the quick recipe does otherwise.
 CHOICES: dict[str, dict[str, Any]] = {

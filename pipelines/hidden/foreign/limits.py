@@ -30,8 +30,8 @@ Scores = dict[str, float]
 FURTHER = 1.0
 #: Recordings that are looked at.
 LOOKS = 2
-#: Magnitudes below which an effect makes no difference to anybody, though it may show: a limit is no less. Delays and lags [s],
-#: dead-bands [command], the others relative; of an effect that is not listed whatever shows counts.
+#: Least detection limits: smaller magnitudes have no practical significance. Delays and lags [s],
+#: dead-bands [command], the others relative; other effects have no least limit.
 PRACTICAL = {
     "input_delay": 0.005, "first_order_lag": 0.005, "gain_error": 0.01, "asymmetric_gain": 0.01, "flow_saturation": 0.01,
     "valve_deadband": 0.004, "sensor_scale": 0.002, "viscous_friction": 0.01, "inertia_error": 0.01,
@@ -87,7 +87,7 @@ def scores_of(kind: Kind, known: Tables, owner: Owner, noise: float, recordings:
 
 
 def _force_scores(known: Tables, owner: Owner, takes: Sequence[Take], spread: dict[str, float]) -> Callable[[Tables], Scores]:
-    """Force at measured motion: what the machine needs beside what the owner's plant says, filtered as the plant does."""
+    """Residual of the owner's plant for the force at measured motion, filtered as in the plant."""
     model = compile_plant(owner.plant(known))
     axis = model.machine.axes[0]
     force, place = f"{axis.name}.command", f"{axis.name}.joint"

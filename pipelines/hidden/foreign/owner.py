@@ -1,4 +1,4 @@
-"""What the owner of a machine knows of it: gain, dead time, lag and friction, as an engineer fits them to his tests."""
+"""The owner's fitted plant of a machine: gain, dead time, lag and friction, fitted to tests."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Array = npt.NDArray[np.float64]
 #: The owner's tests: programs and their length [s].
 TESTS: tuple[tuple[Program, int], ...] = (("steps", 101), ("operator", 102), ("fourier", 103))
 LENGTH = 60.0
-#: Dead times to begin a fit with, beside the rated one [s].
+#: Starting values of the dead time, in addition to the rated one [s].
 DELAYS = (0.0, 0.003, 0.006, 0.012)
 
 
 @dataclass(frozen=True)
 class Owner:
-    """What stands in the owner's ``machine.toml``: ``gains`` of velocity axes, and the effects that he knows."""
+    """Contents of the owner's ``machine.toml``: ``gains`` of velocity axes, and the known effects."""
 
     gains: dict[str, float]
     effects: tuple[KnownEffect, ...]
@@ -138,7 +138,7 @@ def best_fit(plant: Plant, unknowns: Sequence[Unknown], tests: Sequence[Recordin
 
 
 def _pushed(tables: Tables) -> Owner:
-    """Inertia and friction of a force axis stand in its data sheet."""
+    """Inertia and friction of a force axis are in its data sheet."""
     axis = FORCE_AXIS[tables["family"]]
     known = [KnownEffect("viscous_friction", axis, {"coefficient": tables["viscous"]})]
     if tables["coulomb"] > 0.0:

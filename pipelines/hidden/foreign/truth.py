@@ -24,12 +24,12 @@ from sysid.plant import Plant, free_run, nominal_plant
 
 #: Effects whose equation in the simulator is another one than the plant's.
 FITTED = ("first_order_lag", "valve_deadband", "backlash", "oil_compressibility", "input_delay", "command_rate_limit")
-#: Recordings that a fit sees, and whose gap is told.
+#: Number of recordings for a fit and its error.
 SEEN = 3
 
 
 def truths(kind: Kind, known: Tables, real: Tables, owner: Owner, takes: Sequence[Take]) -> list[dict[str, Any]]:
-    """Every effect of a kind: ``name``, ``target``, ``parameters``, whether they are ``exact``, and the ``side`` of a play."""
+    """Effects of a kind: ``name``, ``target``, ``parameters``, whether they are ``exact``, and the ``side`` of a backlash."""
     found = []
     for name, target in kind.named:
         exact = name not in FITTED
