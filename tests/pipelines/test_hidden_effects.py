@@ -136,9 +136,9 @@ def test_every_kind_changes_its_machine_and_is_a_machine(hidden: dict[str, Modul
     for kind in (*hidden["kinds"].KNOWN, *hidden["kinds"].UNKNOWN):
         known = overlaid(machines.visible_tables(kind.family, kind.variants[0]), kind.known)
         visible = machines.recorded(known, kind.excitation, 1.0, 0.0, 5)
-        owner = machines.parsed(visible, "owner")
+        owner = hidden["limits"].parsed(visible, "owner")
         for magnitude in (0.1 * kind.most, kind.most):
-            assert machines.parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner
+            assert hidden["limits"].parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner
 
 
 # ---- Limits and files ---------------------------------------------------------------------------------------------------
