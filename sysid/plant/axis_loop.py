@@ -28,35 +28,25 @@ def begin(s, m, size, position, speed, joint, p, b, first, dt):
 
 
 @loop
-def run(p, arrays, i, s, command, load, share, first, last, dt, drive, joint, stage_net):
+def run(p, arrays, i, s, command, load, share, first, last, dt, drive, joint, net):
     """Samples ``first … last`` from the state ``s``; ``joint`` is only written where the joint itself is driven.
 
-    ``stage_net`` is the residual network of the axis (:class:`sysid.plant.residual.StageResidual`), or None.
+    ``net`` is the residual network of the axis (:class:`sysid.plant.residual.StageResidual`), or None.
     """
     b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)  # a literal 0 has another type and would be compiled separately
     fed, jointed = arrays.axes[i, KIND] == VELOCITY, arrays.axes[i, CYLINDER] == 0.0
-    if stage_net is not None:
-        residual.reset_memory(stage_net.memory)
+    if net is not None:
+        residual.reset_memory(net.memory)
     for k in range(first, last):
-        if stage_net is None:
+        if net is None:
             wanted = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
             drive[k] = chain.move(wanted * share[k] if fed else wanted, s, m, arrays.axes, i, dt)
         else:
             extra = 0.0
             if arrays.axes[i, KIND] != POSITION:
-                extra = residual.update(
-                    stage_net.nets, stage_net.row, stage_net.memory, stage_net.commands[k], s[m + STATE.position], load[k], dt
-                )
+                extra = residual.update_stage(net, k, s[m + STATE.position], load[k], dt)
             elif k > first:  # the position of a servo at a sample results from the step before
-                extra = residual.update(
-                    stage_net.nets,
-                    stage_net.row,
-                    stage_net.memory,
-                    stage_net.commands[k - 1],
-                    s[m + STATE.position],
-                    load[k - 1],
-                    dt,
-                )
+                extra = residual.update_stage(net, k - 1, s[m + STATE.position], load[k - 1], dt)
             if arrays.axes[i, KIND] == FORCE:
                 wanted = chain.demand(command[k] - extra, p, s, m, size, arrays.axes, i, load[k], dt)
             else:

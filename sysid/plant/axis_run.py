@@ -19,7 +19,7 @@ from sysid.plant.valve_start import ROWS, UNKNOWNS
 
 
 @kernel
-def find_starts(p, arrays, i, command, measured, joint, load, share, segments, dt, window, settle, size, starts, stage_net):
+def find_starts(p, arrays, i, command, measured, joint, load, share, segments, dt, window, settle, size, starts, net):
     """State before the first sample of each of the stretches ``segments`` (m, 2) into ``starts`` (m, size).
 
     No stretch is run to its end.
@@ -29,14 +29,12 @@ def find_starts(p, arrays, i, command, measured, joint, load, share, segments, d
     for row in range(len(segments)):
         find_start(
             p, arrays, i, s, starts[row], command, measured, joint, load, share, segments[row, 0], segments[row, 1], dt, window,
-            settle, drive, behind, scratch, work, False, False, stage_net,
+            settle, drive, behind, scratch, work, False, False, net,
         )  # fmt: skip
 
 
 @kernel
-def drive_axis(
-    p, arrays, i, command, measured, load, share, segments, dt, window, settle, size, held, drive, behind, stage_net
-):
+def drive_axis(p, arrays, i, command, measured, load, share, segments, dt, window, settle, size, held, drive, behind, net):
     """Free run of axis ``i`` from its command over all segments.
 
     Args:
@@ -46,7 +44,7 @@ def drive_axis(
             the valve keeps its state and only the position is estimated again.
         held: the first command was held for a long time before; else the earlier state of the valve is estimated.
         drive, behind: out, (n,): position of the drive, and of the joint behind the backlash where the joint is driven.
-        stage_net: residual network of the axis, or None.
+        net: residual network of the axis, or None.
     """
     s, begun, scratch, work = (
         np.empty(size),
@@ -59,9 +57,9 @@ def drive_axis(
         follows = row > 0 and segments[row - 1, 1] == first
         find_start(
             p, arrays, i, s, begun, command, measured, measured, load, share, first, last, dt, window, settle, drive, behind,
-            scratch, work, follows, held, stage_net,
+            scratch, work, follows, held, net,
         )  # fmt: skip
-        run(p, arrays, i, begun, command, load, share, first, last, dt, drive, behind, stage_net)
+        run(p, arrays, i, begun, command, load, share, first, last, dt, drive, behind, net)
         if arrays.axes[i, CYLINDER] != 0.0:
             for k in range(first, last):
                 behind[k] = drive[k]
@@ -80,7 +78,7 @@ def add_demand(p, arrays, i, command, load, segments, dt, size, total):
 
 
 @kernel
-def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, stage_net):
+def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, net):
     """Cylinder [m] (n,) → joint behind linkage, backlash and sag (n,). NaN stays NaN and keeps the state of the backlash.
 
     The initial state of the backlash follows from the first measured joint values.
@@ -98,13 +96,13 @@ def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, stage_ne
             scratch[count] = measured[k] + sag - chain.look_up(cylinder[k], arrays.tables, i, low, step)
             count += 1
     begun = False
-    if stage_net is not None:
-        residual.reset_memory(stage_net.memory)
+    if net is not None:
+        residual.reset_memory(net.memory)
     for k in range(len(cylinder)):
         if np.isnan(cylinder[k]):
             out[k] = np.nan
-            if stage_net is not None:
-                residual.update(stage_net.nets, stage_net.row, stage_net.memory, stage_net.commands[k], np.nan, 0.0, dt)
+            if net is not None:
+                residual.update_stage(net, k, np.nan, 0.0, dt)
             continue
         x = chain.look_up(cylinder[k], arrays.tables, i, low, step)
         if not begun:
@@ -112,18 +110,18 @@ def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, stage_ne
             if count:
                 s[STATE.backlash_drive] = x + median(scratch, count)
         out[k] = chain.joint_stage(x, p, b, s, m, load[k])
-        if stage_net is not None:  # output at the beginning of the step that led here
-            out[k] += stage_net.memory[residual.OUTPUT]
+        if net is not None:  # output at the beginning of the step that led here
+            out[k] += net.memory[residual.OUTPUT]
             weight = 0.0 if np.isnan(load[k]) else load[k]
-            residual.update(stage_net.nets, stage_net.row, stage_net.memory, stage_net.commands[k], cylinder[k], weight, dt)
+            residual.update_stage(net, k, cylinder[k], weight, dt)
 
 
 @kernel
-def force_axis(p, arrays, i, x, v, a, dt, out, stage_net):
+def force_axis(p, arrays, i, x, v, a, dt, out, net):
     """Force that the model needs for a measured motion: positions ``x``, speeds ``v``, accelerations ``a``, each (n,)."""
-    if stage_net is not None:
-        residual.reset_memory(stage_net.memory)
+    if net is not None:
+        residual.reset_memory(net.memory)
     for k in range(len(v)):
         out[k] = chain.force_at_motion(v[k], a[k], p, i * AXIS_WIDTH, arrays.axes[i, GAIN])
-        if stage_net is not None:
-            out[k] += residual.update(stage_net.nets, stage_net.row, stage_net.memory, stage_net.commands[k], x[k], 0.0, dt)
+        if net is not None:
+            out[k] += residual.update_stage(net, k, x[k], 0.0, dt)

@@ -36,7 +36,7 @@ def _first_measured(measured, first, last, low, high):
 
 
 @loop
-def _start_force(p, arrays, i, s, start, command, measured, load, share, first, last, dt, out, behind, stage_net):
+def _start_force(p, arrays, i, s, start, command, measured, load, share, first, last, dt, out, behind, net):
     """Position and speed at which the differences of the first second have no offset and no slope, by secant steps.
 
     Where friction stops the axis, the speed has no influence, and that of the step before is kept.
@@ -47,7 +47,7 @@ def _start_force(p, arrays, i, s, start, command, measured, load, share, first, 
     changed, rise_before, gain = 0.0, 0.0, 1.0
     for iteration in range(SPEED_ROUNDS):
         _copy_state(s, start)
-        run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, stage_net)
+        run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
         place, rise = line(measured, simulated, first, near)
         start[STATE.position] = min(max(start[STATE.position] + place, low), high)
         rise /= dt
@@ -60,12 +60,12 @@ def _start_force(p, arrays, i, s, start, command, measured, load, share, first, 
 
 
 @loop
-def _start_level(p, arrays, i, s, start, command, measured, load, share, first, near, dt, out, behind, scratch, stage_net):
+def _start_level(p, arrays, i, s, start, command, measured, load, share, first, near, dt, out, behind, scratch, net):
     """The position alone, from the samples up to ``near``."""
     low, high = arrays.axes[i, LOW], arrays.axes[i, HIGH]
     simulated = out if arrays.axes[i, CYLINDER] != 0.0 else behind
     _copy_state(s, start)
-    run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, stage_net)
+    run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
     middle, spread = middle_and_spread(measured, simulated, first, near, near - first, scratch)
     if not np.isnan(middle):
         middle = shift(measured, simulated, first, near, near - first, middle, SPIKE * spread)
@@ -73,11 +73,11 @@ def _start_level(p, arrays, i, s, start, command, measured, load, share, first, 
 
 
 @loop
-def _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, stage_net):
+def _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, net):
     """Position of the joint behind a cylinder, from the samples up to ``near``."""
     b = i * AXIS_WIDTH
     _copy_state(s, start)
-    run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, stage_net)
+    run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
     count = 0
     for k in range(first, near):
         behind[k] = chain.look_up(out[k], arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])
@@ -89,7 +89,7 @@ def _start_joint(p, arrays, i, s, start, command, joint, load, share, first, nea
 
 
 @loop
-def _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, stage_net):
+def _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, net):
     """Position in the backlash that fits the samples up to ``far`` best, for an axis whose joint is driven."""
     half = 0.5 * p[i * AXIS_WIDTH + AT.backlash_drive]
     middle = start[STATE.position]
@@ -98,7 +98,7 @@ def _start_side(p, arrays, i, s, start, command, measured, load, share, first, f
     for side in range(3):
         start[STATE.position] = middle + (side - 1.0) * half
         _copy_state(s, start)
-        run(p, arrays, i, s, command, load, share, first, far, dt, out, behind, stage_net)
+        run(p, arrays, i, s, command, load, share, first, far, dt, out, behind, net)
         cost = squares(measured, behind, first, far)
         if side == 0:
             low_cost = cost
@@ -120,7 +120,7 @@ def _start_side(p, arrays, i, s, start, command, measured, load, share, first, f
 @loop
 def find_start(
     p, arrays, i, s, start, command, measured, joint, load, share, first, last, dt, window, settle, out, behind, scratch, work,
-    follows, held, stage_net,
+    follows, held, net,
 ):  # fmt: skip
     """State ``start`` (size,) in which a stretch starts.
 
@@ -154,16 +154,16 @@ def find_start(
         start[STATE.backlash_drive] = np.nan
     if kind == VELOCITY and not level:
         start_valve(
-            p, arrays, i, s, start, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, stage_net
+            p, arrays, i, s, start, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, net
         )  # fmt: skip
     elif kind == FORCE and not follows:
-        _start_force(p, arrays, i, s, start, command, measured, load, share, first, last, dt, out, behind, stage_net)
+        _start_force(p, arrays, i, s, start, command, measured, load, share, first, last, dt, out, behind, net)
     else:
         if kind == POSITION and not level:
             start_servo(p, arrays, i, start, command, measured, first, last, dt)
-        _start_level(p, arrays, i, s, start, command, measured, load, share, first, near, dt, out, behind, scratch, stage_net)
+        _start_level(p, arrays, i, s, start, command, measured, load, share, first, near, dt, out, behind, scratch, net)
     if cylinder:
-        _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, stage_net)
+        _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, net)
     elif p[b + AT.backlash_drive] > 0.0:
         far = min(first + settle, last)
-        _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, stage_net)
+        _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, net)

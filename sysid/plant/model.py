@@ -87,7 +87,7 @@ class Model:
         load, share = self.load(thetas, recording)[i], self.share(thetas, recording)
         size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
         place: residual.ResidualStage = "force" if about.actuation == "force" else "command"
-        commands = self.commands_by_step(recording, i) if self.has_residual(place, axis, dt) else None
+        commands = self.residual_commands(place, axis, recording)
         position, behind = np.full((2, len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:
@@ -108,7 +108,7 @@ class Model:
         measured, load = self.true_signal(thetas, recording, signal), self.load(thetas, recording)[i]
         window, out = self.window(recording), np.empty((len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
-        commands = self.commands_by_step(recording, i) if self.has_residual("joint", axis, dt) else None
+        commands = self.residual_commands("joint", axis, recording)
 
         def lane(k: int) -> None:
             stage_net = self.stage_net("joint", axis, commands)
@@ -177,6 +177,11 @@ class Model:
             return None
         row = next(k for k, item in enumerate(self.residuals) if item.key == (stage, axis))
         return StageResidual(self.nets, row, frozen(commands), new_memory(self.nets)[row])
+
+    def residual_commands(self, stage: residual.ResidualStage, axis: str, recording: Recording) -> Array | None:
+        """:meth:`commands_by_step` for the network of a stage; None where the stage has none."""
+        known = self.has_residual(stage, axis, 1.0 / recording.rate_hz)
+        return self.commands_by_step(recording, self.axis_index(axis)) if known else None
 
     def commands_by_step(self, recording: Recording, i: int) -> Array:
         """Commands of all axes during each step that begins at a sample, (n, A); for the steps of axis ``i``."""

@@ -238,6 +238,12 @@ def update(nets, r, s, command, x, load, dt):
     return s[OUTPUT]
 
 
+@inlined
+def update_stage(net, k, x, load, dt):
+    """:func:`update` of the network of a :class:`StageResidual` at the beginning of step ``k``."""
+    return update(net.nets, net.row, net.memory, net.commands[k], x, load, dt)
+
+
 # -- files ------------------------------------------------------------------------------------------------------------------
 
 

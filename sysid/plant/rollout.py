@@ -75,11 +75,17 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     rows = max(1, *(len(part) for part in stretches))
     edges = np.full((model.axes, rows, 2), len(recording), dtype=np.int64)
     states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
-    share = model.share(model.theta[None], recording, SETTLE_WINDOW)[0]
-    load = model.load(model.theta[None], recording, SETTLE_WINDOW)
-    for i, part in enumerate(stretches):
-        edges[i, : len(part)] = part
-        states[i, : len(part)] = _axis_starts(model, recording, names[i], load[i], share)
+    theta = model.theta[None]
+    share, load = model.share(theta, recording, SETTLE_WINDOW)[0], model.load(theta, recording, SETTLE_WINDOW)
+    for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
+        edges[i, : len(segments)] = segments
+        stage: ResidualStage = "force" if axis.actuation == "force" else "command"
+        driven, joint = (model.true_signal(theta, recording, s)[0] for s in (axis.driven, axis_signal(axis.name, "joint")))
+        axis_run.find_starts(
+            model.theta, model.arrays, i, model.held(recording, axis.name)[0], driven, joint, load[i], share, segments, dt,
+            model.window(recording), round(SETTLE_WINDOW / dt), states.shape[2], states[i],
+            model.stage_net(stage, axis.name, model.residual_commands(stage, axis.name, recording)),
+        )  # fmt: skip
     return StartStates(edges, states, np.column_stack([model.held(recording, name)[0] for name in names]))
 
 
@@ -92,22 +98,10 @@ def run_steps(
     check_step(model.residuals, dt)
     networks = None if model.nets is None else new_memory(model.nets)
     memory, load = np.full(model.axes * starts.states.shape[2], np.nan), np.zeros(model.axes)
-    commands = starts.commands[: count + 1]
     run_machine(
-        model.theta,
-        model.arrays,
-        commands,
-        starts.edges,
-        starts.states,
-        dt,
-        drive,
-        joints,
-        tip,
-        memory,
-        load,
-        model.nets,
-        networks,
-    )
+        model.theta, model.arrays, starts.commands[: count + 1], starts.edges, starts.states, dt, drive, joints, tip, memory,
+        load, model.nets, networks,
+    )  # fmt: skip
     return (drive, joints, tip), MachineState(memory, load, networks)
 
 
@@ -118,21 +112,3 @@ class MachineState:
     memory: Array
     load: Array
     networks: Array | None
-
-
-def _axis_starts(model: Model, recording: Recording, axis: str, load: Array, share: Array) -> Array:
-    """State of one axis before each of its stretches, (m, size)."""
-    theta, dt = model.theta[None], 1.0 / recording.rate_hz
-    i, about = model.axis_index(axis), model.machine.axis(axis)
-    command, segments = model.held(recording, axis)
-    measured, joint = (model.true_signal(theta, recording, s)[0] for s in (about.driven, axis_signal(axis, "joint")))
-    out = np.empty((len(segments), layout.axis_memory(dt)))
-    place: ResidualStage = "force" if about.actuation == "force" else "command"
-    stage_net = model.stage_net(
-        place, axis, model.commands_by_step(recording, i) if model.has_residual(place, axis, dt) else None
-    )
-    axis_run.find_starts(
-        model.theta, model.arrays, i, command, measured, joint, load, share, segments, dt, model.window(recording),
-        round(SETTLE_WINDOW / dt), layout.axis_memory(dt), out, stage_net,
-    )  # fmt: skip
-    return out

@@ -187,17 +187,9 @@ class Stepper:
         def stretch(worker: int) -> None:
             first, last = worker * self.lanes // workers, (worker + 1) * self.lanes // workers
             _advance_lanes(
-                first,
-                last,
-                self.thetas,
-                self.model.arrays,
-                self._memory,
-                self._load,
-                command,
-                self.dt,
-                self.model.nets,
+                first, last, self.thetas, self.model.arrays, self._memory, self._load, command, self.dt, self.model.nets,
                 self._left,
-            )
+            )  # fmt: skip
             self._observe(first, last)
 
         workers = min(WORKERS, 1 + self.lanes // _SERIAL_LANES)

@@ -169,9 +169,7 @@ def _move_to(start, x, low, high):
 
 
 @loop
-def start_valve(
-    p, arrays, i, s, start, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, stage_net
-):
+def start_valve(p, arrays, i, s, start, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, net):
     """Correct the state ``start`` (size,) of a velocity axis.
 
     Args:
@@ -203,7 +201,7 @@ def start_valve(
             _fill(p, b, start, dt, work, cells, pieces)
         for k in range(len(s)):
             s[k] = start[k]
-        run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, stage_net)
+        run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
         if iteration == 0:
             middle, noise = middle_and_spread(measured, simulated, first, near, calm, scratch)
             if np.isnan(middle):
