@@ -2,10 +2,9 @@
 
     .venv/bin/python pipelines/bench_agreement.py
 
-The simulated test bench computes flows, pressures, spools, seals, bodies, pendulums and cameras; the plant computes the named
-effects. For every row a machine is recorded without noise, first without the feature that the row names: an engineer's baseline
-(gain, delay, lag, dead-band …) is fitted to that. Then the feature is switched on and the one effect is fitted, everything else
-left as it was. Errors are those of free runs on a recording that no fit has seen.
+For every row a machine is recorded without noise, first without the feature of the row: a baseline (gain, delay, lag,
+dead-band …) is fitted to that. Then the feature is switched on and the one effect is fitted, all others unchanged. Errors are
+those of free runs on a recording that no fit has used.
 
 Order of reading of agreement/: machines, rows, fitting, outcome, page.
 """

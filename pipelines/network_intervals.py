@@ -1,11 +1,11 @@
-"""Do the intervals of networks hold, and is their flag for queries outside the data right?
+"""Coverage of the intervals of networks, and their flag for queries outside the training domain.
 
     .venv/bin/python pipelines/network_intervals.py       (writes reports/network_intervals/result.json and docs/validation.md)
 
 Poses of the shipped crane, uniform over its joints' ranges, tips by its kinematics, noise as its description states. Every
-model learns from 500 of them, a tenth of which decide when to stop and calibrate the intervals, and is then asked about 2000
-others, about 2000 more with one joint up to a third of its range beyond its end, and, after learning from poses that leave out
-a corner (boom and stick both in the upper third), about 2000 in that corner. Five seeds each.
+model is trained on 500 of them, a tenth of which for early stopping and the calibration of the intervals. It is evaluated on
+2000 others, on 2000 with one joint up to a third of its range beyond its end, and, trained without a corner (boom and stick
+both in the upper third), on 2000 in that corner. Five seeds each.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
 POSES, QUERIES, SEEDS = 500, 2000, 5
 LEVELS = (0.5, 0.8, 0.9, 0.95)
-#: What is asked about beyond the data: one joint, so many shares of its range beyond an end.
+#: Queries beyond the data: one joint this share of its range beyond an end.
 BEYOND = (0.1, 0.33)
 NOISE_TIP = 3e-4
 RECIPES: dict[str, ForwardRecipe] = {

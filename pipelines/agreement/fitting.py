@@ -83,8 +83,8 @@ FINE = 601
 def fit(plant: Plant, unknowns: Sequence[Unknown], recordings: Sequence[Recording], signals: Sequence[str]) -> Plant:
     """The plant whose ``unknowns`` fit ``recordings`` best, everything else as it is.
 
-    Up to three numbers are looked for on a grid around the guess. Then least squares, then a simplex without slopes:
-    dead-bands, plays and quanta have kinks.
+    Up to three numbers start from a grid around the guess. Then least squares, then a simplex without derivatives: dead-bands,
+    backlash and quantisation have kinks.
     """
     guess = np.concatenate([unknown.start for unknown in unknowns])
     low, high = np.concatenate([unknown.bounds for unknown in unknowns]).T
@@ -149,7 +149,7 @@ FIRST_GUESS: dict[str, Mapping[str, float | tuple[float, ...]]] = {
 
 @cache
 def baseline(machine_name: str, base: tuple[tuple[str, Any], ...], axes: tuple[str, ...], also: tuple[str, ...]) -> Plant:
-    """What an engineer fits to steps and an operator's work on the machine without the feature."""
+    """The baseline: fit to steps and an operator's work on the machine without the feature."""
     machine = recipe_of(machine_name, dict(base))
     plant = nominal_plant(description(machine), streams=STREAMS)
     recordings = [record(machine, program, 101 + k, 60.0) for k, program in enumerate(("steps", "operator"))]

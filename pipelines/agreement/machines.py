@@ -1,4 +1,4 @@
-"""The machines, without any feature, and what a recording of one without noise holds."""
+"""The machines without any feature, and their noise-free recordings."""
 
 from __future__ import annotations
 

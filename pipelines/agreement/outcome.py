@@ -13,12 +13,12 @@ from agreement.rows import Row
 
 @dataclass(frozen=True)
 class Agreement:
-    """One row's outcome; errors are root mean squares on a recording that no fit has seen [unit].
+    """Result of one row; errors are RMSE on a recording that no fit has used [unit].
 
     Args:
-        alone: of the baseline on the machine without the feature: what the plant cannot do even there.
-        without, with_effect: on the machine with the feature, before and after the effect is in.
-        parameters: as fitted; ``own``: the machine's own setting. ``base``: what the machine has in both runs.
+        alone: of the baseline on the machine without the feature.
+        without, with_effect: on the machine with the feature, before and after the effect is added to the plant.
+        parameters: as fitted; ``own``: setting of the machine. ``base``: settings of the machine in both runs.
     """
 
     effect: str

@@ -1,4 +1,4 @@
-"""The list of cases: what each hides, how much of it, on which machine, seen how well.
+"""The list of cases: hidden effects with their magnitudes, machine, excitation and noise of each.
 
 A case follows from its group, its number and the seed of the calibration; only the counts of each group, and that each effect
 comes as often as any other, are the same for every seed.
@@ -158,7 +158,7 @@ def turned(known: Sequence[Kind], number: int, seed: int) -> Kind:
 
 
 def in_order(items: Sequence[T], seed: int) -> list[T]:
-    """Mixed by the seed, the same way every time."""
+    """Items in an order that the seed determines."""
     order = np.random.default_rng([seed, len(items)]).permutation(len(items))
     return [items[k] for k in order]
 

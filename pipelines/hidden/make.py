@@ -1,4 +1,4 @@
-"""Makes a case: ``site/`` with what a site hands over, and apart from it the truth.
+"""Makes a case: ``site/`` with logs and description, and separately the truth.
 
 <work>/cases/<name>/site/…         logs, machine.toml, recipe.toml: all that the run of the workflow sees
 <work>/sealed/<name>.json          what is hidden, how large, how far above its detection limit, and the case itself
@@ -28,7 +28,7 @@ from sysid.bench.nominal import CommandChain, fit_nominal
 from sysid.bench.recipe import BenchRecipe, HiddenSettings
 from sysid.plant import nominal_plant
 
-#: What an engineer fits to a servo before anything else.
+#: Effects of the nominal plant of a servo.
 SERVO = ("input_delay", "first_order_lag")
 
 

@@ -1,4 +1,4 @@
-"""Runs cases one by one in processes of their own; a case that has an answer is not run again."""
+"""Runs cases in separate processes; a case that has an answer is not run again."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Place:
         return self.work / "answers" / f"{spec.name}.json"
 
     def reach(self, spec: CaseSpec) -> Path:
-        """What the true plant scores."""
+        """Errors of the true plant."""
         return self.work / "reach" / f"{spec.name}.json"
 
 
@@ -91,7 +91,7 @@ def run_all(
 
 
 def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[..., object] = make_case) -> str | None:
-    """Leave an answer, which may be that there is none; returns why, if so."""
+    """Write an answer, or the failure; returns the failure, or None."""
     place.answer(spec).parent.mkdir(parents=True, exist_ok=True)
     made = run_process(make, [spec, place.work, place.nominal], MAKING)
     failure = f"not made: {made}" if made else None
@@ -101,7 +101,7 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[.
         failure = f"not answered: {failed}" if failed else None
     if failure is None and spec.hidden and spec.group != "unknown":
         place.reach(spec).parent.mkdir(parents=True, exist_ok=True)
-        # A truth that the plant cannot take leaves nothing to compare with.
+        # Without a plant for the truth there is no limit to compare with.
         run_process(reach, [place.site(spec), place.sealed(spec), place.reach(spec)], limit)
     if failure is not None:
         place.answer(spec).write_text(json.dumps({"failure": failure}) + "\n", "utf-8")

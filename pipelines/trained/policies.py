@@ -37,11 +37,11 @@ Array = npt.NDArray[np.float64]
 
 
 def kept(done: Path, about: Mapping[str, Any], until: float, made: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
-    """What ``done`` has; else what ``made`` gives, which it has from then on.
+    """Content of the file ``done``; else the result of ``made``, which is written to it.
 
     Args:
-        about: what has to stand in it; where something else does, it was made of another recipe.
-        until: clock after which nothing is begun [s since the epoch]; None is what comes of it then.
+        about: expected entries of the file; with other ones it belongs to another recipe and is made again.
+        until: time after which nothing begins and None is returned [s since the epoch].
     """
     if done.exists():
         found: dict[str, Any] = json.loads(done.read_text("utf-8"))
@@ -63,7 +63,7 @@ def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -
 
 @dataclass(frozen=True)
 class MisreadModel:
-    """A forward model that takes every joint for ``by`` of its range more than it is."""
+    """A forward model with an error of ``by`` of its range in every joint."""
 
     model: Any
     by: float
@@ -141,7 +141,7 @@ def _task(plant: Plant, forward: ForwardModel, driven: str | None = None) -> Tra
 
 
 class _Progress:
-    """What the actor alone does on the helix at each evaluation, and the processor time of training until then."""
+    """Errors of the actor on the helix at each evaluation, and the processor time of training until then."""
 
     def __init__(self, path: Path, trainer: Trainer, task: TrackingTask) -> None:
         self.path, self.trainer, self.task = path, trainer, task
@@ -166,7 +166,7 @@ class _Progress:
 
 
 def _late(tracked: TrackingResult) -> TrackingResult:
-    """What counts: on the full path a machine at rest catches up with a path that moves at once."""
+    """The settled part: on the full path a machine at rest first has to reach the moving path."""
     return tracked.after(SETTLED_S) if np.isfinite(tracked.commands).all() else tracked
 
 

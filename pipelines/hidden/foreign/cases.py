@@ -1,4 +1,4 @@
-"""The list of foreign cases: 200 machines that MuJoCo or PyBullet runs, drawn from the seed like those of the own bench."""
+"""The list of 200 cases of MuJoCo and PyBullet, drawn from the seed like those of `sysid.bench`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes a foreign case: ``site/`` with logs and description, and apart from it the truth, laid out as the own bench does."""
+"""Makes a case of MuJoCo or PyBullet: ``site/`` with logs and description, and separately the truth, as :mod:`hidden.make`."""
 
 from __future__ import annotations
 
