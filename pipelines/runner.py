@@ -74,9 +74,9 @@ stick = "AUX_VALVE_2_COMMAND"
 telescope = "AUX_VALVE_3_COMMAND"
 {more}"""
 FENCE = np.array([[0.45, 1.45], [-0.5, 0.5], [0.0, 0.85]])
-#: What a commissioning takes at the most [s]; how far the boom tip may go in it [m], and how fast over so long [m/s, s].
+#: Limits of a commissioning: duration [s], displacement of the boom tip [m], and its speed over a time [m/s, s].
 COMMISSION_S, FAR, FAST, OVER_S = 150.0, 0.02, 0.05, 0.05
-#: Motion after a fault is looked at for so long [s].
+#: Evaluated time after a fault [s].
 AFTER = 4.0
 
 

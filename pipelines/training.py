@@ -79,7 +79,7 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
 
 
 def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
-    """Leave in ``work`` what a committed result has of these runs, so that they are not trained again."""
+    """Copy the runs of a committed result to ``work``, so that they are not trained again."""
     if not result.exists():
         return
     known = json.loads(result.read_text("utf-8"))

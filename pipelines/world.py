@@ -28,7 +28,7 @@ from sysid.world import Log, World
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, PICTURE = ROOT / "docs" / "world.md", ROOT / "docs" / "images" / "world.png"
 RECORDING = "manual-06"
-#: Deep enough that nothing touches the ground: the compiled plant knows none.
+#: Height of the ground, without contact: the compiled plant has no ground.
 NO_GROUND = -3.0
 JOINTS = [f"{axis}.joint" for axis in ("slew", "boom", "stick", "telescope")]
 EE, TOOL = [f"ee.{c}" for c in "xyz"], [f"tool.{c}" for c in "xyz"]
@@ -74,7 +74,7 @@ TORQUE, INERTIA, VISCOUS = 3.0, 2.0, 6.0
 
 @dataclass(frozen=True)
 class Row:
-    """What two simulations of one recording differ by, and how much the effect itself changes (root mean square)."""
+    """Differences between two simulations of one recording, and the change by the effect itself (RMS)."""
 
     what: str
     parameters: str

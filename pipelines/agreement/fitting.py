@@ -1,4 +1,4 @@
-"""The plant fitted to a machine: an engineer's baseline, then the one effect, everything else left as it was."""
+"""The plant fitted to a machine: the baseline, then one effect with all others unchanged."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ AUTOLOG = ROOT / "datasets" / "autolog" / "bench.toml"
 SEED = 20240527
 EE, TOOL = ("ee.x", "ee.y", "ee.z"), ("tool.x", "tool.y", "tool.z")
 
-#: The shipped crane, its sensors and clocks made perfect, its camera at the controller's rate, nothing hidden. Delays are whole
-#: samples: what a fraction of one costs is a row of its own.
+#: The shipped crane with ideal sensors and clocks, its camera at the controller's rate, nothing hidden. Delays are whole
+#: samples; a fraction of a sample is a separate row.
 VALVE_CRANE: dict[str, Any] = {
     "axes": {
         "slew": {"backlash": 0.0, "valve": {"delay": 0.03}},
@@ -78,7 +78,7 @@ VALVE = ("gain_error", "input_delay", "first_order_lag", "valve_deadband")
 
 @dataclass(frozen=True)
 class MachineSettings:
-    """A machine: its recipe's tables, and the effects that an engineer fits to every axis of it before anything else."""
+    """A machine: tables of its recipe, and the effects of its baseline."""
 
     tables: Mapping[str, Any]
     baseline: tuple[str, ...]

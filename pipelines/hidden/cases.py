@@ -35,7 +35,7 @@ DISTURBANCES = (0.0, 0.001, 0.0, 0.003, 0.0, 0.01)
 
 @dataclass(frozen=True)
 class Hidden:
-    """One thing that a case hides: its kind, how many detection limits of it, and in which direction."""
+    """One hidden effect: its kind, its magnitude in detection limits, and its direction."""
 
     kind: str
     factor: float
@@ -103,7 +103,7 @@ def case(group: Group, number: int, seed: int) -> CaseSpec:
 def _factor(group: Group, number: int, place: int) -> float:
     if group == "single":
         return FACTORS[number % len(FACTORS)]
-    # Several at once, or one that has no name, are tried where each alone would be seen.
+    # Several effects, or one without a name, are well above their detection limits.
     return (4.0, 8.0, 5.0, 10.0, 6.0)[(number + 2 * place) % 5]
 
 
@@ -140,7 +140,7 @@ def kinds_of(
 
 
 def apart(kinds: Sequence[Kind]) -> bool:
-    """Whether they can be hidden together: each at a stage and place of its own, on one variant, in one set of recordings."""
+    """Whether kinds can be combined: different stages and targets, a common variant, one set of recordings."""
     places = {(kind.stage, kind.target) for kind in kinds}
     named = {name for kind in kinds for name in kind.named}
     shared = set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds))

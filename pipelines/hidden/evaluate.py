@@ -1,4 +1,4 @@
-"""Evaluates one answer against what was sealed: right names and places, parameters, intervals, what closed."""
+"""Evaluates one answer against the truth: names and targets, parameters, intervals, closed gap."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DUE = 3.0
 CLOSABLE = 1.5
 #: Parameters that are known to fewer digits than others: their error has a bound of its own.
 COARSE = (("gripper_sway", "damping_ratio"), ("stiction", "release"))
-#: A hidden thing is described by its name where the name's best fit takes away this share of what it does.
+#: A name describes a hidden effect where its best fit explains this share of it.
 DESCRIBED = 0.5
 
 
@@ -147,7 +147,7 @@ def _compare(name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any]) ->
 
 
 def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) -> float | None:
-    """Flow that fluctuates and what the plant's formulas cannot do stay with the true plant as well: they are not closable."""
+    """Flow disturbance and model error remain with the true plant as well: they are not closable."""
     least = {signal: max(floor, reach.get(signal, 0.0)) for signal, floor in gap["noise_floor"].items()}
     shares = [
         (before - gap["after"][signal]) / (before - least[signal])
@@ -158,7 +158,7 @@ def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) 
 
 
 def _explained(error: Mapping[str, Mapping[str, float]]) -> float:
-    """Of the signals that what is hidden moves, the one that its names explain worst; what they leave is no fault of a search.
+    """Least share, over the affected signals, of the hidden effects that the best fit of their names explains.
 
     Squares are compared: RMSE of noise-free runs with nothing hidden, before and after the best fit of the names.
     """

@@ -15,13 +15,13 @@ from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_a
 from sysid.bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]
-#: (visible tables, magnitude, direction) → what the hidden machine has instead. ``direction`` is +1 or −1.
+#: (visible tables, magnitude, direction) → changed settings of the hidden machine. ``direction`` is +1 or −1.
 Change = Callable[[Tables, float, int], Tables]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One effect at one place of one family; ``effect`` None = nothing the catalogue knows, distinguished by ``label``.
+    """One effect at one target of one family, or a feature outside the catalogue; ``label`` is unique.
 
     Args:
         change: what a magnitude does; ``most``, ``least``: the largest and the smallest plausible one.
@@ -201,7 +201,7 @@ def _hydraulic_kinds() -> list[Kind]:
         if axis != "slew":
             found.append(kind("load_dependent_flow", lambda t, m, d: {"masses": {"balanced": 1.0 - m}}, 1.0))
         if axis == "boom":
-            # Oil leaks under a load, and a boom's always pulls one way; without one, pressures even out and that is all.
+            # Leakage needs a load, and that of a boom has one direction; without a load the pressures equalise.
             leaks, loaded = _circuit(axis, "spool_leakage", lambda m: m * 1e-13), {"masses": {"balanced": 0.7}}
             found.append(kind("internal_leakage", leaks, 3.0, excitation="rest", known=loaded))
         found += [
@@ -210,7 +210,7 @@ def _hydraulic_kinds() -> list[Kind]:
             kind("oil_compressibility", _circuit(axis, "dead_volume", lambda m: 2e-5 * (1.0 + m)), 200.0),
         ]
         if variant in COLD_VARIANTS:
-            # Of a differential cylinder, warming oil makes one direction faster more than both; one with a rod at either end
+            # Warm oil changes the two directions of a differential cylinder differently; a cylinder with a rod at either end
             # warms up as the name says.
             even = {"axes": {axis: {"hydraulics": {"area_rod": PISTONS[axis]["area"]}}}}
             found.append(kind("temperature_drift", _warming, 45.0, excitation="long", known=even))
@@ -292,7 +292,7 @@ def _unknown_kinds() -> list[Kind]:
     return found
 
 
-#: Everything that the catalogue has a name for, and what it has none for.
+#: Kinds with a name in the catalogue, and without.
 KNOWN: tuple[Kind, ...] = (
     *_valve_kinds("valve_crane"),
     *_mechanical_kinds(),

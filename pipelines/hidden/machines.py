@@ -17,7 +17,7 @@ from sysid.config import read_toml
 Family = Literal["valve_crane", "hydraulic_crane", "servo_arm", "slide"]
 Tables = dict[str, Any]
 BENCH = Path(__file__).resolve().parents[2] / "datasets" / "autolog" / "bench.toml"
-#: Of each family; what is fitted to the owner's step tests is kept between cases of one variant.
+#: Number of variants of each family; the nominal plant of a variant is fitted once.
 VARIANTS = 6
 #: Standard deviations at noise 1: draw wire [m], marker coordinate [m], servo joint [rad], slide position [m] and force [N].
 WIRE, MARKER, SERVO, PLACE, FORCE = 2e-5, 1.5e-4, 1e-4, 1e-6, 0.5
@@ -76,7 +76,7 @@ def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
             "name": "crane",
             "axes": axes,
             "slew_sensor": {"error": 0.0},
-            # Half of the cranes have a hook that their owner knows, half hold the tool rigidly.
+            # Half of the cranes have a known hook, half hold the tool rigidly.
             "gripper": {"length": 0.22, "damping_ratio": 0.04} if variant % 2 else {"length": 0.0, "damping_ratio": 0.0},
             "capture": {"swaps": [], "exported_markers": []},
             "recordings": [],
@@ -88,7 +88,7 @@ def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
         drive: Tables = {"drive": "hydraulic", "hydraulics": dict(PISTONS[name])}
         if "retraction" in PISTONS[name]:
             drive["hydraulics"]["retraction"] = tables["axes"][name]["valve"]["gain"]
-        # The spool of the circuit is of second order and has a lag of its own.
+        # The second-order spool of the circuit replaces the lag.
         tables = overlaid(tables, {"axes": {name: {**drive, "valve": {"time_constant": 0.0}}}})
     degrees = COLD if variant in COLD_VARIANTS else WARM
     oil = {"start": degrees, "end": degrees, "warm_up": 60.0, "transition": 5e4}
@@ -105,7 +105,7 @@ def hydraulic_axes(variant: int) -> tuple[str, ...]:
 
 
 def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, seed: int) -> Tables:
-    """The tables with recordings to take, noise ``noise`` times the usual, and valves whose flow is disturbed by this share."""
+    """The tables with recordings, ``noise`` as a multiple of the usual, and the relative flow disturbance of the valves."""
     programs, seconds = EXCITATION[excitation]
     kind = tables.get("kind")
     if kind is not None:

@@ -155,7 +155,7 @@ def _write_joints(
 
 
 def write_known(owner: ServoArm | Slide, text: str) -> str:
-    """The description with the effects that the owner knows."""
+    """The description with the known effects."""
     known: list[tuple[str, str, dict[str, float]]] = []
     if isinstance(owner, ServoArm):
         for axis in owner.axes:
@@ -195,7 +195,7 @@ def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) ->
             values = {
                 "coulomb_friction": {"force": real.coulomb},
                 "viscous_friction": {"coefficient": real.viscous},
-                # Beside the Coulomb friction that the owner knows.
+                # In addition to the known Coulomb friction.
                 "stribeck_friction": {
                     "static_force": real.static - owner.coulomb,
                     "coulomb_force": real.coulomb - owner.coulomb,

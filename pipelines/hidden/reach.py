@@ -16,7 +16,7 @@ from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 
 
 def reach(site: Path, sealed: Path, out: Path) -> None:
-    """Write the RMSE by signal of the owner's plant with what is hidden put in: free runs, and forces at measured motion."""
+    """Write the RMSE by signal of the owner's plant with the true effects: free runs, and forces at measured motion."""
     effects = json.loads(sealed.read_text("utf-8"))["effects"]
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)

@@ -25,13 +25,13 @@ from hidden.reach import reach
 from hidden.solve import solve
 
 #: Longest processor time for making a case and for answering it [s]; an answer that takes longer is a failure. Each process
-#: computes on one thread, so that this is the time on a quiet machine, whatever else this one does.
+#: has one thread, so that the time hardly depends on the load of the computer.
 MAKING, ANSWERING = 300.0, 180.0
 #: Longest wall time, in longest processor times.
 PATIENCE = 6.0
 #: Each process computes on one thread; cases run side by side instead.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-#: Each step of each case is a process of its own, forked from one that has imported what they need and done nothing yet.
+#: Each step of each case is a process, forked from one that has only imported the modules.
 _FRESH = multiprocessing.get_context("forkserver")
 _FRESH.set_forkserver_preload(["hidden.make", "hidden.solve", "hidden.reach"])
 _STARTING = threading.Lock()

@@ -79,7 +79,7 @@ def scored(cases: Sequence[CaseResult]) -> dict[str, Any]:
 
 
 def confusion(cases: Sequence[CaseResult]) -> dict[str, dict[str, int]]:
-    """Hidden effect → what it was called, of cases that hide one thing or none; ``nothing`` and ``unknown`` are rows too."""
+    """Hidden effect → counts of named effects, for cases with one or no hidden effect; rows ``nothing`` and ``unknown`` too."""
     table: dict[str, Counter[str]] = {}
     for case in cases:
         if case.spec.group in ("double", "triple"):

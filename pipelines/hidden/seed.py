@@ -14,7 +14,7 @@ from pathlib import Path
 
 #: Hex digits of the commit that are the seed.
 DIGITS = 8
-#: What a calibration itself writes: a tree that differs in these alone is still that of the commit.
+#: Files that a calibration writes; a tree that differs in these only counts as unchanged.
 RESULT_FILES = ("reports/hidden_effects/", "docs/hidden-effects.md")
 
 
@@ -63,7 +63,7 @@ def changes(root: Path) -> list[str]:
 
 
 def check_unchanged(seed: Seed, root: Path) -> None:
-    """Whether the tree is still that of the seed's commit, before its result is written.
+    """Check, before a result is written, that the tree is still that of the seed's commit.
 
     Raises:
         ValueError: HEAD or files have changed since the run began.

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, on the same helix until it is as good as the paper."""
+"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, on the same helix, up to the accuracy of the paper."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CHECK_STEPS = 2000
 
 
 def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
-    """SB3's DDPG and how it gets on, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
+    """SB3's DDPG and its progress, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
     done = Path(work) / f"sb3-seed{seed}.json"
     return kept(done, {"seed": seed}, until, lambda: _trained(workspace, seed, limit, progress))
 

@@ -39,8 +39,8 @@ def run(p, arrays, i, s, command, load, share, first, last, dt, drive, joint, ne
         residual.reset_memory(net.memory)
     for k in range(first, last):
         if net is None:
-            wanted = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
-            drive[k] = chain.move(wanted * share[k] if fed else wanted, s, m, arrays.axes, i, dt)
+            demanded = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
+            drive[k] = chain.move(demanded * share[k] if fed else demanded, s, m, arrays.axes, i, dt)
         else:
             extra = 0.0
             if arrays.axes[i, KIND] != POSITION:
@@ -48,12 +48,12 @@ def run(p, arrays, i, s, command, load, share, first, last, dt, drive, joint, ne
             elif k > first:  # the position of a servo at a sample results from the step before
                 extra = residual.update_stage(net, k - 1, s[m + STATE.position], load[k - 1], dt)
             if arrays.axes[i, KIND] == FORCE:
-                wanted = chain.demand(command[k] - extra, p, s, m, size, arrays.axes, i, load[k], dt)
+                demanded = chain.demand(command[k] - extra, p, s, m, size, arrays.axes, i, load[k], dt)
             else:
-                wanted = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
-                wanted = wanted * share[k] * (1.0 + extra) if fed else wanted + extra
+                demanded = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
+                demanded = demanded * share[k] * (1.0 + extra) if fed else demanded + extra
                 if arrays.axes[i, KIND] == POSITION:
-                    wanted = min(max(wanted, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
-            drive[k] = chain.move(wanted, s, m, arrays.axes, i, dt)
+                    demanded = min(max(demanded, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
+            drive[k] = chain.move(demanded, s, m, arrays.axes, i, dt)
         if jointed:
             joint[k] = chain.joint_stage(drive[k], p, b, s, m, load[k])

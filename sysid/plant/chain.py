@@ -122,15 +122,15 @@ def demand(u, p, s, m, size, axes, i, load, dt):
 
 
 @inlined
-def move(wanted, s, m, axes, i, dt):
+def move(demanded, s, m, axes, i, dt):
     """Motion of the step, up to the end stops; returns the position *before* it, on the sample grid."""
     if axes[i, KIND] == POSITION:
-        s[m + STATE.position] = wanted
-        return wanted
+        s[m + STATE.position] = demanded
+        return demanded
     if axes[i, KIND] == VELOCITY:
-        s[m + STATE.speed] = wanted
+        s[m + STATE.speed] = demanded
     position = s[m + STATE.position]
-    moved = position + dt * wanted
+    moved = position + dt * demanded
     if moved > axes[i, HIGH]:
         moved = axes[i, HIGH]
         s[m + STATE.speed] = min(s[m + STATE.speed], 0.0)

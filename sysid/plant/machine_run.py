@@ -52,8 +52,8 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
 
 
 @inlined
-def advance(p, arrays, s, load, wanted, command, dt, nets, t):
-    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``wanted`` (A,) is used inside."""
+def advance(p, arrays, s, load, demands, command, dt, nets, t):
+    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``demands`` (A,) is used inside."""
     size = len(s) // len(arrays.axes)
     demand = 0.0
     if nets is not None:
@@ -63,28 +63,28 @@ def advance(p, arrays, s, load, wanted, command, dt, nets, t):
     for i in range(len(arrays.axes)):
         if np.isnan(s[i * size + STATE.position]):
             continue
-        asked = command[i]
+        setpoint = command[i]
         if nets is not None and arrays.axes[i, KIND] == FORCE:
-            asked -= residual.contribution(nets, t, i, INVERSE)
-        wanted[i] = chain.demand(asked, p, s, i * size, size, arrays.axes, i, load[i], dt)
+            setpoint -= residual.contribution(nets, t, i, INVERSE)
+        demands[i] = chain.demand(setpoint, p, s, i * size, size, arrays.axes, i, load[i], dt)
         if arrays.axes[i, KIND] == VELOCITY:
-            demand += abs(wanted[i]) / arrays.axes[i, GAIN]
+            demand += abs(demands[i]) / arrays.axes[i, GAIN]
     share = pump_flow_limit.share(demand, p, arrays.machine + AT.pump_flow_limit)
     for i in range(len(arrays.axes)):
         if not np.isnan(s[i * size + STATE.position]):
             part = share if arrays.axes[i, KIND] == VELOCITY else 1.0
             if nets is None:
-                chain.move(part * wanted[i], s, i * size, arrays.axes, i, dt)
+                chain.move(part * demands[i], s, i * size, arrays.axes, i, dt)
             else:
                 extra = residual.contribution(nets, t, i, COMMAND)
-                moved = part * wanted[i] * (1.0 + extra) if arrays.axes[i, KIND] == VELOCITY else wanted[i] + extra
+                moved = part * demands[i] * (1.0 + extra) if arrays.axes[i, KIND] == VELOCITY else demands[i] + extra
                 chain.move(within(moved, arrays.axes, i), s, i * size, arrays.axes, i, dt)
 
 
 @inlined
-def within(wanted, axes, i):
+def within(demands, axes, i):
     """The position of a servo, limited to its stops; speeds are limited by :func:`sysid.plant.chain.move`."""
-    return min(max(wanted, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else wanted
+    return min(max(demands, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else demands
 
 
 @inlined
@@ -102,7 +102,7 @@ def enter(p, arrays, i, s, size, load, start, command, dt, nets, t):
 
 @loop
 def _run(
-    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t
+    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
 ):
     count, axes = drive.shape
     for k in range(count):
@@ -124,7 +124,7 @@ def _run(
             row[i] = commands[k, i]
             if arrays.axes[i, KIND] == POSITION and k + 1 < len(commands):
                 row[i] = commands[k + 1, i]
-        advance(p, arrays, s, load, wanted, row, dt, nets, t)
+        advance(p, arrays, s, load, demands, row, dt, nets, t)
 
 
 @kernel
@@ -141,9 +141,9 @@ def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, l
     """
     axes = commands.shape[1]
     size = len(s) // axes
-    wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
+    demands, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
     scratch = np.empty((len(arrays.links), SCRATCH))
     at = np.zeros(axes, dtype=np.int64)
     _run(
-        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t
+        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
     )

@@ -30,7 +30,7 @@ def machine_text(plant: Plant) -> str | None:
     """
     text = plant.machine.text
     known = {effect_key(item): item for item in plant.machine.effects}
-    wanted = {effect_key(item): item for item in plant.effects}
+    new_effects = {effect_key(item): item for item in plant.effects}
     lines = text.splitlines(keepends=True)
     blocks = _blocks(lines)
     if len(blocks) != len(plant.machine.effects):
@@ -39,15 +39,15 @@ def machine_text(plant: Plant) -> str | None:
     for (begin, end), item in zip(blocks, plant.machine.effects, strict=True):
         edited += lines[at:begin]
         at = end
-        becomes = wanted.get(effect_key(item))
+        becomes = new_effects.get(effect_key(item))
         if becomes is None:
             at = _after_blank(lines, end)
         else:
             edited += _changed(lines[begin:end], item, becomes)
         if (begin, end) == blocks[-1]:
-            edited += _added([item for key, item in wanted.items() if key not in known], edited)
+            edited += _added([item for key, item in new_effects.items() if key not in known], edited)
     if not blocks:
-        edited, at = [*lines, *_added(list(wanted.values()), lines)], len(lines)
+        edited, at = [*lines, *_added(list(new_effects.values()), lines)], len(lines)
     made = "".join([*edited, *lines[at:]])
     return made if _describes(made, text, plant.effects) else None
 

@@ -53,17 +53,17 @@ def start_servo(p, arrays, i, start, command, measured, first, last, dt):
         return
     at, size = STATE.input_delay, len(start) - STATE.input_delay
     input_delay.fill(command[first], p, b + AT.input_delay, start, at, size, dt)
-    wanted, known = command[first], False
+    setpoint, known = command[first], False
     for back in range(cells, 0, -1):
         acts = first + delay / dt - back  # the sample that the step with this set-point leads to
         if acts >= first:
             x = _between(measured, acts, last)
             before = _between(measured, acts - 1.0, last) if acts - 1.0 >= first else x
             if not (np.isnan(x) or np.isnan(before)):
-                wanted = min(max((x - kept * before) / (1.0 - kept), low), high)
+                setpoint = min(max((x - kept * before) / (1.0 - kept), low), high)
                 if not known:  # before the measurement it was held there
                     known = True
                     start[STATE.first_order_lag] = min(max(before, low), high)
                     for older in range(back, cells + 1):
-                        input_delay.put(wanted, start, at, size, older)
-        input_delay.put(wanted, start, at, size, back)
+                        input_delay.put(setpoint, start, at, size, older)
+        input_delay.put(setpoint, start, at, size, back)

@@ -374,10 +374,10 @@ def _reset_residuals(t):
 
 @kernel
 def _advance_lanes(first, last, thetas, arrays, memory, load, command, dt, nets, left):
-    wanted = np.empty(len(arrays.axes))
+    demands = np.empty(len(arrays.axes))
     for lane in range(first, last):
         t = None if nets is None else left[lane]
-        advance(thetas[lane], arrays, memory[lane], load[lane], wanted, command[lane], dt, nets, t)
+        advance(thetas[lane], arrays, memory[lane], load[lane], demands, command[lane], dt, nets, t)
 
 
 @kernel

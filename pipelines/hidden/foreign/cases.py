@@ -21,7 +21,7 @@ FAMILIES: tuple[Family, ...] = (
     "mujoco_crane", "mujoco_arm", "mujoco_crane", "mujoco_slide", "bullet_arm", "mujoco_crane", "bullet_lever",
 )  # fmt: skip
 NOISES = (1.0, 0.5, 2.0, 1.0)
-#: What is recorded: every program, an operator alone, every program with recordings that begin in motion, three short ones.
+#: Excitations: every program, an operator only, every program with recordings that begin in motion, three short recordings.
 EXCITATIONS = ("rich", "moving", "rich", "operator", "moving", "rich", "rich", "moving", "rich", "poor")
 
 
