@@ -21,7 +21,7 @@ from benchmarks.plant import plant_rows
 from benchmarks.registry import registry_rows
 from benchmarks.rows import against_limit, seconds
 from benchmarks.training import training_rows
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
@@ -69,20 +69,21 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """The result as two tables of a page: ratios, and memory against the size of a bag."""
-    lines = ["| work | compared with | ratio (lowest to highest) | sysid | other |", "| --- | --- | --- | --- | --- |"]
-    sizes = ["", "| bag | size | messages | read | peak memory | per message |", "| --- | --- | --- | --- | --- | --- |"]
+    lines, sizes = [], []
     for entry in rows:
         ratio, unit = entry["ratio"], entry["unit"]
         if "bag" in entry:
             bag = entry["bag"]
             each = f"{bag['bytes_a_message']:.0f} B" if bag["content"] == "joint states" else ""
-            size = f"{bag['size_gb']:.2f} GB | {bag['messages']} | {bag['read']}"
-            sizes.append(f"| {bag['content']} | {size} | {entry['ours']:.0f} MiB | {each} |")
+            size = f"{bag['size_gb']:.2f} GB"
+            sizes.append((bag["content"], size, str(bag["messages"]), bag["read"], f"{entry['ours']:.0f} MiB", each))
             continue
-        figures = " | ".join(f"{entry[side]:.3g} {unit}" for side in ("ours", "theirs"))
+        figures = (f"{entry[side]:.3g} {unit}" for side in ("ours", "theirs"))
         spread = f"**{ratio['median']:.3g}** ({ratio['min']:.3g} to {ratio['max']:.3g})"
-        lines.append(f"| {entry['work'].replace('_', ' ')} | {entry['peer']} | {spread} | {figures} |")
-    return "\n".join([*lines, *sizes])
+        lines.append((entry["work"].replace("_", " "), entry["peer"], spread, *figures))
+    ratios = markdown(("work", "beside", "ratio (lowest to highest)", "ours", "theirs"), lines, "lllll")
+    memory = markdown(("bag", "size", "messages", "read", "most memory", "for each message"), sizes, "llllll")
+    return f"{ratios}\n\n{memory}"
 
 
 def main(parts: Sequence[str]) -> Path:

@@ -2,10 +2,9 @@
 
     .venv/bin/python pipelines/bench_agreement.py
 
-The simulated test bench computes flows, pressures, spools, seals, bodies, pendulums and cameras; the plant computes the named
-effects. For every row a machine is recorded without noise, first without the feature that the row names: an engineer's baseline
-(gain, delay, lag, dead-band …) is fitted to that. Then the feature is switched on and the one effect is fitted, everything else
-left as it was. Errors are those of free runs on a recording that no fit has seen.
+For every row a machine is recorded without noise, first without the feature of the row: a baseline (gain, delay, lag,
+dead-band …) is fitted to that. Then the feature is switched on and the one effect is fitted, all others unchanged. Errors are
+those of free runs on a recording that no fit has used.
 
 Order of reading of agreement/: machines, rows, fitting, outcome, page.
 """
@@ -34,7 +33,9 @@ def main(chosen: Sequence[Row] = ROWS, result: Path = RESULT, page: Path | None 
     rows = []
     for row in chosen:
         rows.append(agreement(row))
-        print(f"{row.effect:20s} {row.stand:16s} {100 * rows[-1].share:6.1f} % left, {rows[-1].seconds:.0f} s", flush=True)
+        print(
+            f"{row.effect:20s} {row.machine_name:16s} {100 * rows[-1].share:6.1f} % left, {rows[-1].seconds:.0f} s", flush=True
+        )
     found = {"rows": [{**asdict(row), "share": row.share} for row in rows]}
     write_result(result, provenance(f"python {PIPELINE}", SEED) | found)
     if page is not None:

@@ -1,11 +1,11 @@
-"""Networks and calibration on measured data: held-out errors beside simple models, on arms and servos of other people.
+"""Networks and calibration on published measurements of arms and servos: held-out errors, compared with simple models.
 
     .venv/bin/python pipelines/calibration_sets.py DATA          (writes reports/calibration_sets/ and docs/validation.md)
 
 ``DATA`` holds the folders ``tiago_mocap``, ``bam_xl330`` and ``sage_so101`` as downloaded (the READMEs of datasets/tiago, ur10,
-xl330 and so101 say from where). Static poses of two arms: geometry calibrated, perceptrons, simple models, all evaluated by the
-same folds that they have not seen, and how the errors fall with the number of poses. Logs of servos: command → motion,
-evaluated by free runs over whole recordings that were not learned from.
+xl330 and so101 name the sources). Static poses of two arms: calibrated geometry, perceptrons and simple models, all evaluated
+by the same cross-validation, and learning curves over the number of poses. Logs of servos: command → motion, evaluated by free
+runs over whole held-out recordings.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def main(data: Path, folder: Path, page: Path | None = None, quick: bool = False
         quick: fewer folds and recordings, for a test of the line.
     """
     result: dict[str, Any] = provenance("python pipelines/calibration_sets.py DATA", 0, ("scikit-learn", "torch"))
-    result["arms"] = {arm.name: poses.judged(arm, data / "tiago_mocap", quick) for arm in poses.ARMS}
-    result["servos"] = servos.judged(data, quick)
+    result["arms"] = {arm.name: poses.evaluated(arm, data / "tiago_mocap", quick) for arm in poses.ARMS}
+    result["servos"] = servos.evaluated(data, quick)
     write_result(folder / "result.json", result)
     if page is not None:
         text = f"{poses.tables(result['arms'])}\n\n{servos.table(result['servos'])}"

@@ -1,4 +1,4 @@
-"""The usual ways to find the offset between two clocks, beside ours: 300 s, 1 Hz, 100 against 120 Hz, +40 ppm."""
+"""The usual methods for the offset between two clocks, compared with `sysid`: 300 s, 1 Hz, 100 and 120 Hz, +40 ppm."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from clock_room import OTHER_HZ, motion
+from clock_simulation import OTHER_HZ, motion
 from sysid.datasets.clocks.alignment import Pair, estimate
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ def ours(pair: Pair) -> tuple[float, float]:
 
 
 def peer_rows(seed: int, seeds: int) -> list[dict[str, Any]]:
-    """Root-mean-square errors of every way; all but ours get gaps as a tracker fills them."""
+    """RMS errors of every method; for all but `sysid` gaps are interpolated, as trackers do."""
     errors: dict[str, dict[str, list[float]]] = {}
     for gaps in (False, True):
         for k in range(seeds):

@@ -1,4 +1,4 @@
-"""What a pipeline leaves in the repository: a result that says where it comes from, and its tables between marks of a page."""
+"""Committed output of pipelines: results with their provenance, and tables between the marks of a page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ PACKAGES = ("sysid", "numpy", "scipy", "numba")
 
 
 def provenance(command: str, seed: int | None, packages: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The head of every committed result: how to get it again, with which versions, where and when it was made.
+    """Head of every committed result: command, seed, versions, computer and date.
 
     Args:
-        packages: further ones that the figures depend on.
+        packages: further packages that the figures depend on.
     """
     return {
         "schema": 1,
@@ -39,8 +39,7 @@ def processor() -> str:
 
 
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
-    """``result`` as JSON, an entry of its parts a line, so that what changed can be read; numbers that JSON does not know are
-    an error."""
+    """Write ``result`` as JSON with one line for each entry of its parts, so that a difference is readable; NaN is an error."""
     parts = [f"{json.dumps(key)}: {_listed(value)}" for key, value in result.items()]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("{\n" + ",\n".join(parts) + "\n}\n", "utf-8")
@@ -65,7 +64,7 @@ def write_tables(page: Path, text: str, pipeline: str) -> None:
     page.write_text(f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}", "utf-8")
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table, everything but the first column to the right."""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l") -> str:
+    """A table. ``align`` has ``l`` or ``r`` for each column; those beyond its end are right-aligned."""
+    marks = ["---" if letter == "l" else "---:" for letter in align.ljust(len(header), "r")]
+    return "\n".join("|" + "".join(f" {cell} |" if cell else " |" for cell in line) for line in [header, marks, *rows])

@@ -1,8 +1,8 @@
-"""What each part of the cylinder controller is worth: `python pipelines/control.py` after `make demo`.
+"""Effect of each part of the cylinder controller: `python pipelines/control.py` after `make demo`.
 
-Inverse kinematics follows the default helix through controllers of growing knowledge: proportional alone, as one tunes by hand,
-then with the inverse of the valve, speed feed-forward, the play, an integral, and a look-ahead; and tuned from the plant as it
-was before the gap was named. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
+Inverse kinematics follows the default helix through controllers with more and more parts: proportional, tuned by hand, then
+with the inverse of the valve, speed feed-forward, backlash compensation, an integral, and a look-ahead; and tuned from the
+plant before its repair. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.control import AxisTuning, proportional_tuning, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
@@ -29,9 +29,9 @@ COMMAND = "python pipelines/control.py"
 Tuning = tuple[AxisTuning, ...]
 
 
-def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, float]]:
+def stages(task: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, float]]:
     """Name, tuning and look-ahead of each row, each with one thing more than the one above it."""
-    full, plain = course.tuning, proportional_tuning(course.plant)
+    full, plain = task.tuning, proportional_tuning(task.plant)
     inverse = tuple(
         replace(item, proportional=poor.proportional, integral=0.0, feed=0.0, backlash=0.0)
         for item, poor in zip(full, plain, strict=True)
@@ -46,36 +46,36 @@ def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, floa
         ("+ speed fed forward", fed, 0.0),
         ("+ backlash compensation", compensated, 0.0),
         ("+ integral: the tuned controller", full, 0.0),
-        ("+ look-ahead by the dead time", full, course.dead_time),
+        ("+ look-ahead by the dead time", full, task.dead_time),
         ("tuned controller of the simulation before the gap was named", before, 0.0),
     ]
 
 
-def follow(course: TrackingTask, name: str, tuning: Tuning, lookahead: float, noise: bool) -> TrackingResult:
+def follow(task: TrackingTask, name: str, tuning: Tuning, lookahead: float, noise: bool) -> TrackingResult:
     settings = {"tuning": tuning, "preview": lookahead, "noise": noise}
-    place = track_environment(course.plant, course.forward, course.path, full=True, reach=course.reach, settings=settings)
-    return track(place, InversePolicy(course.inverse), course.path, course.start, lookahead=lookahead, name=name)
+    place = track_environment(task.plant, task.forward, task.path, full=True, reach=task.reach, settings=settings)
+    return track(place, InversePolicy(task.inverse), task.path, task.start, lookahead=lookahead, name=name)
 
 
 def main(workspace: Path, plant: str, before: str, forward: str) -> None:
     registry = Registry(workspace)
     machine, model = load_versions(registry, plant, forward)
-    course = plan_tracking(machine, model, "helix", full=True)
+    task = plan_tracking(machine, model, "helix", full=True)
     old = registry.load(before)
     rows, runs = [], {}
-    for name, tuning, lookahead in stages(course, tune(plant_from_files(old.files, old.reference))):
-        run = follow(course, name, tuning, lookahead, noise=True)
+    for name, tuning, lookahead in stages(task, tune(plant_from_files(old.files, old.reference))):
+        run = follow(task, name, tuning, lookahead, noise=True)
         runs[name] = run
-        rows.append({**run.to_json(), "quiet": follow(course, name, tuning, lookahead, noise=False).to_json()})
+        rows.append({**run.to_json(), "quiet": follow(task, name, tuning, lookahead, noise=False).to_json()})
         print(f"{name:<62} {shown(rows[-1]['settled']['rmse_mm'])}")
     names = list(runs)
-    pictures(course, runs[names[0]], runs[names[5]], runs[names[6]])
+    pictures(task, runs[names[0]], runs[names[5]], runs[names[6]])
     result = {
         **provenance(COMMAND, 0),
         "plant": machine.reference,
         "before": old.reference,
         "forward": registry.find(forward).reference,
-        "path": {"name": "helix", "begin": course.path.points[0].tolist(), "speed": course.path.speed},
+        "path": {"name": "helix", "begin": task.path.points[0].tolist(), "speed": task.path.speed},
         "tuning": {
             axis: {
                 "lead_s": t.dead_time,
@@ -83,7 +83,7 @@ def main(workspace: Path, plant: str, before: str, forward: str) -> None:
                 "integral": t.integral,
                 "deadband": [t.positive, t.negative],
             }
-            for axis, t in zip(machine.machine.axis_names, course.tuning, strict=True)
+            for axis, t in zip(machine.machine.axis_names, task.tuning, strict=True)
         },
         "rows": rows,
     }
@@ -92,21 +92,23 @@ def main(workspace: Path, plant: str, before: str, forward: str) -> None:
 
 
 def page(rows: Sequence[dict[str, Any]]) -> str:
+    head = ("controller", "RMSE x / y / z, mm", "max x / y / z, mm", "RMSE with perfect sensors")
     lines = [
-        "| controller | RMSE x / y / z, mm | max x / y / z, mm | RMSE with perfect sensors |",
-        "| --- | --- | --- | --- |",
+        (
+            row["policy"],
+            *(shown(row["settled"][key]) for key in ("rmse_mm", "max_mm")),
+            shown(row["quiet"]["settled"]["rmse_mm"]),
+        )
+        for row in rows
     ]
-    for row in rows:
-        late, quiet = row["settled"], row["quiet"]["settled"]
-        lines.append(f"| {row['policy']} | {shown(late['rmse_mm'])} | {shown(late['max_mm'])} | {shown(quiet['rmse_mm'])} |")
-    return "\n".join(lines)
+    return markdown(head, lines, "llll")
 
 
 def shown(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.2f}" if value < 10.0 else f"{value:.0f}" for value in values)
 
 
-def pictures(course: TrackingTask, poor: TrackingResult, tuned: TrackingResult, ahead: TrackingResult) -> None:
+def pictures(task: TrackingTask, poor: TrackingResult, tuned: TrackingResult, ahead: TrackingResult) -> None:
     folder = ROOT / "docs" / "images"
     colours = {"by hand": "#c2410c", "tuned": "#0f766e", "look-ahead": "#4338ca"}
     runs = dict(zip(colours, (poor, tuned, ahead), strict=True))
@@ -119,7 +121,7 @@ def pictures(course: TrackingTask, poor: TrackingResult, tuned: TrackingResult, 
     ]
     text = svg("distance from the target over time", "time [s]", "distance [mm]", curves)
     (folder / "control-error.svg").write_text(text, "utf-8")
-    boom = course.plant.machine.axis_names.index("boom") if "boom" in course.plant.machine.axis_names else 0
+    boom = task.plant.machine.axis_names.index("boom") if "boom" in task.plant.machine.axis_names else 0
     degrees = [PictureCurve("setpoint", tuned.time, np.degrees(tuned.actions[:, boom]), "#9ca3af", dashed=True)]
     degrees += [PictureCurve(n, run.time, np.degrees(run.joints[:, boom]), colours[n]) for n, run in list(runs.items())[:2]]
     text = svg("boom on the helix", "time [s]", "boom [°]", degrees)

@@ -1,4 +1,4 @@
-"""EMPS: what two simulations of a measured ball-screw drive lack, evaluated by the force at measured motion.
+"""EMPS: the gap of two simulations of a measured ball-screw drive, evaluated by the force at measured motion.
 
     .venv/bin/python pipelines/emps.py FOLDER_WITH_THE_TWO_MAT_FILES      (datasets/emps/README.md says where they come from)
 

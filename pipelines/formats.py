@@ -1,10 +1,10 @@
-"""Every real file beside the repository, walked as a user walks it: inspected, its drafted recipe filled in, ingested, loaded.
+"""Every real file in a folder, inspected, its drafted recipe completed, ingested and loaded, as a user does it.
 
     .venv/bin/python pipelines/formats.py ../shared/data
 
 writes the table of ``docs/formats.md``. Each file that has numbers becomes a version of a machine with one axis: the longest
-stream gives its joint, or its tool where a motion capture saw a body or a marker. Which number that is means nothing; that it
-went the whole way is the point. The files themselves are in no package: the page says what is in them.
+stream is its joint, or its tool where it is of motion capture; the choice of the number has no meaning. The files are in no
+package.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from committed import write_tables
+from committed import markdown, write_tables
 from sysid.datasets import ingest
 from sysid.datasets.draft import draft_recipe
 from sysid.errors import SysidError
@@ -43,7 +43,7 @@ SLOWEST, FASTEST = 5.0, 1000.0
 
 
 @dataclass(frozen=True)
-class Walk:
+class FileResult:
     """One file: what it holds, and what became of it. ``rows`` of the stored table, or why there is none."""
 
     file: str
@@ -52,13 +52,13 @@ class Walk:
     refusal: str = ""
 
 
-def walks(data: Path, databases: dict[str, str] | None = None) -> Iterator[Walk]:
+def file_results(data: Path, databases: dict[str, str] | None = None) -> Iterator[FileResult]:
     """All files of the three folders of ``data``. ``databases``: log → DBC beside it, both as ``folder/name``."""
     for folder in FOLDERS:
         for path in sorted((data / folder).iterdir()):
             name = f"{folder}/{path.name}"
             if not is_log(path):
-                yield Walk(name, None, refusal=refusal_of(path))
+                yield FileResult(name, None, refusal=refusal_of(path))
                 continue
             dbc = (databases or {}).get(name)
             seen = inspect_file(path, dbc=data / dbc if dbc is not None else None)
@@ -66,7 +66,7 @@ def walks(data: Path, databases: dict[str, str] | None = None) -> Iterator[Walk]
 
 
 def refusal_of(path: Path) -> str:
-    """What a user is told who gives a file that is no log."""
+    """Error message for a file that is no log."""
     try:
         inspect_file(path)
     except SysidError as error:
@@ -74,11 +74,13 @@ def refusal_of(path: Path) -> str:
     return ""
 
 
-def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> Walk:
+def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> FileResult:
     """The file through a drafted recipe to a stored version."""
     best = best_stream(seen)
     if seen.refusal or best is None:
-        return Walk(name, seen, refusal=reason(seen.refusal).removeprefix(f"{path.name}: ") or "no numbers in its messages")
+        return FileResult(
+            name, seen, refusal=reason(seen.refusal).removeprefix(f"{path.name}: ") or "no numbers in its messages"
+        )
     rate = min(max(best.clocks[0].rate_hz, SLOWEST), FASTEST) if best.clocks[0].rate_hz > 0.0 else SLOWEST
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
@@ -92,8 +94,8 @@ def walk(name: str, path: Path, seen: FileSummary, dbc: Path | None = None) -> W
         try:
             stored = ingest(folder / path.name, folder / "ws", recipe=folder / "recipe.toml")
         except SysidError as error:
-            return Walk(name, seen, refusal=reason(str(error)).removeprefix(f"{path.name}: axis.joint: "))
-        return Walk(name, seen, rows=sum(len(recording.table) for recording in stored.recordings))
+            return FileResult(name, seen, refusal=reason(str(error)).removeprefix(f"{path.name}: axis.joint: "))
+        return FileResult(name, seen, rows=sum(len(recording.table) for recording in stored.recordings))
 
 
 def reason(message: str) -> str:
@@ -120,7 +122,7 @@ def moves(field: FieldSummary) -> bool:
 
 
 def filled_in(draft: str, seen: FileSummary, stream: StreamSummary, dbc: Path | None) -> str:
-    """The draft as a user completes it for one signal: everything stays but the lines that stand for a choice."""
+    """The draft, completed for one signal: only the lines for a choice change."""
     head, _, _ = draft.partition("[streams.signals]" if "[streams.points]" not in draft else "[streams.points]")
     head = re.sub(r'^domain = "mocap"', 'domain = "machine"', head, flags=re.MULTILINE)
     if dbc is not None:
@@ -142,20 +144,18 @@ def quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def table(found: list[Walk]) -> str:
+def table(found: list[FileResult]) -> str:
     """Markdown, one row a file."""
-    lines = []
+    head = ("file", "reader", "streams", "longest", "rate [Hz]", "clocks", "became")
+    parts = []
     for folder in FOLDERS:
-        lines += [f"### `{folder}`", "| file | reader | streams | longest | rate [Hz] | clocks | became |", "| --- " * 7 + "|"]
-        for item in found:
-            if item.file.startswith(f"{folder}/"):
-                lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells(item)) + " |")
-        lines.append("")
-    return "\n".join(lines).rstrip()
+        rows = [[c.replace("|", "\\|") for c in cells(item)] for item in found if item.file.startswith(f"{folder}/")]
+        parts.append(f"### `{folder}`\n{markdown(head, rows, 'lllllll')}")
+    return "\n\n".join(parts)
 
 
-def cells(item: Walk) -> tuple[str, ...]:
-    """What stands in the row of a file."""
+def cells(item: FileResult) -> tuple[str, ...]:
+    """Cells of the row of a file."""
     name = f"`{item.file.partition('/')[2]}`"
     if item.seen is None:
         return name, "", "", "", "", "", f"refused: {item.refusal}"
@@ -185,7 +185,7 @@ def kinds(seen: FileSummary) -> str:
 
 
 def main(data: Path) -> None:
-    found = list(walks(data))
+    found = list(file_results(data))
     write_tables(PAGE, table(found), "pipelines/formats.py")
     whole = sum(item.rows > 0 for item in found)
     print(f"{len(found)} files: {whole} ingested, {len(found) - whole} refused; {PAGE}")

@@ -1,23 +1,23 @@
-"""How often the gap workflow is right: sealed cases, answered blind, then evaluated.
+"""Error rates of the gap workflow on sealed cases with known hidden effects.
 
     .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--bench own|foreign] [--seed N|commit]
                                                  [--only GROUP] [--workers N] [--limit N] [--answered] [--resume]
 
-Each case is a machine that hides no, one, two or three effects, or something that the catalogue does not know, recorded with
-noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
-truth is opened when all have answered.
+Each case is a machine with no, one, two or three hidden effects, or a feature outside the catalogue, recorded with noise,
+disturbances and various excitations. The workflow gets logs and description only, in a separate process; the truth is read
+for the evaluation afterwards.
 
-The bench is that of sysid.bench, or ("foreign") machines that MuJoCo and PyBullet simulate: 200 cases whose formulas nobody
-here wrote, whose result is reports/hidden_effects/foreign.json.
+The bench is sysid.bench, or ("foreign") 200 machines that MuJoCo and PyBullet simulate, with the result in
+reports/hidden_effects/foreign.json.
 
-The cases follow from the seed. By default it is that of the commit (its first eight hex digits): whoever changes the search
-changes the cases, so that none can be tuned to. Such a run needs a tree without changes, and a whole tier of it, or with
---answered what there is, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
-result stays in the work folder. A run that was stopped goes on where it was; with --resume, on another machine too, from what
-the result file has of the same seed and tier.
+The cases follow from the seed. By default it is that of the commit (its first eight hex digits): a change of the search changes
+the cases, so that it cannot be tuned to them. Such a run needs a tree without changes. A whole tier of it, or with --answered
+the cases answered so far, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
+result stays in the work folder. An interrupted run continues; with --resume, also on another computer, from the result file of
+the same seed and tier.
 
-Order of reading of hidden/: seed, machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the
-site's files alone), runner, evaluate, score, page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
+Order of reading of hidden/: seed, machines, kinds, cases, limits, make (files), solve (the workflow), runner, evaluate, score,
+page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from typing import Any
 from committed import provenance, write_result, write_tables
 from hidden.bench import BENCHES, PAGE, Bench
 from hidden.cases import GROUPS, CaseSpec, Group, Tier, listed
-from hidden.judge import Judgement, judge
+from hidden.evaluate import CaseResult, evaluate
 from hidden.page import page_tables
 from hidden.runner import ANSWERING, Place, run_all
 from hidden.score import scored
@@ -40,7 +40,7 @@ from hidden.seed import Seed, check_same_seed, check_unchanged, seed_of
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgement]) -> list[Judgement]:
+def evaluated(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, CaseResult]) -> list[CaseResult]:
     """Every case that has an answer, and the others that were evaluated earlier."""
     place = Place(work)
     found = []
@@ -55,27 +55,27 @@ def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgemen
                 continue
             reach = place.reach(spec)
             reached = json.loads(reach.read_text("utf-8")) if reach.exists() else None
-            found.append(judge(json.loads(sealed.read_text("utf-8")), answer, reached))
+            found.append(evaluate(json.loads(sealed.read_text("utf-8")), answer, reached))
         elif spec.name in earlier:
             found.append(earlier[spec.name])
     return found
 
 
-def judged_in(result: Path, specs: Sequence[CaseSpec]) -> dict[str, Judgement]:
-    """By name, what a result file says of cases that are still the same; nothing where there is no file."""
+def evaluated_in(result: Path, specs: Sequence[CaseSpec]) -> dict[str, CaseResult]:
+    """Evaluated cases of a result file, by name, as far as they are unchanged; empty without a file."""
     if not result.exists():
         return {}
-    known = [Judgement.from_json(each) for each in json.loads(result.read_text("utf-8"))["judgements"]]
+    known = [CaseResult.from_json(each) for each in json.loads(result.read_text("utf-8"))["judgements"]]
     same = {spec.name: spec for spec in specs}
     return {each.spec.name: each for each in known if same.get(each.spec.name) == each.spec}
 
 
-def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
-    return judge({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
+def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> CaseResult:
+    return evaluate({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
 
 
 def result_of(
-    tier: str, seed: Seed, cases: Sequence[Judgement], listed: int, command: str, packages: tuple[str, ...] = ()
+    tier: str, seed: Seed, cases: Sequence[CaseResult], listed: int, command: str, packages: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """The contents of the result file."""
     return {
@@ -109,13 +109,13 @@ def main(
     specs = bench.cases_of(tier, seed.value, only)[:limit]
     if resume:
         check_same_seed(seed, bench.result)
-    earlier = judged_in(bench.result, specs) if resume else {}
+    earlier = evaluated_in(bench.result, specs) if resume else {}
     place = work / f"seed-{seed.value}"
     if not answered:
         waiting = [spec for spec in specs if spec.name not in earlier]
         run_all(waiting, place, workers, keep, lambda text: print(text, flush=True), ANSWERING, bench.make)
     command = f"python {bench.command} --tier {tier}" + ("" if seed.published else f" --seed {seed.value}")
-    result = result_of(tier, seed, judged(specs, place, earlier), len(specs), command, bench.packages)
+    result = result_of(tier, seed, evaluated(specs, place, earlier), len(specs), command, bench.packages)
     write_result(place / f"result-{tier}.json", result)
     print(page_tables(result))
     if only is None and limit is None and seed.published:

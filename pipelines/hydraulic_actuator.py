@@ -1,10 +1,10 @@
-"""Hydraulic actuator: what a simulation of the arm as an integrator of its valve lacks, and what that says about the pressure.
+"""Hydraulic actuator: the gap of an arm simulated as an integrator of its valve, and its oil pressure from the motion.
 
     .venv/bin/python pipelines/hydraulic_actuator.py FOLDER_WITH_THE_MAT_FILES   (source: datasets/hydraulic_actuator/README.md)
 
-The benchmark asks for the oil pressure from the valve opening, free-running on the second half. The chain here is that of the
-machine: valve → motion (the plant) → pressure, which carries the arm's inertia, its friction and its weight (four numbers from
-the first half). Between them stands how much of the pressure the measured motion explains.
+The benchmark is the oil pressure from the valve opening, free-running on the second half. The chain here is valve → motion (the
+plant) → pressure from inertia, friction and weight of the arm (four numbers from the first half). The pressure from the
+measured motion is given as well.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def main(raw: Path, workspace: Path) -> Path:
 
 
 def exchanged(dataset: Dataset) -> Dataset:
-    """The dataset with its fitting and its selecting recordings in each other's place."""
+    """The dataset with the roles of its fit and selection recordings exchanged."""
     roles = {"fit": "select", "select": "fit", "held_out": "held_out"}
     return replace(dataset, splits={name: roles[role] for name, role in dataset.splits.items()})  # type: ignore[misc]
 

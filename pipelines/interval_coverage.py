@@ -1,13 +1,13 @@
-"""How often 95 % intervals hold the truth: known effects in noisy recordings, fitted in the right structure, again and again.
+"""Coverage of 95 % intervals: known effects in noisy recordings, fitted in the right structure, repeatedly.
 
     .venv/bin/python pipelines/interval_coverage.py [--repeats 40] [--only backlash] [--workers 2]
 
-Commands are those of the test bench's operator and programs; the plant with the effect in it answers them, so that the
-true parameters are known exactly. Sensors add noise, and what no model explains disturbs the flow while the machine moves: as
-the fit's drift model assumes it (a random walk), as slow and slower fluctuations that it does not assume, and as sensor noise
-that is coloured. No structure is searched: the right effects are fitted, with the nuisances that every fit has. Every repeat
-has its own commands, noise and disturbance. The intervals stand beside a plain block sandwich of the fit as it is. Writes the
-tables of ``docs/intervals.md`` and ``reports/interval_coverage/result.json``.
+Commands are those of the test bench's operator and programs, and the response is that of the plant with the effect, so that
+the true parameters are known exactly. Sensors add noise, and a disturbance acts on the flow: a random walk, as the drift model
+of the fit assumes it, or slower fluctuations that it does not assume; some sensor noise is coloured. No structure is searched:
+the right effects are fitted, with the nuisances of every fit. Every repeat has other commands, noise and disturbance. The
+intervals are compared with a plain block sandwich estimate. Writes the tables of ``docs/intervals.md`` and
+``reports/interval_coverage/result.json``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from agreement.machines import STREAMS, description, recipe_of, record
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.candidates import Candidate, Scales, candidates_at
@@ -68,8 +68,8 @@ KNOWN = tuple(
 
 @dataclass(frozen=True)
 class Disturbed:
-    """What no model explains: relative flow fluctuation (standard deviation, correlation time [s]; 0 is white, of the same
-    strength at low frequencies as one of 1 s) and the share of sensor noise (in variance) that is coloured, 0.3 s."""
+    """Disturbance: relative flow fluctuation (standard deviation, correlation time [s]; 0 is white noise with the spectral
+    density of 1 s at low frequencies) and the share of sensor noise (in variance) that is coloured, with 0.3 s."""
 
     name: str
     flow: float = 0.0
@@ -135,7 +135,7 @@ FAMILIES = (
 
 
 def plants(family: Family) -> tuple[Plant, Plant]:
-    """(what the simulation knows, what is true)."""
+    """Nominal plant and true plant."""
     if family.stage == "force":
         slide = nominal_plant(description(recipe_of("slide", {}))).with_effect(
             KnownEffect("viscous_friction", "carriage", {"coefficient": 200.0})
@@ -165,7 +165,7 @@ def recordings_of(family: Family, disturbed: Disturbed, seed: int) -> list[Recor
 
 
 def answered(model: Model, commands: Recording, disturbed: Disturbed, rng: np.random.Generator) -> Recording:
-    """The machine's answer to commands, each stage driven by what the stage before really did."""
+    """The machine's response to commands, each stage driven by the true output of the stage before."""
     run = free_run(model, commands)
     theta, machine = model.theta[None], model.machine
     table = commands.table.assign(**{str(s): run[s].to_numpy() for s in run.columns if s in commands.signals})
@@ -208,7 +208,7 @@ def coloured(count: int, samples: float, rng: np.random.Generator) -> Array:
 
 
 def sensed(true: Recording, family: Family, disturbed: Disturbed, rng: np.random.Generator) -> Recording:
-    """What the sensors say; noise lies before the rounding of one that reads in steps."""
+    """Readings of the sensors; noise is added before quantisation."""
     table = true.table.copy()
     for signal in true.signals:
         if signal in NOISE:
@@ -235,15 +235,16 @@ def problem_of(family: Family, model: Model, recordings: Sequence[Recording]) ->
     return drive_problem(model, axis) if family.stage == "command" else joint_problem(model, axis)
 
 
-def candidates_of(family: Family, known: Plant, problem: Problem) -> list[Candidate]:
-    """The effect in the form of its true parameters, and the nuisances that every fit of the stage has."""
-    effect, theta = family.effect, known.vector()
-    every = candidates_at(known, theta, problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
-    meant = [
-        c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
-    ]
-    others = [c for c in every if c.effect.name in nuisances(problem) and c.target == problem.target and c.key != meant[0].key]
-    return [*meant, *others]
+def candidates_of(family: Family, plant: Plant, problem: Problem, names: Sequence[str], target: str) -> list[Candidate]:
+    """The effect in the form of its true parameters, then the effects ``names`` of ``target`` that are fitted with it."""
+    effect = family.effect
+    every = candidates_at(plant, plant.vector(), problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
+    key = effect.name, effect.target, effect.side
+    found = {c.key: c for c in every if c.key == key and set(c.form.names) == set(effect.parameters)}
+    for c in every:
+        if c.effect.name in names and c.target == target:
+            found.setdefault(c.key, c)
+    return list(found.values())
 
 
 def nuisances(problem: Problem) -> tuple[str, ...]:
@@ -269,7 +270,7 @@ class Estimate:
 
 
 def repeat(family: Family, disturbed: Disturbed, seed: int) -> list[Estimate]:
-    """Record, fit, and ask for the intervals of the effect's parameters."""
+    """Record, fit, and compute the intervals of the effect's parameters."""
     recordings = recordings_of(family, disturbed, seed)
     data, theta, fit = fitted(family, recordings, seed)
     plain = block_sandwich(data, theta, fit)
@@ -291,7 +292,7 @@ def fitted(family: Family, recordings: Sequence[Recording], seed: int) -> tuple[
     problem = problem_of(family, model, recordings)
     sigma = problem_floor(problem, truth.vector(), recordings, NOISE, seed)
     data = Data(problem, recordings, sigma)
-    candidates = candidates_of(family, known, problem)
+    candidates = candidates_of(family, known, problem, nuisances(problem), problem.target)
     true = [float(v) for v in family.effect.parameters.values()]  # type: ignore[arg-type]
     unknowns = [u for c in candidates for u in c.unknowns]
     start = np.array([*true, *(u.nominal for u in unknowns[len(true) :])])
@@ -299,7 +300,7 @@ def fitted(family: Family, recordings: Sequence[Recording], seed: int) -> tuple[
 
 
 def block_sandwich(data: Data, theta: Array, fit: Fit, seconds: float = 4.0) -> Array:
-    """Ends (k, 2) from scores summed over blocks: what a textbook does, for comparison."""
+    """Interval ends (k, 2) by the textbook's block sandwich, for comparison."""
     blocks, bread = [], np.zeros((len(fit.unknowns), len(fit.unknowns)))
     for recording in data.recordings:
         r, slopes = jacobian(replace(data, recordings=[recording]), theta, fit.unknowns, fit.values, fit.drifts)
@@ -358,25 +359,26 @@ def row_of(found: Sequence[Estimate]) -> Row:
 
 
 def table(rows: Sequence[Row], found: Sequence[Estimate]) -> str:
+    head = [
+        "effect", "parameter", "repeats", "interval covers", "plain sandwich covers", "median error, that of the plain fit",
+        "half width, median", "in 1.96 rms errors", "seconds",
+    ]  # fmt: skip
     lines = [
-        "| effect | parameter | repeats | interval covers | plain sandwich covers | median error, that of the plain fit"
-        " | half width, median | in 1.96 rms errors | seconds |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for r in rows:
-        errors = f"{r.error:.2g}, {r.plain_error:.2g}"
-        lines.append(
-            f"| {r.family} | {r.parameter} | {r.repeats} | {r.covers:.0%} | {r.plain_covers:.0%} | {errors} | {r.half:.2g}"
-            f" | {r.width:.2f} | {r.seconds:.2f} |"
+        (
+            r.family, r.parameter, str(r.repeats), f"{r.covers:.0%}", f"{r.plain_covers:.0%}",
+            f"{r.error:.2g}, {r.plain_error:.2g}", f"{r.half:.2g}", f"{r.width:.2f}", f"{r.seconds:.2f}",
         )
-    lines += ["", "| disturbed by | intervals | cover | Wilson 95 % | plain sandwich |", "| --- | ---: | ---: | ---: | ---: |"]
+        for r in rows
+    ]  # fmt: skip
+    totals = []
     for name in [*dict.fromkeys(e.disturbed for e in found), "all"]:
         part = [e for e in found if name in (e.disturbed, "all")]
         hits = sum(e.low <= e.true <= e.high for e in part)
         plain = sum(e.plain[1] <= e.true <= e.plain[2] for e in part) / len(part)
         low, high = stats.binomtest(hits, len(part)).proportion_ci(0.95, "wilson")
-        lines.append(f"| {name} | {len(part)} | {hits / len(part):.1%} | {low:.1%} – {high:.1%} | {plain:.1%} |")
-    return "\n".join(lines)
+        totals.append((name, str(len(part)), f"{hits / len(part):.1%}", f"{low:.1%} – {high:.1%}", f"{plain:.1%}"))
+    by_disturbance = markdown(("disturbed by", "intervals", "cover", "Wilson 95 %", "plain sandwich"), totals)
+    return f"{markdown(head, lines, 'll')}\n\n{by_disturbance}"
 
 
 def main() -> None:

@@ -1,11 +1,10 @@
-"""What intervals do not include: formulas that differ. Coverage on the simulated test bench; docs/intervals.md.
+"""Coverage of 95 % intervals under model error, on the simulated test bench; docs/intervals.md.
 
     .venv/bin/python pipelines/interval_coverage_bench.py [--repeats 10]
 
-The test bench computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature and
-without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
-noise, with everything else as it was. Recordings with noise and a disturbed flow are fitted in the right structure, nuisances
-free as in every fit, and the intervals are compared with that. The residual that is left, in noise floors, stands beside.
+A baseline is fitted to the bench without the feature and without noise; then the feature is switched on. The *true* parameters
+are those of ``bench_agreement.py``: the best fit without noise, all others unchanged. Recordings with noise and a disturbed
+flow are fitted in the right structure, with free nuisances as in every fit. The remaining residual is given in noise floors.
 """
 
 from __future__ import annotations
@@ -20,15 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from agreement.fitting import FIRST_GUESS
-from agreement.machines import STANDS, STREAMS, description, recipe_of, record
+from agreement.machines import MACHINES, STREAMS, description, recipe_of, record
 from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
-from committed import write_tables
-from interval_coverage import NOISE, PAGE, SEED, STILL, Family, nuisances, problem_of, sensed
+from committed import markdown, write_tables
+from interval_coverage import NOISE, PAGE, SEED, STILL, Family, candidates_of, nuisances, problem_of, sensed
 from sysid.bench.recipe import BenchRecipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
@@ -68,23 +66,23 @@ class Outcome:
 
 
 def best_fit(row: Row) -> list[float]:
-    """What the committed agreement says of the row."""
-    told = {key: list(value) if isinstance(value, tuple) else value for key, value in row.feature.items()}
+    """Parameters of the row in the committed result of ``bench_agreement.py``."""
+    parameters = {key: list(value) if isinstance(value, tuple) else value for key, value in row.feature.items()}
     under = {key: list(value) if isinstance(value, tuple) else value for key, value in row.base.items()}
     for entry in json.loads(AGREEMENT.read_text("utf-8"))["rows"]:
-        same = (entry["effect"], entry["target"], entry["machine"]) == (row.effect, row.target, row.stand)
-        if same and entry["feature"] == told and entry["base"] == under:
+        same = (entry["effect"], entry["target"], entry["machine"]) == (row.effect, row.target, row.machine_name)
+        if same and entry["feature"] == parameters and entry["base"] == under:
             return [float(value) for value in entry["parameters"].values()]
     raise KeyError(row.effect)
 
 
 def machines_of(row: Row) -> tuple[BenchRecipe, BenchRecipe]:
-    return recipe_of(row.stand, dict(row.base)), recipe_of(row.stand, {**row.base, **row.feature})  # type: ignore[return-value]
+    return recipe_of(row.machine_name, dict(row.base)), recipe_of(row.machine_name, {**row.base, **row.feature})  # type: ignore[return-value]
 
 
 def taken(machine: BenchRecipe, row: Row, seed: int, seconds: float, count: int) -> list[Recording]:
     programs = (*row.programs, "operator", "steps")
-    if row.stand == "slide":
+    if row.machine_name == "slide":
         seconds = 0.25 * seconds
     return [
         replace(record(machine, programs[k % len(programs)], seed + k, seconds), name=f"take-{k + 1}") for k in range(count)
@@ -97,17 +95,6 @@ def data_of(family: Family, plant: Plant, recordings: Sequence[Recording]) -> tu
     return problem, Data(problem, recordings, sigma)
 
 
-def free(plant: Plant, problem: Problem, names: Sequence[str], family: Family, axis: str) -> list[Candidate]:
-    """The effect of the row first, then what else is fitted with it."""
-    effect = family.effect
-    every = candidates_at(plant, plant.vector(), problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
-    first = [
-        c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
-    ]
-    rest = [c for c in every if c.effect.name in names and c.target == axis and c.key != first[0].key]
-    return [*first, *(c for k, c in enumerate(rest) if c.key not in {other.key for other in rest[:k]})]
-
-
 def outcome(row: Row, repeats: int) -> list[Outcome]:
     """Fit the baseline, then the truth, then noisy recordings."""
     stage = stage_of(row)
@@ -116,14 +103,14 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
     side = row.side or ("drive" if row.effect == "backlash" else None)
     family = Family(stage, KnownEffect(row.effect, row.target, guess, side))  # type: ignore[arg-type]
     plain, real = machines_of(row)
-    names = STANDS[row.stand].baseline if stage in ("command", "force") else ()
+    names = MACHINES[row.machine_name].baseline if stage in ("command", "force") else ()
     before = nominal_plant(description(plain), streams=STREAMS if isinstance(plain, BenchRecipe) else None)
     for name in names:
         values = {key: float(value) for key, value in FIRST_GUESS[name].items()}  # type: ignore[arg-type]
         before = before.with_effect(KnownEffect(name, row.target, values))
     if names:
         problem, data = data_of(family, before, taken(plain, row, 101, LONG, 3))
-        theirs = [c for c in free(before, problem, names, family, row.target) if c.effect.name in names]
+        theirs = [c for c in candidates_of(family, before, problem, names, row.target) if c.effect.name in names]
         fit = fit_candidates(data, before.vector(), theirs, [np.array([u.nominal for c in theirs for u in c.unknowns])])
         for candidate in theirs:
             before = before.with_effect(candidate.instance(fit.values_of(candidate)))
@@ -139,7 +126,7 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
         found.append(np.column_stack([known.fit.values, known.limits])[: len(true)])
         left.append(spread_of(data.residuals(known.fit.theta[None])))
     table = np.array(found)
-    label = f"`{row.effect}` on {row.target}, {row.stand}"
+    label = f"`{row.effect}` on {row.target}, {row.machine_name}"
     rows = []
     for j, key in enumerate(u.key for u in fit.unknowns[: len(true)]):
         value, low, high = table[:, j].T
@@ -158,7 +145,7 @@ def disturbed(machine: BenchRecipe, row: Row) -> BenchRecipe:
 
 def fitted(family: Family, plant: Plant, recordings: Sequence[Recording], row: Row, start: list[float]) -> tuple[Fit, Data]:
     problem, data = data_of(family, plant, recordings)
-    candidates = free(plant, problem, nuisances(problem), family, row.target)
+    candidates = candidates_of(family, plant, problem, nuisances(problem), row.target)
     known = [u.nominal for c in candidates[1:] for u in c.unknowns]
     return fit_candidates(data, plant.vector(), candidates, [np.array([*start, *known])]), data
 
@@ -171,16 +158,20 @@ def main() -> None:
     rows = [row for row in ROWS if stage_of(row) is not None]
     with ProcessPoolExecutor(args.workers) as pool:
         found = [each for part in pool.map(outcome, rows, [args.repeats] * len(rows)) for each in part]
+    head = (
+        "effect and machine",
+        "parameter",
+        "best fit without noise",
+        "covers",
+        "median error",
+        "half width",
+        "residual, floors",
+    )
     lines = [
-        "| effect and machine | parameter | best fit without noise | covers | median error | half width | residual, floors |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        (r.label, r.parameter, f"{r.true:.4g}", f"{r.covers:.0%}", f"{r.error:.2%}", f"{r.half:.2%}", f"{r.left:.2f}")
+        for r in found
     ]
-    for r in found:
-        lines.append(
-            f"| {r.label} | {r.parameter} | {r.true:.4g} | {r.covers:.0%} | {r.error:.2%} | {r.half:.2%} | {r.left:.2f} |"
-        )
-    lines += ["", f"All of them: {np.mean([r.covers for r in found]):.0%}."]
-    text = "\n".join(lines)
+    text = f"{markdown(head, lines, 'll')}\n\nAll of them: {np.mean([r.covers for r in found]):.0%}."
     print(text)
     write_tables(PAGE, text, "pipelines/interval_coverage_bench.py")
 

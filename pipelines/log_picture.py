@@ -1,4 +1,4 @@
-"""Curves on logarithmic axes, as an SVG that stands on light and on dark pages."""
+"""Curves on logarithmic axes, as an SVG for light and dark pages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-#: Told apart by anybody: from dark to bright.
+#: Distinct for colour-blind readers.
 COLOURS = ("#31688e", "#35b779", "#e08214", "#b2182b", "#7b5aa6", "#8a8a8a", "#c2a000")
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM, RIGHT = 430.0, 256.0, 62.0, 34.0, 28.0, 16.0
 #: Of the legend: height of a line, width of a letter.

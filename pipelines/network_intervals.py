@@ -1,11 +1,11 @@
-"""Do the intervals of networks hold, and is their flag for queries outside the data right?
+"""Coverage of the intervals of networks, and their flag for queries outside the training domain.
 
     .venv/bin/python pipelines/network_intervals.py       (writes reports/network_intervals/result.json and docs/validation.md)
 
 Poses of the shipped crane, uniform over its joints' ranges, tips by its kinematics, noise as its description states. Every
-model learns from 500 of them, a tenth of which decide when to stop and calibrate the intervals, and is then asked about 2000
-others, about 2000 more with one joint up to a third of its range beyond its end, and, after learning from poses that leave out
-a corner (boom and stick both in the upper third), about 2000 in that corner. Five seeds each.
+model is trained on 500 of them, a tenth of which for early stopping and the calibration of the intervals. It is evaluated on
+2000 others, on 2000 with one joint up to a third of its range beyond its end, and, trained without a corner (boom and stick
+both in the upper third), on 2000 in that corner. Five seeds each.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
-POSES, ASKED, SEEDS = 500, 2000, 5
+POSES, QUERIES, SEEDS = 500, 2000, 5
 LEVELS = (0.5, 0.8, 0.9, 0.95)
-#: What is asked about beyond the data: one joint, so many shares of its range beyond an end.
+#: Queries beyond the data: one joint this share of its range beyond an end.
 BEYOND = (0.1, 0.33)
 NOISE_TIP = 3e-4
 RECIPES: dict[str, ForwardRecipe] = {
@@ -47,16 +47,16 @@ WIDTH, RMSE = "half width, median [m]", "rmse [m]"
 def main(folder: Path, page: Path | None, seeds: int = SEEDS) -> Path:
     """Run all models and return the path of ``result.json``."""
     machine = load_machine(ROOT / "datasets" / "autolog" / "machine.toml")
-    rows = {name: [judged(machine, recipe, seed) for seed in range(seeds)] for name, recipe in RECIPES.items()}
+    rows = {name: [evaluated(machine, recipe, seed) for seed in range(seeds)] for name, recipe in RECIPES.items()}
     result = provenance("python pipelines/network_intervals.py", 0, ("torch",))
-    result |= {"poses": POSES, "asked": ASKED, "seeds": seeds, "beyond": BEYOND, "models": rows}
+    result |= {"poses": POSES, "asked": QUERIES, "seeds": seeds, "beyond": BEYOND, "models": rows}
     write_result(folder / "result.json", result)
     if page is not None:
         write_tables(page, tables(rows), "pipelines/network_intervals.py")
     return folder / "result.json"
 
 
-def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any]:
+def evaluated(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any]:
     """One model of one seed: how often its intervals hold, by level and by region, and what it flags."""
     rng = np.random.default_rng([seed, 7])
     low, high = limits(machine)
@@ -66,19 +66,19 @@ def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any
         return np.asarray(low + width * rng.random((count, len(low))))
 
     model = learned(machine, forward, seed, anywhere(POSES), rng)
-    inside, held = regions(model, machine, anywhere(ASKED), rng)
-    out, rows = anywhere(ASKED), np.arange(ASKED)
-    at, up = rng.integers(0, len(low), ASKED), rng.random(ASKED) < 0.5
-    share = BEYOND[0] + (BEYOND[1] - BEYOND[0]) * rng.random(ASKED)
+    inside, held = regions(model, machine, anywhere(QUERIES), rng)
+    out, rows = anywhere(QUERIES), np.arange(QUERIES)
+    at, up = rng.integers(0, len(low), QUERIES), rng.random(QUERIES) < 0.5
+    share = BEYOND[0] + (BEYOND[1] - BEYOND[0]) * rng.random(QUERIES)
     out[rows, at] = np.where(up, high[at] + share * width[at], low[at] - share * width[at])
     beyond, held_beyond = regions(model, machine, out, rng)
 
     def in_corner(q: Array) -> npt.NDArray[np.bool_]:
         return np.asarray(np.all(q[:, CORNER] > (low + (1.0 - CORNER_SHARE) * width)[CORNER], axis=1))
 
-    taught = anywhere(2 * POSES)
-    blind = learned(machine, forward, seed, taught[~in_corner(taught)][:POSES], rng)
-    corner = anywhere(ASKED)
+    poses = anywhere(2 * POSES)
+    blind = learned(machine, forward, seed, poses[~in_corner(poses)][:POSES], rng)
+    corner = anywhere(QUERIES)
     corner[:, CORNER] = (high - CORNER_SHARE * width * rng.random(corner.shape))[:, CORNER]
     corner_inside, held_corner = regions(blind, machine, corner, rng)
     return {
@@ -97,25 +97,25 @@ def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: 
 def regions(model: ForwardModel, machine: Machine, q: Array, rng: np.random.Generator) -> tuple[float, dict[str, Any]]:
     """Share of ``q`` inside the data; shares of measured tips inside their intervals, by level, flag and region."""
     poses = measured(machine, q, rng)
-    said = np.column_stack([poses.values(signal) for signal in model.joints])
+    joints = np.column_stack([poses.values(signal) for signal in model.joints])
     tip = np.column_stack([poses.values(signal) for signal in point_signals("ee")])
-    inside = model.inside(said)
+    inside = model.inside(joints)
     low, high = limits(machine)
     central = np.all(np.abs(q - 0.5 * (low + high)) <= 0.35 * (high - low), axis=1)
     edge = np.any(np.abs(q - 0.5 * (low + high)) >= 0.45 * (high - low), axis=1)
-    wide = model.spread(said).max(axis=1)
+    wide = model.spread(joints).max(axis=1)
     groups = {
         "all": np.ones(len(q), dtype=bool), "not flagged": inside, "flagged": ~inside,
         **dict(zip(REGIONS, (central, edge, wide >= np.quantile(wide, 0.75)), strict=True)),
     }  # fmt: skip
     found: dict[str, Any] = {}
     for level in LEVELS:
-        lower, upper = model.predict_interval(said, level)
+        lower, upper = model.predict_interval(joints, level)
         holds = (tip >= lower) & (tip <= upper)
         found[f"{level:g}"] = {name: float(holds[rows].mean()) if rows.any() else None for name, rows in groups.items()}
-    lower, upper = model.predict_interval(said, LEVELS[-1])
+    lower, upper = model.predict_interval(joints, LEVELS[-1])
     found[WIDTH] = float(np.median(0.5 * (upper - lower)))
-    errors = model.predict(said) - tip
+    errors = model.predict(joints) - tip
     found[RMSE] = {name: float(np.sqrt(np.mean(errors[rows] ** 2))) if rows.any() else None for name, rows in groups.items()}
     return float(inside.mean()), found
 

@@ -1,4 +1,4 @@
-"""What the networks reach: forward models and actuator networks on the bench crane, beside what is simpler.
+"""Errors of forward models and actuator networks on the bench crane, compared with simpler models.
 
     .venv/bin/python pipelines/networks.py [--workspace workspace] [--fresh]
 

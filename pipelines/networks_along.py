@@ -1,4 +1,4 @@
-"""Networks that run along a motion (actuators with history, command → motion) beside what is simpler: docs/networks.md.
+"""Recurrent networks (actuators with history, command → motion) compared with simpler models: docs/networks.md.
 
     .venv/bin/python pipelines/networks_along.py [--raw FOLDER_OF_MEASURED_DATA]
 
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from hydraulic_actuator import HALF, LITERATURE, columns
 from sysid.bench import BenchRecipe, RecordingSettings
 from sysid.bench.case import overlaid
@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATASETS = ROOT / "datasets"
 PIPELINE = "pipelines/networks_along.py"
 PAGE, RESULT = ROOT / "docs" / "networks.md", ROOT / "reports" / "networks_along" / "result.json"
-#: Full play between cylinder and boom or stick of the machine that has some [m].
+#: Full backlash between cylinder and boom or stick [m].
 PLAY = 1e-3
 #: Cylinder machines: recordings, their length [s], and the noise of the draw wires [m].
 RECORDINGS, SECONDS, WIRE = 6, 60.0, 2e-5
@@ -116,7 +116,7 @@ def history(width: float) -> dict[str, Any]:
 
 
 def cylinders(width: float) -> Dataset:
-    """The shipped bench crane with another play of boom and stick, seen by its sensors at the controller's rate."""
+    """The shipped bench crane with this backlash of boom and stick, measured by its sensors at the controller's rate."""
     play = {name: {"backlash": width} for name in ("boom", "stick")}
     tables = overlaid(read_toml(DATASETS / "autolog" / "bench.toml"), {"axes": play, "recordings": []})
     recipe = parse_settings(tables, BenchRecipe, PIPELINE)
@@ -177,7 +177,7 @@ def pressure(raw: Path) -> dict[str, Any]:
 
 
 def pressure_data(valve: Array, oil: Array) -> Dataset:
-    """The halves, as if the pressure were the motion of the arm; the second is held out, and no fit looks at it."""
+    """The halves, with the pressure in the place of the motion of the arm; the second is held out."""
     machine = load_machine(DATASETS / "hydraulic_actuator" / "machine.toml")
     machine = replace(machine, axes=(replace(machine.axes[0], limits=None),))
 
@@ -199,13 +199,7 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 
 def tables(result: Mapping[str, Any]) -> str:
     """What docs/networks.md shows."""
-    lines = [
-        f"Simulated test bench, {RECORDINGS - 2} recordings of one minute to fit, one to select, one held out. RMSE, static → "
-        "with history, by direction of the input.",
-        "",
-        "| output | backlash | falling | still | rising | all | sensor noise |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    history, runs = [], []
     for machine, found in result["history"].items():
         for output, entry in found["outputs"].items():
             factor, unit, digits = (1e3, "mrad", 2) if entry["unit"] == "rad" else (1e3, "mm", 3)
@@ -214,19 +208,21 @@ def tables(result: Mapping[str, Any]) -> str:
             cells = [f"{factor * a:.{digits}f} → {factor * b:.{digits}f}" for a, b in pairs]
             cells[-1] += " (inactive)" if entry["silent"] else ""
             backlash = {"1 mm of play": "1 mm", "no play": "none"}[machine]
-            lines.append(f"| {output} [{unit}] | {backlash} | {' | '.join(cells)} | {factor * entry['noise']:.{digits}f} |")
-    lines += [
+            history.append((f"{output} [{unit}]", backlash, *cells, f"{factor * entry['noise']:.{digits}f}"))
+    for machine, found in result["motion"].items():
+        for driven in dict.fromkeys(name.split(" ")[0] for name in found["outputs"]):
+            cells = [_triple(found["outputs"].get(f"{driven} {end}"), machine) for end in ENDS]
+            runs.append((machine, f"{driven} [{_unit(found, driven, machine)}]", *cells))
+    lines = [
+        f"Simulated test bench, {RECORDINGS - 2} recordings of one minute to fit, one to select, one held out. RMSE, static → "
+        "with history, by direction of the input.",
+        "",
+        markdown(("output", "backlash", "falling", "still", "rising", "all", "sensor noise"), history, "ll"),
         "",
         "Free runs on held-out recordings, RMSE: network / nominal simulation / linear ARX of the same inputs.",
         "",
-        "| machine | axis | 0.5 s | 1 s | 2 s | 5 s | whole recording |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        markdown(("machine", "axis", "0.5 s", "1 s", "2 s", "5 s", "whole recording"), runs, "ll"),
     ]
-    for machine, found in result["motion"].items():
-        drives = dict.fromkeys(name.split(" ")[0] for name in found["outputs"])
-        for driven in drives:
-            cells = [_triple(found["outputs"].get(f"{driven} {end}"), machine) for end in ENDS]
-            lines.append(f"| {machine} | {driven} [{_unit(found, driven, machine)}] | {' | '.join(cells)} |")
     if result["pressure"]:
         said = result["pressure"]
         others = ", ".join(f"{name} {value:.3f}" for name, value in LITERATURE.items())

@@ -1,4 +1,4 @@
-"""RC excavator: what a linear-rate simulation of three hydraulic cylinders lacks, from a joystick log of two minutes.
+"""RC excavator: the gap of a linear-rate simulation of three hydraulic cylinders, from a joystick log of two minutes.
 
     .venv/bin/python pipelines/rc_excavator.py FOLDER_WITH_THE_CSV_FILES         (their source: datasets/rc_excavator/README.md)
 

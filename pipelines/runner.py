@@ -1,10 +1,10 @@
 """The runner on the simulated test bench, over slcan: `python pipelines/runner.py` after `make demo`.
 
-Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and beside three
-busy processes; then every fault is let loose while the machine moves, and the machine is commissioned with every fault of its
-wiring. What the machine did is read from its own file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
-of two pages of the guide. `--keep-runs` measures the faults alone, and leaves the runs that are timed as they are in the
-result, with where and when they were measured.
+Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and with three busy
+processes; then every fault is injected while the machine moves, and the machine is commissioned with every fault of its
+wiring. The true motion is read from the bench's file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
+of two pages of the guide. `--keep-runs` measures the faults only and keeps the timed runs of the result, with the computer and
+date of their measurement.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import AXES, DRIVEN, LINE, LOOP, POLICY, RIGHT, SECOND, TURNS, wiring
+from runner_flight import AXES, DRIVEN, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -74,31 +74,31 @@ stick = "AUX_VALVE_2_COMMAND"
 telescope = "AUX_VALVE_3_COMMAND"
 {more}"""
 FENCE = np.array([[0.45, 1.45], [-0.5, 0.5], [0.0, 0.85]])
-#: What a commissioning takes at the most [s]; how far the boom tip may go in it [m], and how fast over so long [m/s, s].
+#: Limits of a commissioning: duration [s], displacement of the boom tip [m], and its speed over a time [m/s, s].
 COMMISSION_S, FAR, FAST, OVER_S = 150.0, 0.02, 0.05, 0.05
-#: Motion after a fault is looked at for so long [s].
+#: Evaluated time after a fault [s].
 AFTER = 4.0
 
 
 @dataclass
-class Flown:
-    """A run and what is left of it: lines that the runner said, its outcome, the machine's truth, when the fault came."""
+class RunRecord:
+    """A run: lines on the runner's output, its outcome, the true motion of the machine, and the time of the fault."""
 
     lines: list[tuple[str, int, str]]
     outcome: dict[str, Any]
     truth: dict[str, Array]
     cycles: dict[str, Array]
     fault_ns: int = 0
-    said: dict[str, Any] = field(default_factory=dict)
+    second_outcome: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Outside:
+class ExternalFault:
     """A fault that does not come from inside the runner.
 
     Args:
         machine: lines for the control pipe. kill: ``runner`` or ``machine``. pause: the runner stands still for so long [s].
-        signals: that the runner gets, 50 ms apart. terminal: what becomes of it, see :class:`Screen`.
+        signals: that the runner gets, 50 ms apart. terminal: what becomes of it, see :class:`Terminal`.
         second: another runner is started on the same line.
     """
 
@@ -110,31 +110,31 @@ class Outside:
     second: bool = False
 
 
-def _dropped(count: int) -> Outside:
-    return Outside(tuple(f"drop {name} {count}" for name in ("MACHINE_STATUS", "DRAW_WIRES", "SLEW_SENSOR")))
+def _dropped(count: int) -> ExternalFault:
+    return ExternalFault(tuple(f"drop {name} {count}" for name in ("MACHINE_STATUS", "DRAW_WIRES", "SLEW_SENSOR")))
 
 
-OUTSIDE = {
+EXTERNAL_FAULTS = {
     "1 frame dropped": _dropped(1),
     "5 frames in a row dropped": _dropped(5),
     "20 frames in a row dropped": _dropped(20),
-    "sensor unplugged": Outside(("unplug DRAW_WIRES 1",)),
-    "sensor repeats a frame": Outside(("stuck DRAW_WIRES 1",)),
-    "emergency stop": Outside(("emergency_stop 1",)),
-    "dead-man released": Outside(("dead_man 0",)),
-    "runner paused 300 ms": Outside(pause=0.3),
-    "runner paused 2 s, dead-man released": Outside(("dead_man 0",), pause=2.0),
-    "terminal stopped for 2 s (Ctrl-S)": Outside(terminal="stop"),
-    "terminal closed": Outside(terminal="close"),
-    "standard error closed": Outside(terminal="close error"),
-    "SIGINT (Ctrl-C)": Outside(signals=(signal.SIGINT,)),
-    "SIGTERM": Outside(signals=(signal.SIGTERM,)),
-    "SIGHUP": Outside(signals=(signal.SIGHUP,)),
-    "SIGTSTP (Ctrl-Z)": Outside(signals=(signal.SIGTSTP,)),
-    "SIGTERM twice": Outside(signals=(signal.SIGTERM, signal.SIGTERM)),
-    "a second runner on the line": Outside(second=True),
-    "kill -9 of the runner": Outside(kill="runner"),
-    "kill -9 of the machine": Outside(kill="machine"),
+    "sensor unplugged": ExternalFault(("unplug DRAW_WIRES 1",)),
+    "sensor repeats a frame": ExternalFault(("stuck DRAW_WIRES 1",)),
+    "emergency stop": ExternalFault(("emergency_stop 1",)),
+    "dead-man released": ExternalFault(("dead_man 0",)),
+    "runner paused 300 ms": ExternalFault(pause=0.3),
+    "runner paused 2 s, dead-man released": ExternalFault(("dead_man 0",), pause=2.0),
+    "terminal stopped for 2 s (Ctrl-S)": ExternalFault(terminal="stop"),
+    "terminal closed": ExternalFault(terminal="close"),
+    "standard error closed": ExternalFault(terminal="close error"),
+    "SIGINT (Ctrl-C)": ExternalFault(signals=(signal.SIGINT,)),
+    "SIGTERM": ExternalFault(signals=(signal.SIGTERM,)),
+    "SIGHUP": ExternalFault(signals=(signal.SIGHUP,)),
+    "SIGTSTP (Ctrl-Z)": ExternalFault(signals=(signal.SIGTSTP,)),
+    "SIGTERM twice": ExternalFault(signals=(signal.SIGTERM, signal.SIGTERM)),
+    "a second runner on the line": ExternalFault(second=True),
+    "kill -9 of the runner": ExternalFault(kill="runner"),
+    "kill -9 of the machine": ExternalFault(kill="machine"),
 }
 #: The state that a fault has to end in.
 ENDS: dict[str, tuple[str, ...]] = {
@@ -152,7 +152,7 @@ ENDS: dict[str, tuple[str, ...]] = {
     "line cannot be read": ("fault",),
     "SIGTERM twice": ("fault",),
 }
-#: What is wrong with a recipe, so that nothing is opened: added at its end, or what is put for what.
+#: Errors in a recipe for which the runner refuses to start: text added at its end, or a replacement.
 REFUSED: dict[str, dict[str, str]] = {
     "wrong DBC": {"wrong": "yes"},
     "threshold of 10⁶": {"more": "[checks.motion]\nseconds = 1e6\n"},
@@ -160,7 +160,7 @@ REFUSED: dict[str, dict[str, str]] = {
 }
 #: Log faults are noticed at the next sync: tried at so many moments of its second, and the worst is kept.
 PHASES = 3
-#: Of a run that was over before its fault came, which is flown again at the most so often.
+#: State of a run that ended before its fault, and the most attempts to repeat it.
 EARLY, ATTEMPTS = "ended before the fault", 3
 STOPS = ("stopped", "fault")
 
@@ -180,8 +180,8 @@ def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-class Screen:
-    """The runner's terminal, with somebody who reads what comes; standard error may be a pipe instead."""
+class Terminal:
+    """The runner's terminal, whose output is read; standard error may be a pipe instead."""
 
     def __init__(self, piped: bool) -> None:
         self.master, self.slave = os.openpty()
@@ -197,8 +197,8 @@ class Screen:
         os.close(self.slave)
         os.close(self.error)
 
-    def suffer(self, what: str) -> None:
-        """``stop``: Ctrl-S for 2 s, and nobody reads; ``close``, ``close error``: it, or standard error, is gone."""
+    def fail(self, what: str) -> None:
+        """``stop``: Ctrl-S for 2 s without reading; ``close``, ``close error``: the terminal, or standard error, is closed."""
         if what == "stop":
             self._reads.clear()
             os.write(self.master, b"\x13")
@@ -236,11 +236,11 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT)} | threads
 
 
-def fly(
+def run_once(
     options: argparse.Namespace, path: str, policy: str, seconds: float, fault: str = "", turns: int = TURNS, **change: str
-) -> Flown:
+) -> RunRecord:
     """One run, with a fault where one is named, ``turns`` cycles after tracking began."""
-    outside = OUTSIDE.get(fault, Outside())
+    outside = EXTERNAL_FAULTS.get(fault, ExternalFault())
     with tempfile.TemporaryDirectory(prefix="runner-") as name:
         folder = Path(name)
         values = {
@@ -252,30 +252,30 @@ def fly(
             (folder / "wrong.dbc").write_text(DATABASE.read_text("utf-8").replace("BO_ 423 ", "BO_ 424 "), "utf-8")
             values["database"] = folder / "wrong.dbc"
         recipe = folder / "runner.toml"
-        with machine(folder, seconds + 120.0) as stand_in, ExitStack() as stack:
+        with machine(folder, seconds + 120.0) as bench, ExitStack() as stack:
             if values["mode"] == "commission":
-                values["more"] = f"[commission.reference]\n{_stands(folder / 'truth.bin')}"
+                values["more"] = f"[commission.reference]\n{_parked_joints(folder / 'truth.bin')}"
             text = RECIPE.format(**values)
             recipe.write_text(text.replace("VALVE_3", "VALVE_2") if "twice" in change else text, "utf-8")
             second = stack.enter_context(_second(recipe, options)) if outside.second else None
             words = _program(recipe, options, fault, str(turns))
-            screen = Screen(piped=outside.terminal == "close error")
+            screen = Terminal(piped=outside.terminal == "close error")
             ends = {"stdin": screen.slave, "stderr": screen.error, "stdout": subprocess.PIPE}
             with subprocess.Popen(words, text=True, env=_environment(), **ends) as runner:
                 screen.begun()
-                lines, fault_ns = _listen(runner, stand_in, screen, folder, outside, second)
+                lines, fault_ns = _listen(runner, bench, screen, folder, outside, second)
             screen.close()
             if fault:
                 time.sleep(0.5)
             truth = read_truth(folder / "truth.bin")
-            return Flown(lines, _said(folder), truth, _cycles(folder), fault_ns, _said(folder / "second"))
+            return RunRecord(lines, _outcome(folder), truth, _cycles(folder), fault_ns, _outcome(folder / "second"))
 
 
 def _program(recipe: Path, options: argparse.Namespace, *more: str) -> list[str]:
     return [sys.executable, str(ROOT / "pipelines/runner_flight.py"), str(recipe), str(options.workspace), *more]
 
 
-def _stands(truth: Path) -> str:
+def _parked_joints(truth: Path) -> str:
     """Where the machine is parked, as lines of a recipe."""
     until = time.monotonic() + 5.0
     while not len((rows := read_truth(truth))["at_ns"]) and time.monotonic() < until:
@@ -290,7 +290,7 @@ def _second(recipe: Path, options: argparse.Namespace) -> Iterator[subprocess.Po
     second = recipe.parent / "second" / "runner.toml"
     second.parent.mkdir()
     second.write_text(recipe.read_text("utf-8"), "utf-8")
-    words = _program(second, options, SECOND)
+    words = _program(second, options, SECOND_RUNNER)
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=_environment()) as process:
         try:
             yield process
@@ -298,7 +298,7 @@ def _second(recipe: Path, options: argparse.Namespace) -> Iterator[subprocess.Po
             process.kill()
 
 
-def _said(folder: Path) -> dict[str, Any]:
+def _outcome(folder: Path) -> dict[str, Any]:
     """How the run in ``folder`` ended."""
     outcome = folder / "outcome.json"
     return dict(json.loads(outcome.read_text("utf-8"))) if outcome.exists() else {}
@@ -306,13 +306,13 @@ def _said(folder: Path) -> dict[str, Any]:
 
 def _listen(
     runner: subprocess.Popen[str],
-    stand_in: subprocess.Popen[str],
-    screen: Screen,
+    bench: subprocess.Popen[str],
+    screen: Terminal,
     folder: Path,
-    outside: Outside,
+    outside: ExternalFault,
     second: subprocess.Popen[str] | None,
 ) -> tuple[list[tuple[str, int, str]], int]:
-    """What the runner says until it ends, and when the fault came."""
+    """Lines of the runner until it ends, and the time of the fault."""
     assert runner.stdout is not None
     lines, fault_ns = [], 0
     for line in runner.stdout:
@@ -320,7 +320,7 @@ def _listen(
         lines.append((word, int(ns), rest[0] if rest else ""))
         if word == "fault":
             fault_ns = int(ns)
-        elif word == "track" and outside != Outside():
+        elif word == "track" and outside != ExternalFault():
             fault_ns = time.monotonic_ns()
             if outside.machine:
                 with (folder / "control").open("w") as pipe:
@@ -330,12 +330,12 @@ def _listen(
                 time.sleep(outside.pause)
                 runner.send_signal(signal.SIGCONT)
             if outside.kill:
-                (runner if outside.kill == "runner" else stand_in).kill()
+                (runner if outside.kill == "runner" else bench).kill()
             for number in outside.signals:
                 runner.send_signal(number)
                 time.sleep(0.05)
             if outside.terminal:
-                threading.Thread(target=screen.suffer, args=(outside.terminal,)).start()
+                threading.Thread(target=screen.fail, args=(outside.terminal,)).start()
             if second is not None:
                 second.communicate("open\n")
     return lines, fault_ns
@@ -351,7 +351,7 @@ def _cycles(folder: Path) -> dict[str, Array]:
     return {}
 
 
-def _places(truth: dict[str, Array]) -> Array:
+def _tip_positions(truth: dict[str, Array]) -> Array:
     """Boom tips (n, 3) [m]."""
     return np.stack([truth[f"ee.{letter}"] for letter in "xyz"], axis=1)
 
@@ -361,29 +361,29 @@ def _opened(truth: dict[str, Array]) -> npt.NDArray[np.bool_]:
     return np.stack([truth[f"{axis}.passed"] for axis in AXES], axis=1).any(axis=1)
 
 
-def _begun(flown: Flown) -> Array:
-    """When each cycle began, on the monotonic clock [ns]; the log is dated, the first line says when the first cycle began."""
-    begun = flown.cycles["due_ns"] + flown.cycles["lateness_ns"]
-    return np.asarray(begun - (begun[0] - flown.lines[0][1]))
+def _begun(record: RunRecord) -> Array:
+    """Begin of each cycle on the monotonic clock [ns]; the first line of the runner has that of the first cycle."""
+    begun = record.cycles["due_ns"] + record.cycles["lateness_ns"]
+    return np.asarray(begun - (begun[0] - record.lines[0][1]))
 
 
-def _off(flown: Flown, first_ns: float, last_ns: float) -> Array:
+def _tracking_errors(record: RunRecord, first_ns: float, last_ns: float) -> Array:
     """Boom tip less its target in the cycles between, (n, 3) [m]; a target is for the end of its cycle."""
-    targets = np.stack([flown.cycles[f"target[{k}]"] for k in range(3)], axis=1)
-    at = _begun(flown) + 1e7
+    targets = np.stack([record.cycles[f"target[{k}]"] for k in range(3)], axis=1)
+    at = _begun(record) + 1e7
     own = (at >= first_ns) & (at <= last_ns) & np.isfinite(targets[:, 0])
-    places = _places(flown.truth)
-    there = np.stack([np.interp(at[own], flown.truth["at_ns"], column) for column in places.T], axis=1)
+    places = _tip_positions(record.truth)
+    there = np.stack([np.interp(at[own], record.truth["at_ns"], column) for column in places.T], axis=1)
     return np.asarray(there - targets[own])
 
 
-def timing(flown: Flown) -> dict[str, Any]:
+def timing(record: RunRecord) -> dict[str, Any]:
     """Lateness, missed deadlines, from the command to the valve, and how far the tip is from its target."""
-    truth, cycles = flown.truth, flown.cycles
+    truth, cycles = record.truth, record.cycles
     if not cycles:
-        raise RuntimeError(f"the run did not come about: {flown.outcome.get('why')}")
+        raise RuntimeError(f"the run did not come about: {record.outcome.get('why')}")
     # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each cycle began.
-    begun = _begun(flown)
+    begun = _begun(record)
     fresh = np.flatnonzero(np.diff(truth["counter"]) != 0) + 1
     turns = (truth["counter"][fresh].astype(int) - 1) % 256
     arrived = truth["counter_ns"][fresh]
@@ -392,8 +392,8 @@ def timing(flown: Flown) -> dict[str, Any]:
     numbers = np.where(near - numbers > 128, numbers + 256, numbers)
     good = (numbers >= 0) & (numbers < len(begun))
     ways = (arrived[good] - begun[numbers[good]]) * 1e-3
-    error = 1e3 * _off(flown, 0.0, np.inf)[200:]
-    outcome = flown.outcome
+    error = 1e3 * _tracking_errors(record, 0.0, np.inf)[200:]
+    outcome = record.outcome
     return {
         "lateness_us": outcome["lateness_us"],
         "turn_us": outcome["turn_us"],
@@ -411,20 +411,20 @@ def timing(flown: Flown) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def judged(name: str, flown: Flown) -> dict[str, Any]:
+def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
     """What became of the machine after a fault."""
-    truth, t0 = flown.truth, flown.fault_ns
-    at, places = truth["at_ns"], _places(truth)
+    truth, t0 = record.truth, record.fault_ns
+    at, places = truth["at_ns"], _tip_positions(truth)
     inside = bool(((places >= FENCE[:, 0]) & (places <= FENCE[:, 1])).all())
-    if flown.outcome.get("ended") == "refused":
+    if record.outcome.get("ended") == "refused":
         # Before anything was sent.
         moved = float(np.linalg.norm(places - places[0], axis=1).max())
-        row = {"reaction_ms": 0.0, "peak_motion_m": moved, "state": "refused", "noticed": flown.outcome["why"]}
+        row = {"reaction_ms": 0.0, "peak_motion_m": moved, "state": "refused", "noticed": record.outcome["why"]}
         return {"fault": name, **row, "ok": moved < 1e-6 and name in REFUSED}
     if not t0:
         return {
             "fault": name, "reaction_ms": 0.0, "peak_motion_m": 0.0, "state": EARLY, "noticed": "",
-            "why": flown.outcome.get("why", ""), "ok": False,
+            "why": record.outcome.get("why", ""), "ok": False,
         }  # fmt: skip
     after = (at >= t0) & (at <= t0 + AFTER * 1e9)
     opened = _opened(truth)
@@ -433,27 +433,27 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     again = _reopened(opened[at >= t0])
     # A clamp is everyday: setpoints of a policy that sees noise are held within their acceleration in every other cycle.
     verdicts = [
-        (ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0 and text.split(" ")[1] != "clamp"
+        (ns, text) for word, ns, text in record.lines if word == "verdict" and ns >= t0 and text.split(" ")[1] != "clamp"
     ]
-    states = [(ns, text) for word, ns, text in flown.lines if word == "state" and ns >= t0]
+    states = [(ns, text) for word, ns, text in record.lines if word == "state" and ns >= t0]
     noticed = min([ns for ns, _ in [*verdicts, *states]], default=0)
-    killed = OUTSIDE.get(name, Outside()).kill
+    killed = EXTERNAL_FAULTS.get(name, ExternalFault()).kill
     reaction: float | None
     if killed == "runner":
         state, reaction = "machine's own time-out", neutral
     else:
-        goes_on = flown.outcome.get("ended") in ("time", "done")
+        goes_on = record.outcome.get("ended") in ("time", "done")
         # Verdicts long after a fault that is over are about something else.
         reaction = (noticed - t0) * 1e-6 if noticed and not (goes_on and noticed - t0 > 1e9) else None
-        state = "goes on" if goes_on else "fault" if flown.outcome.get("state") == "fault" else "stopped"
+        state = "goes on" if goes_on else "fault" if record.outcome.get("state") == "fault" else "stopped"
     start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
     peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
-    if state == "goes on" and flown.cycles:
-        # It is on its way: what counts is how far off.
-        peak = float(np.linalg.norm(_off(flown, t0, t0 + 1e9), axis=1).max())
+    if state == "goes on" and record.cycles:
+        # It goes on: the tracking error counts.
+        peak = float(np.linalg.norm(_tracking_errors(record, t0, t0 + 1e9), axis=1).max())
     ok = state in ENDS.get(name, STOPS) and inside
     if name == "a second runner on the line":
-        ok = ok and "another runner has this line" in flown.said.get("why", "")
+        ok = ok and "another runner has this line" in record.second_outcome.get("why", "")
     if state != "goes on" and killed != "machine":
         ok = ok and again == 0
         still = places[at >= at[-1] - 2e8]
@@ -466,7 +466,7 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
         "peak_motion_m": peak,
         "state": state,
         "noticed": verdicts[0][1] if verdicts else "",
-        "why": flown.outcome.get("why", ""),
+        "why": record.outcome.get("why", ""),
         "inside_fence": inside,
         "ok": ok,
     }
@@ -474,21 +474,21 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
 
 def commissioned(options: argparse.Namespace, name: str) -> dict[str, Any]:
     """What a commissioning makes of a fault that is there from the beginning."""
-    return found_in(name, fly(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
+    return commissioning_row(name, run_once(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
 
 
-def found_in(name: str, flown: Flown) -> dict[str, Any]:
+def commissioning_row(name: str, record: RunRecord) -> dict[str, Any]:
     """What came of a commissioning: found or not, after how long, and how the boom tip moved until then."""
-    at, places = flown.truth["at_ns"], _places(flown.truth)
+    at, places = record.truth["at_ns"], _tip_positions(record.truth)
     lag = max(1, round(OVER_S * 1e9 / float(np.median(np.diff(at)))))
     far = float(np.linalg.norm(places - places[0], axis=1).max())
     fast = float(np.linalg.norm(places[lag:] - places[:-lag], axis=1).max()) / OVER_S
-    passed = flown.outcome.get("ended") == "done"
-    why = flown.outcome.get("why", "it did not begin")
-    began = bool(flown.fault_ns) and flown.outcome.get("ended", "refused") != "refused"
-    opened = _opened(flown.truth)
-    last = float(at[np.flatnonzero(opened)[-1]] - flown.fault_ns) * 1e-9 if opened.any() else 0.0
-    ok = began and passed == (name == RIGHT) and far <= FAR and fast <= FAST
+    passed = record.outcome.get("ended") == "done"
+    why = record.outcome.get("why", "it did not begin")
+    began = bool(record.fault_ns) and record.outcome.get("ended", "refused") != "refused"
+    opened = _opened(record.truth)
+    last = float(at[np.flatnonzero(opened)[-1]] - record.fault_ns) * 1e-9 if opened.any() else 0.0
+    ok = began and passed == (name == NO_FAULT) and far <= FAR and fast <= FAST
     row = {"fault": name, "found": not passed, "moved_for_s": last, "tip_m": far, "tip_speed": fast}
     return {**row, "why": why, "ok": ok}
 
@@ -507,7 +507,7 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     for phase in range(PHASES if name == "disk full" else 1):
         turns = TURNS + phase * 100 // PHASES
         for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
-            row = judged(name, fly(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
+            row = evaluated(name, run_once(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
             if row["state"] != EARLY:
                 break
         rows.append(row)
@@ -516,14 +516,14 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
 
 
 def timed(options: argparse.Namespace, policies: Sequence[str]) -> dict[str, Any]:
-    """The runs that are timed, and what of them is told first."""
+    """The timed runs, and their summary."""
     runs = []
     for path in options.paths:
         for policy in policies:
             for load in (0, 3) if policy == policies[0] and path == options.paths[0] else (0,):
                 with busy(load):
-                    flown = fly(options, path, policy, 60.0 * options.minutes)
-                row = {"path": path, "policy": policy, "busy": load, **timing(flown)}
+                    record = run_once(options, path, policy, 60.0 * options.minutes)
+                row = {"path": path, "policy": policy, "busy": load, **timing(record)}
                 runs.append(row)
                 print(path, policy, load, row["lateness_us"], row["missed"], row["rmse_mm"], flush=True)
     idle = next(row for row in runs if row["busy"] == 0)
@@ -550,7 +550,7 @@ def main(options: argparse.Namespace) -> None:
         result |= {"runs_measured": {key: before[key] for key in ("date", "machine", "versions")}} | kept
     else:
         result |= timed(options, policies)
-    names = [*OUTSIDE, *LINE, LOOP, *POLICY, "disk full", *REFUSED] if options.faults else []
+    names = [*EXTERNAL_FAULTS, *LINE, LOOP, *POLICY, "disk full", *REFUSED] if options.faults else []
     rows = {row["fault"]: row for row in before["faults"]} if options.only else {}
     result["faults"] = list(rows.values())
     for name in [name for name in names if not options.only or name in options.only]:

@@ -76,20 +76,20 @@ LINE = {
 
 
 #: A machine without a wiring fault.
-RIGHT = "wired right"
+NO_FAULT = "wired right"
 
 
-def wiring(stands: Mapping[str, float]) -> dict[str, Fault | None]:
-    """Wiring that is wrong from the beginning, and none that is; ``stands``: driven signal → where it is [m or rad]."""
+def wiring(positions: Mapping[str, float]) -> dict[str, Fault | None]:
+    """Faults of the wiring, and none; ``positions``: driven signal → its position at the start [m or rad]."""
     pairs = list(combinations(range(len(DRIVEN)), 2))
-    found: dict[str, Fault | None] = {RIGHT: None}
+    found: dict[str, Fault | None] = {NO_FAULT: None}
     found |= {f"valves of {AXES[a]} and {AXES[b]} swapped": ValvesSwapped(a, b) for a, b in pairs}
     found |= {f"sensors of {AXES[a]} and {AXES[b]} swapped": Swapped(DRIVEN[a], DRIVEN[b]) for a, b in pairs}
     for axis, (name, signal) in enumerate(zip(AXES, DRIVEN, strict=True)):
         found[f"valve of {name} turned"] = ValveTurned(axis)
-        found[f"sensor of {name} turned"] = Scaled(signal, -1.0, stands[signal])
-        found[f"sensor of {name} × 2"] = Scaled(signal, 2.0, stands[signal])
-        found[f"sensor of {name} ÷ 10"] = Scaled(signal, 0.1, stands[signal])
+        found[f"sensor of {name} turned"] = Scaled(signal, -1.0, positions[signal])
+        found[f"sensor of {name} × 2"] = Scaled(signal, 2.0, positions[signal])
+        found[f"sensor of {name} ÷ 10"] = Scaled(signal, 0.1, positions[signal])
         found[f"zero of {name} {'20 mrad' if name == 'slew' else '20 mm'} off"] = Jumped(signal, 0.02)
     return found
 
@@ -121,16 +121,16 @@ POLICY: dict[str, Callable[[Array], Any]] = {
     "policy computes for ever": _never,
     "policy waits for ever": _waits,
 }
-#: So much is told in every cycle while the terminal is tried.
-CHATTER = {"terminal stopped for 2 s (Ctrl-S)", "terminal closed", "standard error closed"}
+#: Faults with a long message in every cycle.
+LONG_MESSAGES = {"terminal stopped for 2 s (Ctrl-S)", "terminal closed", "standard error closed"}
 #: In the runner itself.
 LOOP = "exception in the loop"
-#: Another runner on the line: it opens it when it is told to, by a line on its standard input.
-SECOND = "second"
+#: Another runner on the line: it opens it after a line on its standard input.
+SECOND_RUNNER = "second"
 
 
 @dataclass(frozen=True)
-class Flight:
+class RunSettings:
     """What to fly.
 
     Args:
@@ -146,7 +146,7 @@ class Flight:
     turns: int = TURNS
 
 
-class Attended:
+class AttendedOperator:
     """Arms by program, and has a terminal besides."""
 
     stays = False
@@ -161,7 +161,7 @@ class Attended:
         self.terminal.notify(text)
 
 
-class Unruly:
+class FaultyPolicy:
     """A policy, or inverse kinematics in its place, whose answers are right until they are not.
 
     Args:
@@ -170,7 +170,7 @@ class Unruly:
     """
 
     def __init__(self, chain: ControlChain, wrong: Callable[[Array], Any]) -> None:
-        self._chain, self._wrong, self.loose = chain, wrong, False
+        self._chain, self._wrong, self.active = chain, wrong, False
         self._policy = chain.policy
         self._last: Array | None = None
         axes = len(chain.axes)
@@ -184,62 +184,62 @@ class Unruly:
             begin = observations[:, : len(self._chain.axes)] if self._last is None else self._last
             answer, _ = self._chain.inverse.solve(observations[:, self._target], begin)
             self._last = answer
-        found: Array = self._wrong(answer.copy()) if self.loose else answer.copy()
+        found: Array = self._wrong(answer.copy()) if self.active else answer.copy()
         return found
 
 
-def say(word: str, ns: int, text: str = "") -> None:
+def emit(word: str, ns: int, text: str = "") -> None:
     out = sys.__stdout__
     assert out is not None
     out.write(f"{word} {ns} {text}\n")
     out.flush()
 
 
-class Watch:
-    """Says what changes, and lets the fault loose."""
+class FaultInjection:
+    """Writes changes to standard output, and injects the fault."""
 
     def __init__(
-        self, flight: Flight, transport: FaultyTransport, policy: Unruly | None, notify: Callable[[str], None]
+        self, settings: RunSettings, transport: FaultyTransport, policy: FaultyPolicy | None, notify: Callable[[str], None]
     ) -> None:
-        self.flight, self.transport, self.policy, self._told = flight, transport, policy, notify
-        self._state, self._checks, self._tracked, self._loose = "", set[tuple[str, str]](), 0, False
+        self.settings, self.transport, self.policy, self._notify = settings, transport, policy, notify
+        self._state, self._checks, self._tracked, self._injected = "", set[tuple[str, str]](), 0, False
 
     def __call__(self, cycle: Cycle) -> None:
         if cycle.state != self._state:
             self._state = cycle.state
-            say("state", cycle.at_ns, cycle.state)
+            emit("state", cycle.at_ns, cycle.state)
         for verdict in cycle.verdicts:
             if (verdict.check, verdict.reaction) not in self._checks:
                 self._checks.add((verdict.check, verdict.reaction))
-                say("verdict", cycle.at_ns, f"{verdict.check} {verdict.reaction} {verdict.text}")
+                emit("verdict", cycle.at_ns, f"{verdict.check} {verdict.reaction} {verdict.text}")
         self._tracked += bool(np.isfinite(cycle.target).all())
-        if self._loose and self.flight.fault in CHATTER:
-            self._told(200 * "told ")
-        if self._tracked == self.flight.turns and not self._loose:
-            self._loose = True
+        if self._injected and self.settings.fault in LONG_MESSAGES:
+            self._notify(200 * "told ")
+        if self._tracked == self.settings.turns and not self._injected:
+            self._injected = True
             self._checks.clear()
             now = self.transport.now_ns()
-            say("track", now)
-            if self.flight.fault:
-                say("fault", now, self.flight.fault)
-                self._let_loose()
+            emit("track", now)
+            if self.settings.fault:
+                emit("fault", now, self.settings.fault)
+                self._inject()
 
-    def _let_loose(self) -> None:
-        fault = self.flight.fault
+    def _inject(self) -> None:
+        fault = self.settings.fault
         if fault in LINE:
             self.transport.plan = (Injection(LINE[fault], 0.0),)
             self.transport.start()
         elif self.policy is not None:
-            self.policy.loose = True
+            self.policy.active = True
         elif fault == LOOP:
             raise RuntimeError("no way on")
         elif fault == "disk full":
-            (log,) = (self.flight.recipe.parent / "logs").glob("*/flight.mcap")
+            (log,) = (self.settings.recipe.parent / "logs").glob("*/flight.mcap")
             resource.setrlimit(resource.RLIMIT_FSIZE, (log.stat().st_size + 1000, resource.RLIM_INFINITY))
 
 
-class Commissioned:
-    """Says when a commissioning begins, and shows it the loop."""
+class CommissioningWatch:
+    """Writes the begin of a commissioning to standard output, and passes cycles on to it."""
 
     def __init__(self, mode: Commission) -> None:
         self._mode, self._begun = mode, False
@@ -247,33 +247,33 @@ class Commissioned:
     def __call__(self, cycle: Cycle) -> None:
         if not self._begun:
             self._begun = True
-            say("fault", cycle.at_ns)
+            emit("fault", cycle.at_ns)
         self._mode.watch(cycle)
 
 
-def fly(flight: Flight) -> dict[str, Any]:
-    folder = flight.recipe.parent
-    registry = Registry(flight.workspace)
-    assembly = assemble(load_runner(flight.recipe), registry, flight.recipe)
-    wrong = wiring(assembly.recipe.commission.reference)[flight.fault] if assembly.recipe.mode == "commission" else None
+def run_once(settings: RunSettings) -> dict[str, Any]:
+    folder = settings.recipe.parent
+    registry = Registry(settings.workspace)
+    assembly = assemble(load_runner(settings.recipe), registry, settings.recipe)
+    wrong = wiring(assembly.recipe.commission.reference)[settings.fault] if assembly.recipe.mode == "commission" else None
     plan = (Injection(wrong, 0.0),) if wrong is not None else ()
     transport = FaultyTransport(connect(assembly, registry).transport, plan)
     versions = {version.kind: version.reference for version in assembly.loaded.versions}
-    words = provenance({"machine": assembly.machine_file, "recipe": flight.recipe}, versions)
-    if flight.fault == SECOND:
+    words = provenance({"machine": assembly.machine_file, "recipe": settings.recipe}, versions)
+    if settings.fault == SECOND_RUNNER:
         sys.stdin.readline()
     log = FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words)
     console = Console()
-    operator = Attended(Unattended(transport), Terminal(console))
+    operator = AttendedOperator(Unattended(transport), Terminal(console))
     with closing(console), Interruptible(operator) as person, redirected_output(console):
         loop = assembly.loop(transport, log, person)
         policy = None
-        if flight.fault in POLICY:
-            policy = Unruly(loop.chain, POLICY[flight.fault])
+        if settings.fault in POLICY:
+            policy = FaultyPolicy(loop.chain, POLICY[settings.fault])
             loop.chain.policy, loop.chain.thread = policy, PolicyThread(policy, len(loop.chain.axes))
-        watch: Callable[[Cycle], None] = Watch(flight, transport, policy, operator.notify)
+        watch: Callable[[Cycle], None] = FaultInjection(settings, transport, policy, operator.notify)
         if isinstance(loop.mode, Commission):
-            watch = Commissioned(loop.mode)
+            watch = CommissioningWatch(loop.mode)
         outcome = loop.run(watch)
         try:
             log.close()
@@ -294,7 +294,7 @@ def fly(flight: Flight) -> dict[str, Any]:
 
 def main(recipe: Path, workspace: Path, fault: str, turns: int) -> int:
     try:
-        outcome = fly(Flight(recipe, workspace, fault, turns))
+        outcome = run_once(RunSettings(recipe, workspace, fault, turns))
     except SysidError as error:
         outcome = {"ended": "refused", "state": "refused", "why": str(error)}
     (recipe.parent / "outcome.json").write_text(json.dumps(outcome, indent=1) + "\n", "utf-8")

@@ -1,4 +1,4 @@
-"""SO-101: what six ideal servos lack, from four recordings. Does every recording give the same names and values?
+"""SO-101: the gap of six ideal servos from four recordings, and the repeatability of names and values over them.
 
     .venv/bin/python pipelines/so101.py FOLDER_WITH_THE_RECORDINGS             (their source: datasets/so101/README.md)
 

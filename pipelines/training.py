@@ -1,11 +1,11 @@
-"""What feedback, hindsight and the rest are worth: policies trained side by side, followed on one helix.
+"""Effect of feedback, hindsight and other choices of training: policies evaluated on one helix.
 
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR] [--minutes N]
 
-Needs the versions that `make demo` makes. It goes on where it was stopped, elsewhere from what the committed result has.
-``full`` takes some six hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
-Result, tables and reward curves go to reports/training/, the tables into docs/ddpg.md too. ``small`` is a look at whether
-everything runs, and leaves them in the workspace.
+Needs the versions of `make demo`. An interrupted run continues, on another computer from the committed result. ``full`` takes
+about six hours of a core; with ``--minutes`` no training begins after that time, and the results so far are written. Result,
+tables and reward curves go to reports/training/, the tables also into docs/ddpg.md. ``small`` tests that everything runs, with
+its files in the workspace.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
 
 
 def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
-    """Leave in ``work`` what a committed result has of these runs, so that they are not trained again."""
+    """Copy the runs of a committed result to ``work``, so that they are not trained again."""
     if not result.exists():
         return
     known = json.loads(result.read_text("utf-8"))

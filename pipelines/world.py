@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from committed import processor, write_tables
+from committed import markdown, processor, write_tables
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.effects import CATALOGUE
 from sysid.machine import KnownEffect
@@ -28,7 +28,7 @@ from sysid.world import Log, World
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, PICTURE = ROOT / "docs" / "world.md", ROOT / "docs" / "images" / "world.png"
 RECORDING = "manual-06"
-#: Deep enough that nothing touches the ground: the compiled plant knows none.
+#: Height of the ground, without contact: the compiled plant has no ground.
 NO_GROUND = -3.0
 JOINTS = [f"{axis}.joint" for axis in ("slew", "boom", "stick", "telescope")]
 EE, TOOL = [f"ee.{c}" for c in "xyz"], [f"tool.{c}" for c in "xyz"]
@@ -74,7 +74,7 @@ TORQUE, INERTIA, VISCOUS = 3.0, 2.0, 6.0
 
 @dataclass(frozen=True)
 class Row:
-    """What two simulations of one recording differ by, and how much the effect itself changes (root mean square)."""
+    """Differences between two simulations of one recording, and the change by the effect itself (RMS)."""
 
     what: str
     parameters: str
@@ -172,23 +172,16 @@ def speeds(plant: Plant, recording: Recording, repeats: int = 5) -> list[tuple[s
 def tables(rows: list[Row], rates: list[tuple[str, float]]) -> str:
     """The generated part of the page."""
     lines = [
-        "| effect | parameters | moves tip or tool by | joints differ by | tip | tool |",
-        "| --- | --- | ---: | ---: | ---: | ---: |",
-    ]
-    for row in rows:
-        tool = "= tip" if row.tool == row.ee else length(row.tool)
-        cells = (row.what, row.parameters, length(row.changes), f"{row.joints:.1g}", length(row.ee), tool)
-        lines.append("| " + " | ".join(cells) + " |")
+        (
+            row.what, row.parameters, length(row.changes), f"{row.joints:.1g}", length(row.ee),
+            "= tip" if row.tool == row.ee else length(row.tool),
+        )
+        for row in rows
+    ]  # fmt: skip
+    head = ("effect", "parameters", "moves tip or tool by", "joints differ by", "tip", "tool")
     cores = f"{processor()}, pybullet {importlib.metadata.version('pybullet')}"
-    lines += [
-        "",
-        f"Steps a second on one machine ({cores}), shared with other work:",
-        "",
-        "| what | steps/s |",
-        "| --- | ---: |",
-    ]
-    lines += [f"| {what} | {rate:,.0f} |" for what, rate in rates]
-    return "\n".join(lines)
+    speed = markdown(("what", "steps/s"), [(what, f"{rate:,.0f}") for what, rate in rates])
+    return f"{markdown(head, lines, 'll')}\n\nSteps a second on one machine ({cores}), shared with other work:\n\n{speed}"
 
 
 def numbers(value: float | list[float]) -> str:

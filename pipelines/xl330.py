@@ -1,10 +1,10 @@
-"""XL330: what an ideal servo lacks, and what its motor lacks, from logs of six seconds. Does every log give the same names?
+"""XL330: the gap of an ideal servo and of its motor from logs of six seconds, and the repeatability of names over them.
 
     .venv/bin/python pipelines/xl330.py FOLDER_WITH_THE_JSON_FILES             (their source: datasets/xl330/README.md)
 
-From outside the servo is a position axis that is where it is told to be. From inside it is a motor whose torque the log knows:
-less the weight of the pendulum it moves inertia and friction. Each of the two brisk logs of a gain is fitted alone, the other
-selects, and the slow one, which hardly shows anything by itself, proves; then all gains together.
+As a servo it is a position axis. As a motor it is a force axis, whose torque less the weight of the pendulum moves inertia and
+friction. Each of the two fast logs of a gain is fitted alone, the other selects, and the slow one, with little excitation, is
+held out; then all gains together.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ORDERS = (("sin_sin", "sin_time_square", "up_and_down"), ("sin_time_square", "si
 GAINS = (100, 200, 400, 800)
 #: Motor as published (m1 of the authors) [N·m/A, Ω], supply [V], full duty, weight of the pendulum [N·m].
 KT, RESISTANCE, SUPPLY, FULL_DUTY, WEIGHT = 0.3866957639281311, 4.017129222290597, 7.4, 885.0, 0.49 * 9.81 * 0.1
-#: What m1 says about the same quantities; the motor brakes itself with kt²/R.
+#: Values of m1 for the same quantities; the motor brakes itself with kt²/R.
 PUBLISHED = {
     "viscous_friction": {"coefficient": 0.003661672282824312 + KT**2 / RESISTANCE},
     "coulomb_friction": {"force": 0.01283272036582759},

@@ -1,4 +1,4 @@
-"""The plant fitted to a machine: an engineer's baseline, then the one effect, everything else left as it was."""
+"""The plant fitted to a machine: the baseline, then one effect with all others unchanged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares, minimize
 
-from agreement.machines import STANDS, STREAMS, description, recipe_of, record
+from agreement.machines import MACHINES, STREAMS, description, recipe_of, record
 from sysid.datasets import Recording
 from sysid.effects import effect_named, form_for
 from sysid.machine import KnownEffect
@@ -83,8 +83,8 @@ FINE = 601
 def fit(plant: Plant, unknowns: Sequence[Unknown], recordings: Sequence[Recording], signals: Sequence[str]) -> Plant:
     """The plant whose ``unknowns`` fit ``recordings`` best, everything else as it is.
 
-    Up to three numbers are looked for on a grid around the guess. Then least squares, then a simplex without slopes:
-    dead-bands, plays and quanta have kinks.
+    Up to three numbers start from a grid around the guess. Then least squares, then a simplex without derivatives: dead-bands,
+    backlash and quantisation have kinks.
     """
     guess = np.concatenate([unknown.start for unknown in unknowns])
     low, high = np.concatenate([unknown.bounds for unknown in unknowns]).T
@@ -148,13 +148,13 @@ FIRST_GUESS: dict[str, Mapping[str, float | tuple[float, ...]]] = {
 
 
 @cache
-def baseline(stand: str, base: tuple[tuple[str, Any], ...], axes: tuple[str, ...], also: tuple[str, ...]) -> Plant:
-    """What an engineer fits to steps and an operator's work on the machine without the feature."""
-    machine = recipe_of(stand, dict(base))
+def baseline(machine_name: str, base: tuple[tuple[str, Any], ...], axes: tuple[str, ...], also: tuple[str, ...]) -> Plant:
+    """The baseline: fit to steps and an operator's work on the machine without the feature."""
+    machine = recipe_of(machine_name, dict(base))
     plant = nominal_plant(description(machine), streams=STREAMS)
     recordings = [record(machine, program, 101 + k, 60.0) for k, program in enumerate(("steps", "operator"))]
     for axis in axes:
-        names = (*STANDS[stand].baseline, *also)
+        names = (*MACHINES[machine_name].baseline, *also)
         unknowns = [Unknown(name, axis, FIRST_GUESS[name]) for name in names]
         plant = fit(plant, unknowns, recordings, (plant.machine.axis(axis).driven,))
     return plant

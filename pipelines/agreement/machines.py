@@ -1,4 +1,4 @@
-"""The machines, without any feature, and what a recording of one without noise holds."""
+"""The machines without any feature, and their noise-free recordings."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ AUTOLOG = ROOT / "datasets" / "autolog" / "bench.toml"
 SEED = 20240527
 EE, TOOL = ("ee.x", "ee.y", "ee.z"), ("tool.x", "tool.y", "tool.z")
 
-#: The shipped crane, its sensors and clocks made perfect, its camera at the controller's rate, nothing hidden. Delays are whole
-#: samples: what a fraction of one costs is a row of its own.
+#: The shipped crane with ideal sensors and clocks, its camera at the controller's rate, nothing hidden. Delays are whole
+#: samples; a fraction of a sample is a separate row.
 VALVE_CRANE: dict[str, Any] = {
     "axes": {
         "slew": {"backlash": 0.0, "valve": {"delay": 0.03}},
@@ -49,17 +49,19 @@ VALVE_CRANE: dict[str, Any] = {
     "recordings": [],
     "hidden": [],
 }  # fmt: skip
-#: The same crane, hydraulic: spools of 6 Hz; springs carry the weight; as fast one way as the other.
+#: Pistons of the hydraulic crane [m²], and the speed of retraction that makes both directions equally fast [m/s].
+PISTONS: Mapping[str, dict[str, Any]] = {
+    "slew": {"area": 4e-5, "area_rod": 4e-5, "viscous": 2.0},
+    "boom": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.025},
+    "stick": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035},
+    "telescope": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1},
+}
+#: The same crane, hydraulic: spools of 6 Hz; springs carry the weight; equally fast in both directions.
 HYDRAULIC_CRANE = overlaid(
     VALVE_CRANE,
     {
         "masses": {"balanced": 1.0},
-        "axes": {
-            "slew": {"drive": "hydraulic", "hydraulics": {"area": 4e-5, "area_rod": 4e-5, "viscous": 2.0}},
-            "boom": {"drive": "hydraulic", "hydraulics": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.025}},
-            "stick": {"drive": "hydraulic", "hydraulics": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035}},
-            "telescope": {"drive": "hydraulic", "hydraulics": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1}},
-        },
+        "axes": {name: {"drive": "hydraulic", "hydraulics": pistons} for name, pistons in PISTONS.items()},
     },
 )
 SERVO_ARM: dict[str, Any] = {
@@ -75,33 +77,38 @@ VALVE = ("gain_error", "input_delay", "first_order_lag", "valve_deadband")
 
 
 @dataclass(frozen=True)
-class Stand:
-    """A machine: its recipe's tables, and the effects that an engineer fits to every axis of it before anything else."""
+class MachineSettings:
+    """A machine: tables of its recipe, and the effects of its baseline."""
 
     tables: Mapping[str, Any]
     baseline: tuple[str, ...]
 
 
-STANDS = {
-    "valve crane": Stand(VALVE_CRANE, VALVE),
-    "hydraulic crane": Stand(HYDRAULIC_CRANE, VALVE),
-    "servo arm": Stand(SERVO_ARM, ("input_delay", "first_order_lag")),
-    "slide": Stand(SLIDE, ("viscous_friction",)),
+MACHINES = {
+    "valve crane": MachineSettings(VALVE_CRANE, VALVE),
+    "hydraulic crane": MachineSettings(HYDRAULIC_CRANE, VALVE),
+    "servo arm": MachineSettings(SERVO_ARM, ("input_delay", "first_order_lag")),
+    "slide": MachineSettings(SLIDE, ("viscous_friction",)),
 }
 
 
-def recipe_of(stand: str, features: Mapping[str, Any]) -> BenchRecipe | ServoArm | Slide:
+def recipe_of(machine_name: str, features: Mapping[str, Any]) -> BenchRecipe | ServoArm | Slide:
     """The machine of a stand with its features switched on."""
-    tables = dict(STANDS[stand].tables)
-    kind = tables.get("kind")
-    if kind is None:
+    tables = dict(MACHINES[machine_name].tables)
+    if "kind" not in tables:
         tables = overlaid(read_toml(AUTOLOG), tables)
     for key, value in features.items():
         tables = with_value(tables, key.split("."), value)
+    return parsed(tables, machine_name)
+
+
+def parsed(tables: Mapping[str, Any], where: str) -> BenchRecipe | ServoArm | Slide:
+    """The checked machine that tables describe."""
+    kind = tables.get("kind")
     if kind is not None:
-        return parse_settings(tables, ServoArm if kind == "servo_arm" else Slide, stand)
-    recipe = parse_settings(tables, BenchRecipe, stand)
-    check_recipe(recipe, stand)
+        return parse_settings(tables, ServoArm if kind == "servo_arm" else Slide, where)
+    recipe = parse_settings(tables, BenchRecipe, where)
+    check_recipe(recipe, where)
     return recipe
 
 
@@ -118,7 +125,7 @@ def with_value(tables: Any, path: Sequence[str], value: Any) -> Any:
 
 
 def description(machine: BenchRecipe | ServoArm | Slide) -> Machine:
-    """What the owner wrote down: geometry, rated gains and masses."""
+    """The owner's description: geometry, rated gains and masses."""
     if not isinstance(machine, BenchRecipe):
         return machine_from_files(description_of(machine), machine.name)
     gains = {name: machine.axis(name).valve.gain for name in AXES}
@@ -144,7 +151,7 @@ def record(machine: BenchRecipe | ServoArm | Slide, program: str, seed: int, sec
     columns |= {"boom.cylinder": run.log.wires[:, 0], "stick.cylinder": run.log.wires[:, 1]}
     columns |= {"telescope.joint": run.log.wires[:, 2], "slew.joint": run.log.slew}
     count = len(run.log.stamps)
-    # The camera's frames come at the controller's rate; they are taken at their word, whatever its clock says.
+    # Frames have the controller's rate and are placed row by row, whatever the clock of the camera.
     shown = run.capture.clock.to_machine(run.capture.time) - machine.capture.latency
     joints = run.truth.at(shown, run.truth.joint)
     turned = frame_rotation(machine.capture.rpy)

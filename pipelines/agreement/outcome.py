@@ -13,12 +13,12 @@ from agreement.rows import Row
 
 @dataclass(frozen=True)
 class Agreement:
-    """One row's outcome; errors are root mean squares on a recording that no fit has seen [unit].
+    """Result of one row; errors are RMSE on a recording that no fit has used [unit].
 
     Args:
-        alone: of the baseline on the machine without the feature: what the plant cannot do even there.
-        without, with_effect: on the machine with the feature, before and after the effect is in.
-        parameters: as fitted; ``own``: the machine's own setting. ``base``: what the machine has in both runs.
+        alone: of the baseline on the machine without the feature.
+        without, with_effect: on the machine with the feature, before and after the effect is added to the plant.
+        parameters: as fitted; ``own``: setting of the machine. ``base``: settings of the machine in both runs.
     """
 
     effect: str
@@ -45,12 +45,12 @@ class Agreement:
 def agreement(row: Row) -> Agreement:
     begin = time.perf_counter()
     fixed = tuple(row.base.items())
-    plain, real = recipe_of(row.stand, dict(fixed)), recipe_of(row.stand, {**row.base, **row.feature})
+    plain, real = recipe_of(row.machine_name, dict(fixed)), recipe_of(row.machine_name, {**row.base, **row.feature})
     axes = description(plain).axis_names
     moved = tuple(axis for axis in axes if row.target == axis or row.target not in axes)
     if row.signals[0].split(".")[0] in ("ee", "tool"):
         moved = axes
-    before = baseline(row.stand, fixed, moved, row.also)
+    before = baseline(row.machine_name, fixed, moved, row.also)
     fitting = [record(real, program, 201 + k, row.seconds) for k, program in enumerate(row.programs)]
     unseen = record(real, row.unseen, 301, row.seconds)
     after = fit(before, [Unknown(row.effect, row.target, row.guess, row.side)], fitting, row.signals)
@@ -61,7 +61,7 @@ def agreement(row: Row) -> Agreement:
         effect=row.effect,
         target=row.target,
         side=row.side,
-        machine=row.stand,
+        machine=row.machine_name,
         base=dict(row.base),
         feature=dict(row.feature),
         signals=row.signals,

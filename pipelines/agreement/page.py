@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agreement.outcome import Agreement
+from committed import markdown
 
 
 def in_words(row: Agreement) -> str:
@@ -37,23 +38,24 @@ def size(value: float, unit: str) -> str:
 
 def table(rows: Sequence[Agreement]) -> str:
     """The generated part of the page."""
-    lines = [
-        "| effect | machine and feature | shows in | before | after | left | nothing hidden | fitted | its own |",
-        "| --- | --- | --- | ---: | ---: | ---: | ---: | --- | --- |",
-    ]
-    for row in rows:
-        side = f", {row.side}" if row.side else ""
-        signals = row.signals[0].split(".")[0] if row.signals[0].split(".")[0] in ("ee", "tool") else ", ".join(row.signals)
-        cells = (
-            f"`{row.effect}` on {row.target}{side}",
-            f"{row.machine}: {in_words(row)}",
-            signals,
-            size(row.without, row.unit),
-            size(row.with_effect, row.unit),
-            f"{100.0 * row.share:.1f} %" if row.share >= 1e-3 else "< 0.1 %",
-            size(row.alone, row.unit),
-            ", ".join(f"{name} {number(value)}" for name, value in row.parameters.items()),
-            ", ".join(number(value) for value in row.own.values()) or "–",
-        )
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    head = [
+        "effect", "machine and feature", "signal", "without effect", "with effect", "remaining", "baseline", "fitted",
+        "true setting",
+    ]  # fmt: skip
+    return markdown(head, map(cells, rows), "lllrrrrll")
+
+
+def cells(row: Agreement) -> tuple[str, ...]:
+    side = f", {row.side}" if row.side else ""
+    first = row.signals[0].split(".")[0]
+    return (
+        f"`{row.effect}` on {row.target}{side}",
+        f"{row.machine}: {in_words(row)}",
+        first if first in ("ee", "tool") else ", ".join(row.signals),
+        size(row.without, row.unit),
+        size(row.with_effect, row.unit),
+        f"{100.0 * row.share:.1f} %" if row.share >= 1e-3 else "< 0.1 %",
+        size(row.alone, row.unit),
+        ", ".join(f"{name} {number(value)}" for name, value in row.parameters.items()),
+        ", ".join(number(value) for value in row.own.values()) or "–",
+    )

@@ -1,4 +1,4 @@
-"""What is compared: every effect on the machines that show it."""
+"""Rows of the comparison: every effect on the machines that show it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ class Row:
     """One effect on one machine.
 
     Args:
-        feature: what the machine has, key in its recipe → value (``axes.boom.backlash``; ``axes.0.delay`` in a list).
+        feature: settings of the machine, key in its recipe → value (``axes.boom.backlash``; ``axes.0.delay`` in a list).
         signals: what the effect shows in; all in one unit.
-        guess: where the fit begins to look; components of vectors in order.
-        own: the machine's own setting, where it has one that means the same as the parameter.
+        guess: start of the fit; components of vectors in order.
+        own: the setting of the machine, where it means the same as the parameter.
         base: features that the machine has in both runs, where the effect needs them to show.
         also: effects that the baseline of the target needs beside those of its stand.
-        programs: what is recorded to fit, ``seconds`` each; ``unseen``: what the errors are stated for.
+        programs: recordings for the fit, ``seconds`` each; ``unseen``: program of the recording for the errors.
     """
 
     effect: str
     target: str
-    stand: str
+    machine_name: str
     feature: Mapping[str, Any]
     signals: tuple[str, ...]
     guess: Mapping[str, float | tuple[float, ...]]
@@ -45,10 +45,10 @@ SHOULDER, PLACE = ("shoulder.joint",), ("carriage.joint",)
 VALVES, HYDRAULIC, ARM, CARRIAGE = "valve crane", "hydraulic crane", "servo arm", "slide"
 LAPS = {"axes.boom.valve.deadband_positive": 0.24, "axes.boom.valve.deadband_negative": 0.18}
 NO_LAP = {"axes.boom.valve.deadband_positive": 0.0, "axes.boom.valve.deadband_negative": 0.0}
-#: A slewing drive at the end of long hoses, with a brisk spool; the oil hardly gives way before the feature softens it.
+#: A slewing drive at the end of long hoses, with a fast spool and stiff oil, which the feature makes softer.
 HOSES = {"supply.parked": 40e5, "oil.bulk_modulus": 2e10, "axes.slew.hydraulics.spool_frequency": 30.0,
          "axes.slew.hydraulics.dead_volume": 5e-4}  # fmt: skip
-#: Cylinders with a rod on either side: as much oil one way as the other.
+#: Cylinders with a rod on either side: the same oil in both directions.
 DOUBLE_RODS = {
     f"axes.{axis}.hydraulics.area_rod": area for axis, area in (("boom", 4.91e-4), ("stick", 4.91e-4), ("telescope", 2e-4))
 }

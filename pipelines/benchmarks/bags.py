@@ -1,4 +1,4 @@
-"""ROS 2 bags to measure readers with: joint states and poses of any number, and messages of megabytes that nobody maps.
+"""ROS 2 bags for the readers: joint states and poses of any number, and large messages that are not mapped.
 
 Messages are encoded by NumPy, many at once: a log of gigabytes is written as fast as the disk takes it.
 """

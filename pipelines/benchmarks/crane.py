@@ -1,4 +1,4 @@
-"""The shipped crane with every effect that it can have, and what it is asked to do."""
+"""The shipped crane with every effect that it can have, and its commands."""
 
 from __future__ import annotations
 
@@ -97,10 +97,10 @@ def commands(seconds: float) -> Array:
 
 def recorded(plant: Plant, seconds: float) -> Recording:
     """What a log of this plant would hold: commands and every signal that it predicts, begun in the middle of all ranges."""
-    asked = commands(seconds)
-    table: dict[str, Array] = {"time": np.arange(len(asked)) / RATE}
+    commanded = commands(seconds)
+    table: dict[str, Array] = {"time": np.arange(len(commanded)) / RATE}
     for i, axis in enumerate(plant.machine.axes):
-        table[f"{axis.name}.command"] = asked[:, i]
+        table[f"{axis.name}.command"] = commanded[:, i]
         table[axis.driven] = np.where(table["time"] < 1.0, 0.5 * sum(axis.range), np.nan)
     begun = Recording("begun", pd.DataFrame(table), RATE)
     return Recording("recorded", begun.table.assign(**{str(k): v for k, v in free_run(plant, begun).items()}), RATE)

@@ -101,7 +101,7 @@ def ingested(folder: Path, workspace: Path) -> tuple[Dataset, dict[str, float]]:
 
 
 def stage_seconds() -> dict[str, float]:
-    """Seconds of each stage of an ingest of the hour, whose clock has to come out right."""
+    """Seconds of each stage of an ingest of the hour; its clock is checked."""
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as scratch:
         folder = Path(scratch)
         (folder / "site").mkdir()

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,7 +10,7 @@ from mcap.writer import CompressionType
 
 from benchmarks.bags import Bag, write_bag
 from benchmarks.hour import INGEST_LIMIT, stage_seconds
-from benchmarks.rows import against_limit, row
+from benchmarks.rows import against_limit, in_process, row
 
 CHILD = Path(__file__).with_name("readers.py")
 WHOLE, PART, WARM_UP = Bag(200_000, 200_000), Bag(20_000, 20_000), Bag(200, 200)
@@ -32,16 +29,11 @@ MIB = 2**20
 
 def measured(reader: str, bag: Path, warm_up: Path) -> dict[str, Any]:
     """Seconds, rows and memory of one reader in a new process."""
-    command = [sys.executable, str(CHILD), reader, str(bag), str(warm_up)]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise SystemExit(f"{CHILD.name} {reader} failed:\n{done.stderr.strip()}")
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    return in_process(CHILD, reader, str(bag), str(warm_up))
 
 
 def reader_rows(repeats: int = 5) -> list[dict[str, Any]]:
-    """Time and memory of ours beside each neighbour on the same bag."""
+    """Time and memory of `sysid` and of each other tool on the same bag."""
     times: dict[str, list[float]] = {name: [] for name in ("ours", *PEERS)}
     peaks: dict[str, float] = {}
     scale = WHOLE.messages / PART.messages
@@ -68,7 +60,7 @@ def reader_rows(repeats: int = 5) -> list[dict[str, Any]]:
 
 
 def memory_rows() -> list[dict[str, Any]]:
-    """Memory of ours against the size of the bag: images between few states, and states alone."""
+    """Memory of `sysid` by size of the bag: images between few states, and states alone."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as scratch:
         warm_up = write_bag(Path(scratch) / "warm.mcap", WARM_UP)
@@ -97,7 +89,7 @@ def memory_rows() -> list[dict[str, Any]]:
 
 
 def ingest_rows(repeats: int = 3) -> list[dict[str, Any]]:
-    """The hour: what stands between reading and evaluating."""
+    """The hour: alignment and resampling."""
     stages = [stage_seconds() for _ in range(repeats)]
     taken = [stage["align"] + stage["resample"] for stage in stages]
     others = ", ".join(

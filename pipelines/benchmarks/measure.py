@@ -47,8 +47,8 @@ def rollout(repeats: int) -> dict[str, Any]:
 
     plant = crane()
     machine, hour = plant.machine, recorded(plant, HOUR)
-    asked = commands(HOUR) * joint_speeds(machine)
-    part = asked[: round(BULLET_PART * RATE)]
+    commanded = commands(HOUR) * joint_speeds(machine)
+    part = commanded[: round(BULLET_PART * RATE)]
     mujoco, bullet = (
         MujocoCrane(machine, RATE, middle(machine), 1),
         BulletCrane(machine, str(FOLDER / "autolog.urdf"), RATE, middle(machine)),
@@ -57,7 +57,11 @@ def rollout(repeats: int) -> dict[str, Any]:
     must_follow("MuJoCo", part[settled], mujoco.driven_speeds(mujoco.rollout(part)[0])[settled])
     must_follow("PyBullet", part[settled], bullet.run(part)[settled, 4:8])
     taken = in_turns(
-        {"ours": lambda: free_run(plant, hour), "mujoco": lambda: mujoco.rollout(asked), "pybullet": lambda: bullet.run(part)},
+        {
+            "ours": lambda: free_run(plant, hour),
+            "mujoco": lambda: mujoco.rollout(commanded),
+            "pybullet": lambda: bullet.run(part),
+        },
         repeats,
     )
     mujoco.close(), bullet.close()
@@ -82,8 +86,8 @@ def lanes(repeats: int) -> dict[str, Any]:
         model.tool(thetas, log)
 
     mujoco = MujocoCrane(machine, RATE, middle(machine), cores())
-    asked = commands(MUJOCO_PART) * joint_speeds(machine)
-    taken = in_turns({"ours": stages, "mujoco": lambda: mujoco.rollout(asked, LANES)}, repeats)
+    commanded = commands(MUJOCO_PART) * joint_speeds(machine)
+    taken = in_turns({"ours": stages, "mujoco": lambda: mujoco.rollout(commanded, LANES)}, repeats)
     mujoco.close()
     return {**taken, "mujoco": [LANE_SECONDS / MUJOCO_PART * t for t in taken["mujoco"]]}
 
@@ -94,14 +98,14 @@ def environment(repeats: int) -> dict[str, Any]:
 
     plant = crane()
     machine = plant.machine
-    asked = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, ENVIRONMENTS, len(machine.axes)))
-    speeds = asked * joint_speeds(machine)
+    commanded = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, ENVIRONMENTS, len(machine.axes)))
+    speeds = commanded * joint_speeds(machine)
     alone = np.resize(speeds, (BULLET_STEPS, len(machine.axes)))
     stepper = Stepper(plant, RATE, ENVIRONMENTS)
     stepper.reset(middle(machine))
 
     def steps() -> None:
-        for command in asked:
+        for command in commanded:
             stepper.step(command)
 
     mujoco = MujocoCrane(machine, RATE, middle(machine), cores())

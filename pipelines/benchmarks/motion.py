@@ -27,7 +27,7 @@ HEIGHT, BOOM, STICK = 0.285, 0.576, 0.400
 
 
 class Forward:
-    """A forward model that is the plant: no candidate is asked for here."""
+    """The plant as a forward model."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant, self.joints = plant, tuple(axis_signal(name, "joint") for name in plant.machine.axis_names)

@@ -1,4 +1,4 @@
-"""Rows of the networks: the paper's whole set trained at once beside the usual ways, and one prediction.
+"""Rows of the networks: the paper's whole set trained at once, compared with the usual methods, and one prediction.
 
 The set: both actuator networks, both directions, and the forward network, five folds of five members each: 125 networks. Beside
 it stands the loop that everybody writes, one network after the other, with the same initial weights, rows, updates and rates.
@@ -10,7 +10,6 @@ import functools
 import itertools
 import json
 import statistics
-import subprocess
 import sys
 import time
 import warnings
@@ -23,7 +22,7 @@ import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.rows import against_limit, row, seconds
+from benchmarks.rows import against_limit, in_process, row, seconds
 from sysid.networks import (
     Calibration,
     EnsembleMember,
@@ -45,7 +44,7 @@ RATE = 1e-3
 #: Rows of an update → epochs: few, so that all of it takes two minutes on cores of its own.
 EPOCHS = {32: 3, 64: 4, 256: 6, 1024: 6}
 REPEATS = 3
-#: Epochs beside scikit-learn, from which on little more is won.
+#: Epochs for the comparison with scikit-learn; more gain little.
 PEER_EPOCHS, PEER_BATCH = 30, 64
 #: Goal of one prediction [µs].
 PREDICT_LIMIT = 50.0
@@ -131,7 +130,7 @@ def plain(members: Sequence[EnsembleMember], batch: int, epochs: int) -> tuple[l
 
 
 def ours(members: Sequence[EnsembleMember], batch: int, epochs: int) -> tuple[TrainedMember, ...]:
-    """The same at once, with its own look at the held-out rows at the end."""
+    """The same at once, with an evaluation on the held-out rows at the end."""
     settings = TrainingSettings(RATE, batch, epochs, patience=epochs, check_every=epochs, threads=2, device="cpu")
     return train(members, (1,), settings, 0)
 
@@ -236,8 +235,7 @@ def scikit_rows() -> list[dict[str, Any]]:
 
 def predict_rows() -> list[dict[str, Any]]:
     """One sample at a time, in a process that has not loaded torch."""
-    done = subprocess.run([sys.executable, __file__, "predict"], check=True, capture_output=True, text=True)
-    found: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
+    found: dict[str, list[float]] = in_process(Path(__file__), "predict")
     note = "one sample, SI in, SI out, torch not loaded; the faster half of the repeats, since the others waited"
     return [against_limit(f"predict_{name}", times, PREDICT_LIMIT, "µs", note) for name, times in found.items()]
 

@@ -1,6 +1,6 @@
 """The same machine description in MuJoCo and in PyBullet: its four joints driven at commanded speeds, the gripper free.
 
-Neither knows valves, play, sensors or linkages; both solve the rigid-body dynamics of six joints. At each step both give the
+Neither has valves, backlash, sensors or linkages; both solve the rigid-body dynamics of six joints. At each step both give the
 four joints, the boom tip and the gripper, as the plant does.
 """
 
@@ -32,13 +32,13 @@ def hanging(joints: Array) -> Array:
     return np.array([*joints, joints[1] + joints[2], 0.0])
 
 
-def must_follow(name: str, asked: Array, done: Array) -> None:
-    """A simulation that does not move as it is told would be no comparison: speeds (n, 4) against each other.
+def must_follow(name: str, commanded: Array, done: Array) -> None:
+    """Check that a simulation follows the commanded speeds (n, 4).
 
     Raises:
         SystemExit: more than a tenth of the commanded speed is missing on an axis.
     """
-    missing = np.sqrt(np.mean((done - asked) ** 2, axis=0) / np.mean(asked**2, axis=0))
+    missing = np.sqrt(np.mean((done - commanded) ** 2, axis=0) / np.mean(commanded**2, axis=0))
     if not (missing < 0.1).all():
         raise SystemExit(f"{name} does not follow the commanded speeds: {np.round(missing, 3)} of them are missing")
 

@@ -5,16 +5,13 @@ Each is measured in a process of its own (:mod:`benchmarks.measure`) that is hel
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import BULLET_PART, BULLET_STEPS, ENVIRONMENTS, HOUR, LANE_SECONDS, LANES, MUJOCO_PART, RATE, STEPS
-from benchmarks.rows import against_limit, row, seconds
+from benchmarks.rows import against_limit, in_process, row, seconds
 
 MEASURE = Path(__file__).with_name("measure.py")
 AXES = 4
@@ -29,18 +26,7 @@ def measured(work: str, cores: int, repeats: int = 1, cache: Path | None = None)
     """The result of one measurement on the first ``cores`` cores, with compiled code kept in ``cache`` instead of at home."""
     held = sorted(os.sched_getaffinity(0))[:cores]
     surroundings = dict(os.environ) if cache is None else {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run(
-        [sys.executable, str(MEASURE), work, str(repeats)],
-        check=False,
-        capture_output=True,
-        text=True,
-        env=surroundings,
-        preexec_fn=lambda: os.sched_setaffinity(0, held),
-    )
-    if done.returncode != 0:
-        raise SystemExit(f"{MEASURE.name} {work} failed:\n{done.stderr.strip()}")
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    return in_process(MEASURE, work, str(repeats), env=surroundings, preexec_fn=lambda: os.sched_setaffinity(0, held))
 
 
 def plant_rows() -> list[dict[str, Any]]:

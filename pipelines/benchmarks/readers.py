@@ -90,7 +90,7 @@ def mcap_ros2(path: Path) -> Tables:
 
 
 def mcap_ros2_file_order(path: Path) -> Tables:
-    """As the messages stand in the file, which is what ours does."""
+    """In the order of the file, as `sysid` does."""
     return _mcap_ros2(path, log_time_order=False)
 
 

@@ -1,4 +1,4 @@
-"""What a registry of 300 versions costs: processor time to list it, to find one, to add one and to promote one."""
+"""Processor time of a registry of 300 versions: to list, find, add and promote one."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def promote(registry: Registry, number: int) -> None:
 
 
 def taken(work: Callable[[], object]) -> list[float]:
-    """Processor times [ms], after a call that does not count."""
+    """Processor times [ms], after a warm-up call."""
     work()
     times = []
     for _ in range(REPEATS):

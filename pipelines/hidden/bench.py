@@ -1,4 +1,4 @@
-"""The benches whose machines are hidden: that of `sysid.bench`, and simulators that nobody here wrote."""
+"""The two benches: `sysid.bench`, and the foreign simulators MuJoCo and PyBullet."""
 
 from __future__ import annotations
 

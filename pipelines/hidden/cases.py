@@ -1,4 +1,4 @@
-"""The list of cases: what each hides, how much of it, on which machine, seen how well.
+"""The list of cases: hidden effects with their magnitudes, machine, excitation and noise of each.
 
 A case follows from its group, its number and the seed of the calibration; only the counts of each group, and that each effect
 comes as often as any other, are the same for every seed.
@@ -6,7 +6,7 @@ comes as often as any other, are the same for every seed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeVar
 
@@ -35,7 +35,7 @@ DISTURBANCES = (0.0, 0.001, 0.0, 0.003, 0.0, 0.01)
 
 @dataclass(frozen=True)
 class Hidden:
-    """One thing that a case hides: its kind, how many detection limits of it, and in which direction."""
+    """One hidden effect: its kind, its magnitude in detection limits, and its direction."""
 
     kind: str
     factor: float
@@ -69,17 +69,21 @@ class CaseSpec:
 
 def cases_of(tier: Tier, seed: int, only: Group | None = None) -> list[CaseSpec]:
     """The cases of a tier, of one group if that is given."""
-    found: list[CaseSpec] = []
-    for group, count in COUNTS[tier].items():
-        if only in (None, group):
-            found += [case(group, number, seed) for number in range(count)]
-    return found
+    return cases_by_group(COUNTS[tier], case, seed, only)
+
+
+def cases_by_group(
+    counts: Mapping[Group, int], make: Callable[[Group, int, int], CaseSpec], seed: int, only: Group | None
+) -> list[CaseSpec]:
+    """``counts`` cases of each group, or of one group, by group, number and seed."""
+    return [make(group, number, seed) for group, count in counts.items() if only in (None, group) for number in range(count)]
 
 
 def case(group: Group, number: int, seed: int) -> CaseSpec:
     """Case ``number`` of a group in the calibration with this seed."""
     draw = np.random.default_rng([seed, GROUPS.index(group), number])
-    kinds = _kinds(group, number, seed, draw)
+    several = "hydraulic_crane" if number % 4 == 3 else "valve_crane"
+    kinds = kinds_of(group, number, seed, draw, KNOWN, UNKNOWN, several)
     family = kinds[0].family if kinds else FAMILIES[number % len(FAMILIES)]
     shared = sorted(set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds)))
     hidden = tuple(Hidden(kind.key, _factor(group, number, k), int(draw.choice([-1, 1]))) for k, kind in enumerate(kinds))
@@ -99,7 +103,7 @@ def case(group: Group, number: int, seed: int) -> CaseSpec:
 def _factor(group: Group, number: int, place: int) -> float:
     if group == "single":
         return FACTORS[number % len(FACTORS)]
-    # Several at once, or one that has no name, are tried where each alone would be seen.
+    # Several effects, or one without a name, are well above their detection limits.
     return (4.0, 8.0, 5.0, 10.0, 6.0)[(number + 2 * place) % 5]
 
 
@@ -112,14 +116,22 @@ def _excitation(number: int, kinds: tuple[Kind, ...], family: str) -> str:
     return "flight" if number % 10 in (3, 9) and family in ("valve_crane", "hydraulic_crane") else "rich"
 
 
-def _kinds(group: Group, number: int, seed: int, draw: np.random.Generator) -> tuple[Kind, ...]:
+def kinds_of(
+    group: Group, number: int, seed: int, draw: np.random.Generator, known: Sequence[Kind], unknown: Sequence[Kind], family: str
+) -> tuple[Kind, ...]:
+    """What case ``number`` of a group hides.
+
+    Args:
+        known, unknown: kinds with and without a name.
+        family: of the machines with several hidden effects.
+    """
     if group == "none":
         return ()
     if group == "unknown":
-        return (in_order(UNKNOWN, seed)[number % len(UNKNOWN)],)
+        return (in_order(unknown, seed)[number % len(unknown)],)
     if group == "single":
-        return (turned(KNOWN, number, seed),)
-    several = [kind for kind in KNOWN if kind.family == ("hydraulic_crane" if number % 4 == 3 else "valve_crane")]
+        return (turned(known, number, seed),)
+    several = [kind for kind in known if kind.family == family]
     count = {"double": 2, "triple": 3}[group]
     while True:
         chosen = [several[k] for k in draw.choice(len(several), count, replace=False)]
@@ -128,7 +140,7 @@ def _kinds(group: Group, number: int, seed: int, draw: np.random.Generator) -> t
 
 
 def apart(kinds: Sequence[Kind]) -> bool:
-    """Whether they can be hidden together: each at a stage and place of its own, on one variant, in one set of recordings."""
+    """Whether kinds can be combined: different stages and targets, a common variant, one set of recordings."""
     places = {(kind.stage, kind.target) for kind in kinds}
     named = {name for kind in kinds for name in kind.named}
     shared = set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds))
@@ -146,7 +158,7 @@ def turned(known: Sequence[Kind], number: int, seed: int) -> Kind:
 
 
 def in_order(items: Sequence[T], seed: int) -> list[T]:
-    """Mixed by the seed, the same way every time."""
+    """Items in an order that the seed determines."""
     order = np.random.default_rng([seed, len(items)]).permutation(len(items))
     return [items[k] for k in order]
 

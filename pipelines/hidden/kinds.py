@@ -1,7 +1,7 @@
-"""What a case can hide: every effect of the catalogue that a machine of the bench has, and features that no effect describes.
+"""Kinds of hidden effects: every effect of the catalogue that a machine of the bench has, and features outside the catalogue.
 
-A kind says what a magnitude means in the machine's own settings, between which magnitudes it is plausible, at which stage it
-shows, and which variants and programs it needs. Magnitudes grow with the effect from zero.
+A kind maps a magnitude to settings of the machine, and has the plausible range, the stage, and the variants and programs that
+it needs. Magnitude zero is no effect.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hidden.machines import COLD_VARIANTS, PISTONS, VARIANTS, Family, Tables, hydraulic_axes
+from agreement.machines import PISTONS
+from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_axes
 from sysid.bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]
-#: (visible tables, magnitude, direction) → what the hidden machine has instead. ``direction`` is +1 or −1.
+#: (visible tables, magnitude, direction) → changed settings of the hidden machine. ``direction`` is +1 or −1.
 Change = Callable[[Tables, float, int], Tables]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One effect at one place of one family; ``effect`` None = nothing the catalogue knows, distinguished by ``label``.
+    """One effect at one target of one family, or a feature outside the catalogue; ``label`` is unique.
 
     Args:
         change: what a magnitude does; ``most``, ``least``: the largest and the smallest plausible one.
@@ -40,7 +41,7 @@ class Kind:
     most: float
     variants: tuple[int, ...] = tuple(range(VARIANTS))
     excitation: str = "rich"
-    judged: bool = True
+    evaluated: bool = True
     least: float = 0.0
     known: Tables = field(default_factory=dict)
 
@@ -94,7 +95,7 @@ def _valve_kinds(family: Family) -> list[Kind]:
                 ),
                 0.25,
             ),
-            # Short notches would be told from more overlap by nobody: beyond them the one is the other.
+            # Short notches are not distinguishable from more overlap.
             ("gain_curve", _valve(axis, taper=lambda v, m, d: d * m), 0.7),
             (
                 "flow_saturation",
@@ -125,16 +126,16 @@ def _valve_kinds(family: Family) -> list[Kind]:
 
 
 def _mechanical_kinds() -> list[Kind]:
-    """Play, sag, building errors, sensors and the hanging tool of the valve crane."""
+    """Backlash, sag, geometric errors, sensors and the hanging tool of the valve crane."""
 
     def kind(effect: str, target: str, stage: Stage, change: Change, most: float, shown: str = "", **more: Any) -> Kind:
         return Kind(f"{effect}({target})", "valve_crane", ((effect, target),), stage, shown or target, change, most, **more)
 
     found = [
         kind("backlash", "slew", "command", _axis("slew", backlash=lambda m: m), 0.04),
-        # The bench's play of a cylinder is in metres of its rod, the plant's in radians of the joint.
-        kind("backlash", "boom", "joint", _axis("boom", backlash=lambda m: m), 0.004, judged=False),
-        kind("backlash", "stick", "joint", _axis("stick", backlash=lambda m: m), 0.004, judged=False),
+        # The backlash of a cylinder is in metres of its rod on the bench, in radians of the joint in the plant.
+        kind("backlash", "boom", "joint", _axis("boom", backlash=lambda m: m), 0.004, evaluated=False),
+        kind("backlash", "stick", "joint", _axis("stick", backlash=lambda m: m), 0.004, evaluated=False),
         kind("joint_compliance", "boom", "joint", _axis("boom", stiffness=lambda m: 1.0 / m), 1e-3),
         kind("joint_compliance", "stick", "joint", _axis("stick", stiffness=lambda m: 1.0 / m), 1e-3),
         kind(
@@ -200,7 +201,7 @@ def _hydraulic_kinds() -> list[Kind]:
         if axis != "slew":
             found.append(kind("load_dependent_flow", lambda t, m, d: {"masses": {"balanced": 1.0 - m}}, 1.0))
         if axis == "boom":
-            # Oil leaks under a load, and a boom's always pulls one way; without one, pressures even out and that is all.
+            # Leakage needs a load, and that of a boom has one direction; without a load the pressures equalise.
             leaks, loaded = _circuit(axis, "spool_leakage", lambda m: m * 1e-13), {"masses": {"balanced": 0.7}}
             found.append(kind("internal_leakage", leaks, 3.0, excitation="rest", known=loaded))
         found += [
@@ -209,7 +210,7 @@ def _hydraulic_kinds() -> list[Kind]:
             kind("oil_compressibility", _circuit(axis, "dead_volume", lambda m: 2e-5 * (1.0 + m)), 200.0),
         ]
         if variant in COLD_VARIANTS:
-            # Of a differential cylinder, warming oil makes one direction faster more than both; one with a rod at either end
+            # Warm oil changes the two directions of a differential cylinder differently; a cylinder with a rod at either end
             # warms up as the name says.
             even = {"axes": {axis: {"hydraulics": {"area_rod": PISTONS[axis]["area"]}}}}
             found.append(kind("temperature_drift", _warming, 45.0, excitation="long", known=even))
@@ -257,7 +258,7 @@ def _slide_kinds() -> list[Kind]:
     return [
         kind("coulomb_friction", lambda t, m, d: {"coulomb": m}, 60.0, smooth),
         kind("viscous_friction", lambda t, m, d: {"viscous": t["viscous"] * (1.0 + d * m)}, 0.8),
-        # A dip beside sliding friction that is known.
+        # Stribeck friction in addition to known Coulomb friction.
         kind("stribeck_friction", lambda t, m, d: {"static": t["coulomb"] + m}, 30.0, rough),
         kind("inertia_error", lambda t, m, d: {"mass": t["mass"] * (1.0 + d * m)}, 0.5),
         kind("load_bias", lambda t, m, d: {"offset": d * m}, 30.0),
@@ -291,7 +292,7 @@ def _unknown_kinds() -> list[Kind]:
     return found
 
 
-#: Everything that the catalogue has a name for, and what it has none for.
+#: Kinds with a name in the catalogue, and without.
 KNOWN: tuple[Kind, ...] = (
     *_valve_kinds("valve_crane"),
     *_mechanical_kinds(),

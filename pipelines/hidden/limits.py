@@ -1,7 +1,7 @@
-"""The detection limit: the magnitude at which what an effect adds to its stage's residual equals what is there without it.
+"""The detection limit: the magnitude at which an effect adds as much to the residual of its stage as is there without it.
 
-Without it there are the sensors' noise, the flow's disturbance, and what the owner's plant cannot do even on the machine he
-knows. Both are measured on runs without sensor noise; the noise is added by its standard deviation.
+The residual without it consists of sensor noise, flow disturbance, and the model error of the owner's plant. Both parts are
+measured on runs without sensor noise; the noise is added by its standard deviation.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import pandas as pd
 from scipy.optimize import brentq
 from scipy.signal import sosfiltfilt
 
+from agreement.machines import parsed
 from hidden.kinds import Kind
-from hidden.machines import Tables, parsed
+from hidden.machines import Tables
 from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import drive_of, joint_of
 from sysid.bench.joint_machines import description_of
@@ -36,17 +37,17 @@ Array = npt.NDArray[np.float64]
 #: Noise of a stage of the crane per noise of a marker coordinate, of the joints [rad/m] and of points as distances [1].
 #: They follow from how far the markers of a body are apart, and from the lengths of the booms behind them.
 PER_MARKER = {"slew": 3.7, "boom": 6.4, "stick": 6.3, "ee": 6.8, "tool": 1.8}
-#: Rows of a run at the simulation's step of which one is looked at.
+#: Stride of the evaluated rows of a run.
 EVERY = 10
-#: Recordings that are looked at: the first ones already hold one of every program that matters.
+#: Number of recordings: the first ones contain every relevant program.
 SEEN = 3
-#: The search stops where it is this close [1].
+#: Tolerance of the search (logarithm of the magnitude).
 CLOSE = 0.02
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Where an effect begins to show: its ``magnitude``, and the residual without it, [unit of the stage] or in noises."""
+    """Detection limit: the ``magnitude``, and the residual without the effect [unit of the stage or noise floors]."""
 
     magnitude: float
     without: float
@@ -62,7 +63,7 @@ def limit_of(kind: Kind, direction: int, visible: Tables, error: Callable[[Table
     wanted = base**2 + noise**2
 
     def excess(logarithm: float) -> float:
-        """Of what the effect adds over what is there without it; a straight line where it adds in proportion."""
+        """Logarithm of the ratio of added to present residual; a straight line for a proportional effect."""
         changed = kind.change(visible, float(np.exp(logarithm)), direction)
         added = error(overlaid_lists(visible, changed))[0] ** 2 - base**2
         return float(np.log(max(added, 1e-12 * wanted) / wanted))
@@ -115,7 +116,7 @@ def _arm_error(kind: Kind, owner: ServoArm, tables: Tables) -> tuple[float, floa
 
 
 def _slide_error(owner: Slide) -> Callable[[Tables], tuple[float, float]]:
-    """Force at measured motion: what the real machine needs beside what the owner's formula says, filtered as a user would."""
+    """Residual of the owner's formula for the force at measured motion, filtered as in the workflow."""
     axis = machine_from_files(description_of(owner), "slide").axis("carriage")
 
     def left(slide: Slide, noisy: bool) -> Array:
@@ -159,7 +160,7 @@ def _run(recipe: BenchRecipe, recording: RecordingSettings) -> Truth:
 
 
 def stage_noise(kind: Kind, owner: BenchRecipe) -> float:
-    """Standard deviation of what the sensors add to the residual of a stage, [unit] or, of several axes, 1."""
+    """Standard deviation of the sensor noise in the residual of a stage, [unit] or, of several axes, 1."""
     wire = float(np.hypot(owner.draw_wire.noise, owner.draw_wire.quantum / 12.0**0.5))
     if kind.stage == "command":
         if kind.target == "machine":
@@ -171,7 +172,7 @@ def stage_noise(kind: Kind, owner: BenchRecipe) -> float:
 
 
 def stage_residual(kind: Kind, owner: BenchRecipe, nominal: CommandChain, real: BenchRecipe, truth: Truth) -> Array:
-    """Measured less predicted output of a stage, driven by what its sensors show of its input, without noise."""
+    """Measured less predicted output of a stage, driven by its measured input, without noise."""
     rows = slice(None, None, EVERY)
     if kind.stage == "command":
         axes = AXES if kind.target == "machine" else (kind.target.partition(".")[0],)
@@ -202,8 +203,7 @@ def _seen(real: BenchRecipe, truth: Truth, axis: str) -> Array:
     """What the sensor of a drive shows, without noise: its wire, or the camera's view of the column."""
     if axis == "slew":
         return np.asarray(truth.joint[:, 0])
-    signal = f"{axis}.{'cylinder' if real.axis(axis).cylinder is not None else 'joint'}"
-    return through(truth.drive[:, AXES.index(axis)], real.sensor(signal))
+    return through(truth.drive[:, AXES.index(axis)], real.sensor(real.drive_signal(axis)))
 
 
 def _rms(parts: Sequence[Array]) -> float:

@@ -1,4 +1,4 @@
-"""The machines of the cases as their owners know them: four families, a few variants of each."""
+"""The machines of the cases as their owners describe them: four families with variants."""
 
 from __future__ import annotations
 
@@ -9,26 +9,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from agreement.machines import PISTONS
 from sysid.bench.case import overlaid
-from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.recipe import AXES, BenchRecipe
-from sysid.bench.recipe_file import check_recipe
-from sysid.config import parse_settings, read_toml
+from sysid.bench.recipe import AXES
+from sysid.config import read_toml
 
 Family = Literal["valve_crane", "hydraulic_crane", "servo_arm", "slide"]
 Tables = dict[str, Any]
 BENCH = Path(__file__).resolve().parents[2] / "datasets" / "autolog" / "bench.toml"
-#: Of each family; what is fitted to the owner's step tests is kept between cases of one variant.
+#: Number of variants of each family; the nominal plant of a variant is fitted once.
 VARIANTS = 6
 #: Standard deviations at noise 1: draw wire [m], marker coordinate [m], servo joint [rad], slide position [m] and force [N].
 WIRE, MARKER, SERVO, PLACE, FORCE = 2e-5, 1.5e-4, 1e-4, 1e-6, 0.5
-#: Pistons of the hydraulic crane [m²] and whether both directions are equally fast.
-PISTONS: Mapping[str, Tables] = {
-    "slew": {"area": 4e-5, "area_rod": 4e-5, "viscous": 2.0},
-    "boom": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.025},
-    "stick": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035},
-    "telescope": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1},
-}
 #: Oil of the hydraulic cranes, warm or just started [°C]; only cold oil can warm up enough to be felt.
 WARM, COLD = 40.0, 0.0
 COLD_VARIANTS = (0, 2)
@@ -46,7 +38,7 @@ EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
 
 @cache
 def visible_tables(family: str, variant: int) -> Tables:
-    """What the owner of a machine knows of it, as tables of its recipe; recordings and noise not yet in it."""
+    """The machine that the owner describes, as tables of its recipe, without recordings and noise."""
     draw = np.random.default_rng([family_number(family), variant])
     if family == "servo_arm":
         axes = []
@@ -84,7 +76,7 @@ def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
             "name": "crane",
             "axes": axes,
             "slew_sensor": {"error": 0.0},
-            # Half of the cranes have a hook that their owner knows, half hold the tool rigidly.
+            # Half of the cranes have a known hook, half hold the tool rigidly.
             "gripper": {"length": 0.22, "damping_ratio": 0.04} if variant % 2 else {"length": 0.0, "damping_ratio": 0.0},
             "capture": {"swaps": [], "exported_markers": []},
             "recordings": [],
@@ -92,13 +84,11 @@ def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
     )
     if family == "valve_crane":
         return tables
-    # One hydraulic drive among valves, or all of them.
-    driven = (AXES[variant % 3],) if variant < 3 else AXES
-    for name in driven:
+    for name in hydraulic_axes(variant):
         drive: Tables = {"drive": "hydraulic", "hydraulics": dict(PISTONS[name])}
         if "retraction" in PISTONS[name]:
             drive["hydraulics"]["retraction"] = tables["axes"][name]["valve"]["gain"]
-        # The spool of the circuit is of second order and has a lag of its own.
+        # The second-order spool of the circuit replaces the lag.
         tables = overlaid(tables, {"axes": {name: {**drive, "valve": {"time_constant": 0.0}}}})
     degrees = COLD if variant in COLD_VARIANTS else WARM
     oil = {"start": degrees, "end": degrees, "warm_up": 60.0, "transition": 5e4}
@@ -110,12 +100,12 @@ def family_number(family: str) -> int:
 
 
 def hydraulic_axes(variant: int) -> tuple[str, ...]:
-    """Which axes of a hydraulic crane have a circuit."""
+    """Axes of a hydraulic crane that have a circuit: one of the first three, or all."""
     return (AXES[variant % 3],) if variant < 3 else AXES
 
 
 def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, seed: int) -> Tables:
-    """The tables with recordings to take, noise ``noise`` times the usual, and valves whose flow is disturbed by this share."""
+    """The tables with recordings, ``noise`` as a multiple of the usual, and the relative flow disturbance of the valves."""
     programs, seconds = EXCITATION[excitation]
     kind = tables.get("kind")
     if kind is not None:
@@ -131,15 +121,3 @@ def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, 
     seen = {"draw_wire": {"noise": WIRE * noise}, "capture": {"noise": MARKER * noise}}
     calm = {name: {"valve": {"disturbance": disturbance}} for name in AXES}
     return overlaid(tables, {"seed": seed, "recordings": takes, "axes": calm, **seen})
-
-
-def parsed(tables: Tables, where: str) -> BenchRecipe | ServoArm | Slide:
-    """The checked machine that tables describe."""
-    kind = tables.get("kind")
-    if kind == "servo_arm":
-        return parse_settings(tables, ServoArm, where)
-    if kind == "slide":
-        return parse_settings(tables, Slide, where)
-    recipe = parse_settings(tables, BenchRecipe, where)
-    check_recipe(recipe, where)
-    return recipe

@@ -1,4 +1,4 @@
-"""Makes a case: ``site/`` with what a site hands over, and apart from it the truth.
+"""Makes a case: ``site/`` with logs and description, and separately the truth.
 
 <work>/cases/<name>/site/…         logs, machine.toml, recipe.toml: all that the run of the workflow sees
 <work>/sealed/<name>.json          what is hidden, how large, how far above its detection limit, and the case itself
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from agreement.fitting import Unknown, fit
-from agreement.machines import description, record
+from agreement.machines import description, parsed, record
 from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
-from hidden.machines import Tables, parsed, recorded, visible_tables
+from hidden.machines import Tables, recorded, visible_tables
 from sysid.bench.case import BenchCase, write_case
 from sysid.bench.joint_machines import write_joint_machine
 from sysid.bench.joint_recipe import ServoArm, Slide
@@ -28,7 +28,7 @@ from sysid.bench.nominal import CommandChain, fit_nominal
 from sysid.bench.recipe import BenchRecipe, HiddenSettings
 from sysid.plant import nominal_plant
 
-#: What an engineer fits to a servo before anything else.
+#: Effects of the nominal plant of a servo.
 SERVO = ("input_delay", "first_order_lag")
 
 
@@ -38,7 +38,8 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
     Args:
         nominal_plants: where the owners' fitted plants are kept, which every seed shares; ``work/nominal`` if not given.
     """
-    visible = recorded(known_tables(spec), spec.excitation, spec.noise, spec.disturbance, spec.seed)
+    known = with_known(visible_tables(spec.family, spec.variant), spec, BY_KEY)
+    visible = recorded(known, spec.excitation, spec.noise, spec.disturbance, spec.seed)
     owner = parsed(visible, spec.name)
     nominal = kept_nominal(owner, nominal_plants or work / "nominal") if isinstance(owner, BenchRecipe) else None
     hidden = []
@@ -46,9 +47,9 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
     for each in spec.hidden:
         kind = BY_KEY[each.kind]
         limit = limit_of(kind, each.direction, visible, error_of(kind, visible, nominal))
-        magnitude = min(max(each.factor * limit.magnitude, kind.least), kind.most)
+        magnitude, described = hide(each, kind, limit)
         real_tables = overlaid_lists(real_tables, kind.change(visible, magnitude, each.direction))
-        hidden.append(_described(each, kind, limit, magnitude))
+        hidden.append(described)
     real = parsed(real_tables, spec.name)
     out = work / "cases" / spec.name
     if isinstance(owner, BenchRecipe) and isinstance(real, BenchRecipe):
@@ -62,6 +63,13 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
         assert isinstance(owner, ServoArm | Slide)
         assert isinstance(real, ServoArm | Slide)
         effects, error = _write_joints(owner, real, spec.hidden, out / "site"), {}
+    return write_sealed(work, spec, hidden, effects, error)
+
+
+def write_sealed(
+    work: Path, spec: CaseSpec, hidden: list[dict[str, Any]], effects: list[dict[str, Any]], error: dict[str, Any]
+) -> dict[str, Any]:
+    """Write the truth of a case, and return it."""
     sealed = {"spec": spec.to_json(), "hidden": hidden, "effects": effects, "model_error": error}
     path = work / "sealed" / f"{spec.name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -69,45 +77,61 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
     return sealed
 
 
-def known_tables(spec: CaseSpec) -> Tables:
-    """The machine as its owner knows it, without its recordings."""
-    tables = visible_tables(spec.family, spec.variant)
+def with_known(tables: Tables, spec: CaseSpec, kinds: Mapping[str, Kind]) -> Tables:
+    """The machine of a case as its owner describes it, without its recordings: ``tables`` with what its kinds need."""
     for each in spec.hidden:
-        tables = overlaid_lists(tables, BY_KEY[each.kind].known)
+        tables = overlaid_lists(tables, kinds[each.kind].known)
     return tables
 
 
-def _described(each: Hidden, kind: Kind, limit: Limit, magnitude: float) -> dict[str, Any]:
-    """``factor`` as it came out: a plausible machine may not have as much of an effect as was asked for."""
-    factor = magnitude / limit.magnitude if math.isfinite(limit.magnitude) else 0.0
-    return {
+def hide(each: Hidden, kind: Kind, limit: Limit) -> tuple[float, dict[str, Any]]:
+    """Magnitude of a hidden effect, within its plausible range, and its description; ``factor`` is that of this magnitude."""
+    magnitude = min(max(each.factor * limit.magnitude, kind.least), kind.most)
+    shows = math.isfinite(limit.magnitude)
+    return magnitude, {
         "kind": each.kind,
         "effects": [{"name": name, "target": target} for name, target in kind.named],
         "magnitude": magnitude,
-        "detection_limit": limit.magnitude if math.isfinite(limit.magnitude) else None,
-        "factor": factor,
-        "judged": kind.judged,
+        "detection_limit": limit.magnitude if shows else None,
+        "factor": magnitude / limit.magnitude if shows else 0.0,
+        "judged": kind.evaluated,
     }
+
+
+def write_recipe(site: Path, name: str, recordings: Sequence[str]) -> None:
+    """``recipe.toml`` of logs with canonical names; the last recording is held out."""
+    listed = ", ".join(f'"{each}"' for each in recordings)
+    (site / "recipe.toml").write_text(
+        f'schema = 1\nname = "{name}"\nmachine = "machine.toml"\nlogs = "logs"\n[recordings]\nmotion = [{listed}]\n'
+        f'[splits]\nheld_out = ["{recordings[-1]}"]\n',
+        "utf-8",
+    )
+
+
+def kept(folder: Path, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The JSON file in ``folder`` for ``key``, made where it is missing."""
+    path = folder / f"{sha256(key.encode()).hexdigest()[:16]}.json"
+    if not path.exists():
+        made = make()
+        folder.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(".part")
+        beside.write_text(json.dumps(made), "utf-8")
+        beside.replace(path)
+    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return found
 
 
 def kept_nominal(owner: BenchRecipe, folder: Path) -> CommandChain:
     """The owner's fitted plant of a crane; it depends neither on recordings nor on noise and is fitted once for each."""
     machine = (owner.geometry, owner.axes, owner.masses, owner.supply, owner.oil, owner.gripper.length, owner.step)
-    calm = repr(machine).replace(f"disturbance={_disturbance(owner)!r}", "")
-    path = folder / f"{sha256(calm.encode()).hexdigest()[:16]}.json"
-    if path.exists():
-        kept = json.loads(path.read_text("utf-8"))
-        return CommandChain(np.array(kept["rows"]), np.array(kept["gains"]))
-    chain = fit_nominal(owner)
-    folder.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps({"rows": chain.rows.tolist(), "gains": chain.gains.tolist()}), "utf-8")
-    beside.replace(path)
-    return chain
+    disturbance = owner.axis("slew").valve.disturbance
 
+    def fitted() -> dict[str, Any]:
+        chain = fit_nominal(owner)
+        return {"rows": chain.rows.tolist(), "gains": chain.gains.tolist()}
 
-def _disturbance(owner: BenchRecipe) -> float:
-    return owner.axis("slew").valve.disturbance
+    found = kept(folder, repr(machine).replace(f"disturbance={disturbance!r}", ""), fitted)
+    return CommandChain(np.array(found["rows"]), np.array(found["gains"]))
 
 
 # ---- Joint machines -----------------------------------------------------------------------------------------------------
@@ -116,7 +140,7 @@ def _disturbance(owner: BenchRecipe) -> float:
 def _write_joints(
     owner: ServoArm | Slide, real: ServoArm | Slide, hidden: Sequence[Hidden], site: Path
 ) -> list[dict[str, Any]]:
-    """Logs of the real machine beside the owner's description; its truth is exact."""
+    """Write the logs of the real machine and the owner's description; returns the exact truth."""
     write_joint_machine(real, site / "logs")
     description = site / "logs" / "machine.toml"
     text = write_known(owner, description.read_text("utf-8"))
@@ -126,18 +150,12 @@ def _write_joints(
     for path in (site / "logs").glob("*.*"):
         path.rename(site / path.name)
     (site / "machine.toml").write_text(text, "utf-8")
-    takes = ", ".join(f'"{take.name}"' for take in owner.recordings)
-
-    (site / "recipe.toml").write_text(
-        f'schema = 1\nname = "joints"\nmachine = "machine.toml"\nlogs = "logs"\n[recordings]\nmotion = [{takes}]\n'
-        f'[splits]\nheld_out = ["{owner.recordings[-1].name}"]\n',
-        "utf-8",
-    )
+    write_recipe(site, "joints", [take.name for take in owner.recordings])
     return [effect for each in hidden for effect in _joint_truth(BY_KEY[each.kind], owner, real)]
 
 
 def write_known(owner: ServoArm | Slide, text: str) -> str:
-    """The description with the effects that the owner knows."""
+    """The description with the known effects."""
     known: list[tuple[str, str, dict[str, float]]] = []
     if isinstance(owner, ServoArm):
         for axis in owner.axes:
@@ -177,7 +195,7 @@ def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) ->
             values = {
                 "coulomb_friction": {"force": real.coulomb},
                 "viscous_friction": {"coefficient": real.viscous},
-                # Beside the Coulomb friction that the owner knows.
+                # In addition to the known Coulomb friction.
                 "stribeck_friction": {
                     "static_force": real.static - owner.coulomb,
                     "coulomb_force": real.coulomb - owner.coulomb,

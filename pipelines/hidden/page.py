@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-#: Rate → what it is, and its goal; "≤" and "≥" as written.
+from committed import markdown
+
+#: Rate, its description, and its goal.
 GOALS: tuple[tuple[str, str, str], ...] = (
     ("false_naming_none", "nothing hidden: an effect is named", "≤ 1 %"),
     ("single_right", "one effect, at least three detection limits: right name and place, nothing else", "≥ 97 %"),
@@ -28,50 +30,43 @@ GOALS: tuple[tuple[str, str, str], ...] = (
 
 def page_tables(result: Mapping[str, Any]) -> str:
     """Goals, figures and confusion as Markdown tables."""
-    lines = [
-        f"Tier `{result['tier']}`, {_count(result)}, seed {_seed(result)}, {result['date']}: `{result['command']}`.",
-        "",
-        "| | goal | measured | 95 % | cases |",
-        "| --- | --- | ---: | --- | ---: |",
-    ]
+    rates = []
     for key, text, goal in GOALS:
         rate = result["rates"][key]
         low, high = rate["wilson95"]
-        lines.append(f"| {text} | {goal} | {_percent(rate['value'])} | {_percent(low)} – {_percent(high)} | {rate['cases']} |")
+        rates.append((text, goal, _percent(rate["value"]), f"{_percent(low)} – {_percent(high)}", str(rate["cases"])))
     error, seconds = result["parameter_error"], result["seconds"]
-    lines += [
-        f"| parameter error, median and 90th percentile | ≤ 1 %, ≤ 5 % | {_percent(error['median'])}, {_percent(error['p90'])}"
-        f" | | {error['count']} |",
-        *(
-            f"| — `{name}` | ≤ 15 % | {_percent(spread['median'])}, {_percent(spread['p90'])} | | {spread['count']} |"
-            for name, spread in error["coarse"].items()
-        ),
-        "| — all cases with a name: closed share of the signal that closes least; minimum, median | ≥ 95 %"
-        f" | {_percent(result['closed_min'])}, {_percent(result['closed_median'])} | | |",
-        f"| seconds per case, median and maximum | | {_number(seconds['median'])}, {_number(seconds['max'])} | | |",
-        "",
+    rates.append(("parameter error, median and 90th percentile", "≤ 1 %, ≤ 5 %", *_spread(error)))
+    rates += [(f"— `{name}`", "≤ 15 %", *_spread(spread)) for name, spread in error["coarse"].items()]
+    closed = f"{_percent(result['closed_min'])}, {_percent(result['closed_median'])}"
+    taken = f"{_number(seconds['median'])}, {_number(seconds['max'])}"
+    rates += [
+        ("— all cases with a name: closed share of the signal that closes least; minimum, median", "≥ 95 %", closed, "", ""),
+        ("seconds per case, median and maximum", "", taken, "", ""),
+    ]
+    called = [
+        (hidden, ", ".join(f"{name} {count}" for name, count in sorted(counts.items(), key=lambda item: -item[1])))
+        for hidden, counts in result["confusion"].items()
+    ]
+    failed = [
+        (_conditions(case), _hides(case), _names(case["named"]), case["failure"] or case["verdict"], _explained(case))
+        for case in result["judgements"]
+        if case["failure"] or case["wrong"] or (case["due"] and not case["exact"])
+    ]
+    parts = [
+        f"Tier `{result['tier']}`, {_count(result)}, seed {_seed(result)}, {result['date']}: `{result['command']}`.",
+        markdown(("", "goal", "measured", "95 %", "cases"), rates, "llrlr"),
         "Names given to a single hidden effect:",
-        "",
-        "| hidden | named |",
-        "| --- | --- |",
-    ]
-    for row, counts in result["confusion"].items():
-        called = ", ".join(f"{name} {count}" for name, count in sorted(counts.items(), key=lambda item: -item[1]))
-        lines.append(f"| {row} | {called} |")
-    lines += [
-        "",
+        markdown(("hidden", "named"), called, "ll"),
         "Cases with a wrong or incomplete answer:",
-        "",
         "`explained`: share of the hidden error that the best fit of the true effect removes, where it is below 90 %.",
-        "",
-        "| case | hides | named | verdict | explained |",
-        "| --- | --- | --- | --- | ---: |",
+        markdown(("case", "hides", "named", "verdict", "explained"), failed, "llll"),
     ]
-    for case in result["judgements"]:
-        if case["failure"] or case["wrong"] or (case["due"] and not case["exact"]):
-            cells = (_seen(case), _hides(case), _names(case["named"]), case["failure"] or case["verdict"], _explained(case))
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return "\n\n".join(parts)
+
+
+def _spread(values: Mapping[str, Any]) -> tuple[str, str, str]:
+    return f"{_percent(values['median'])}, {_percent(values['p90'])}", "", str(values["count"])
 
 
 def _count(result: Mapping[str, Any]) -> str:
@@ -88,7 +83,7 @@ def _explained(case: Mapping[str, Any]) -> str:
     return _percent(case["explained"]) if case["explained"] < 0.9 else ""
 
 
-def _seen(case: Mapping[str, Any]) -> str:
+def _conditions(case: Mapping[str, Any]) -> str:
     spec = case["spec"]
     parts = [spec["name"], f"{spec['family']} {spec['variant']}", spec["excitation"], f"noise {spec['noise']:g}"]
     if spec["disturbance"]:

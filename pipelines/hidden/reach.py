@@ -1,4 +1,4 @@
-"""What the true plant scores on the held-out recordings of a case: nobody can close more."""
+"""Errors of the true plant on the held-out recordings of a case: the lower limit of what a repair can reach."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 
 
 def reach(site: Path, sealed: Path, out: Path) -> None:
-    """Write the RMSE by signal of the owner's plant with what is hidden put in: free runs, and forces at measured motion."""
+    """Write the RMSE by signal of the owner's plant with the true effects: free runs, and forces at measured motion."""
     effects = json.loads(sealed.read_text("utf-8"))["effects"]
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)
@@ -34,6 +34,6 @@ def reach(site: Path, sealed: Path, out: Path) -> None:
 
 
 def with_truth(plant: Plant, effect: dict[str, Any]) -> Plant:
-    """The plant with one sealed effect; a play is on the drive's side of its sensor, unless the truth says otherwise."""
+    """The plant with one sealed effect; backlash is on the drive's side of its sensor, unless the truth states another side."""
     side = effect.get("side", "drive" if effect["name"] in ("backlash", "joint_compliance") else None)
     return plant.with_effect(KnownEffect(effect["name"], effect["target"], effect["parameters"], side))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Runs cases one by one in processes of their own; a case that has an answer is not run again."""
+"""Runs cases in separate processes; a case that has an answer is not run again."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from hidden.reach import reach
 from hidden.solve import solve
 
 #: Longest processor time for making a case and for answering it [s]; an answer that takes longer is a failure. Each process
-#: computes on one thread, so that this is the time on a quiet machine, whatever else this one does.
+#: has one thread, so that the time hardly depends on the load of the computer.
 MAKING, ANSWERING = 300.0, 180.0
 #: Longest wall time, in longest processor times.
 PATIENCE = 6.0
 #: Each process computes on one thread; cases run side by side instead.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-#: Each step of each case is a process of its own, forked from one that has imported what they need and done nothing yet.
+#: Each step of each case is a process, forked from one that has only imported the modules.
 _FRESH = multiprocessing.get_context("forkserver")
 _FRESH.set_forkserver_preload(["hidden.make", "hidden.solve", "hidden.reach"])
 _STARTING = threading.Lock()
@@ -58,7 +58,7 @@ class Place:
         return self.work / "answers" / f"{spec.name}.json"
 
     def reach(self, spec: CaseSpec) -> Path:
-        """What the true plant scores."""
+        """Errors of the true plant."""
         return self.work / "reach" / f"{spec.name}.json"
 
 
@@ -91,17 +91,17 @@ def run_all(
 
 
 def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[..., object] = make_case) -> str | None:
-    """Leave an answer, which may be that there is none; returns why, if so."""
+    """Write an answer, or the failure; returns the failure, or None."""
     place.answer(spec).parent.mkdir(parents=True, exist_ok=True)
     made = run_process(make, [spec, place.work, place.nominal], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
-        # The folder with the truth is not among what this process is told of.
+        # This process does not get the folder with the truth.
         failed = run_process(solve, [place.site(spec), place.answer(spec)], limit)
         failure = f"not answered: {failed}" if failed else None
     if failure is None and spec.hidden and spec.group != "unknown":
         place.reach(spec).parent.mkdir(parents=True, exist_ok=True)
-        # A truth that the plant cannot take leaves nothing to compare with.
+        # Without a plant for the truth there is no limit to compare with.
         run_process(reach, [place.site(spec), place.sealed(spec), place.reach(spec)], limit)
     if failure is not None:
         place.answer(spec).write_text(json.dumps({"failure": failure}) + "\n", "utf-8")
@@ -109,7 +109,7 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[.
 
 
 def run_process(task: Callable[..., object], arguments: Sequence[object], limit: float) -> str | None:
-    """Call a function of this package in a process of its own; what went wrong, if anything did.
+    """Call a function in a separate process; returns the error, or None.
 
     Args:
         limit: of its processor time [s].

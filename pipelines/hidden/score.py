@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden.judge import COARSE, DESCRIBED, Judgement
+from hidden.evaluate import COARSE, DESCRIBED, CaseResult
 
 #: Quantile of the normal distribution for 95 %.
 Z = 1.959964
@@ -34,10 +34,10 @@ def rate(hits: Iterable[bool]) -> dict[str, Any]:
     return {"value": value, "wilson95": wilson(sum(seen), len(seen)), "hits": sum(seen), "cases": len(seen)}
 
 
-def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
-    """The figures of the result file; a case without an answer counts where something should have come out, and by itself."""
+def scored(cases: Sequence[CaseResult]) -> dict[str, Any]:
+    """The figures of the result file; a case without an answer counts as a failure and as not exact."""
 
-    def of(*groups: str) -> list[Judgement]:
+    def of(*groups: str) -> list[CaseResult]:
         return [case for case in cases if case.spec.group in groups]
 
     answered = [case for case in cases if case.failure is None]
@@ -78,8 +78,8 @@ def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
     }
 
 
-def confusion(cases: Sequence[Judgement]) -> dict[str, dict[str, int]]:
-    """Hidden effect → what it was called, of cases that hide one thing or none; ``nothing`` and ``unknown`` are rows too."""
+def confusion(cases: Sequence[CaseResult]) -> dict[str, dict[str, int]]:
+    """Hidden effect → counts of named effects, for cases with one or no hidden effect; rows ``nothing`` and ``unknown`` too."""
     table: dict[str, Counter[str]] = {}
     for case in cases:
         if case.spec.group in ("double", "triple"):

@@ -1,7 +1,7 @@
-"""The seed of a calibration: that of the commit, which nobody can choose, or one that a development run is given.
+"""The seed of a calibration: that of the commit, which cannot be chosen, or a given one for development runs.
 
-The published figures are those of seed = int(first eight hex digits of the commit, 16): cases that no rule of the search has
-seen, since they follow from the very commit that holds it.
+Published figures are those of seed = int(first eight hex digits of the commit, 16): the cases follow from the commit with the
+search, so that the search cannot be tuned to them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 #: Hex digits of the commit that are the seed.
 DIGITS = 8
-#: What a calibration itself writes: a tree that differs in these alone is still that of the commit.
+#: Files that a calibration writes; a tree that differs in these only counts as unchanged.
 RESULT_FILES = ("reports/hidden_effects/", "docs/hidden-effects.md")
 
 
@@ -63,7 +63,7 @@ def changes(root: Path) -> list[str]:
 
 
 def check_unchanged(seed: Seed, root: Path) -> None:
-    """Whether the tree is still that of the seed's commit, before its result is written.
+    """Check, before a result is written, that the tree is still that of the seed's commit.
 
     Raises:
         ValueError: HEAD or files have changed since the run began.
@@ -75,7 +75,7 @@ def check_unchanged(seed: Seed, root: Path) -> None:
 
 
 def check_same_seed(seed: Seed, result: Path) -> None:
-    """Whether a result file can be gone on from.
+    """Check that a run can continue from a result file.
 
     Raises:
         ValueError: it is of another seed.

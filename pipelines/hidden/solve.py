@@ -1,4 +1,4 @@
-"""Runs the workflow on one site, blind: logs and description in, the workflow's answer out."""
+"""Runs the workflow on one site with logs and description only, without the truth."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ def solve(site: Path, out: Path) -> None:
 
 
 def _without_maps(answer: dict[str, Any]) -> dict[str, Any]:
-    """The answer less its maps of the disagreement: megabytes that no score looks at."""
+    """The answer without its error maps, which are large and not scored."""
     return {key: value for key, value in answer.items() if key != "maps"}

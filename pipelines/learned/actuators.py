@@ -1,4 +1,4 @@
-"""Actuator networks on the shipped logs: both axes, both directions, over the number of rows, beside what is simpler."""
+"""Actuator networks on the shipped logs: both axes and directions, by number of rows, compared with simpler models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forward models on the bench crane: which choices of the recipe make a network good, and how few poses each model needs."""
+"""Forward models on the bench crane: errors by choices of the recipe, and learning curves over the number of poses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ POSES, SIZES = 500, (25, 50, 100, 200, 350, 500)
 STOP = 0.1
 #: A pass over few poses is few updates: up to so many times the epochs of the recipe.
 LONGER = 2.0
-#: Sets the poses of the study apart from those on which its variants were thought up.
+#: Seeds of the poses, other than those of the development of the variants.
 STUDY, TEST = 9100, 9200
 
 
@@ -61,14 +61,14 @@ TRAINED = tuple(
     for rectifier in ("relu", "smooth")
     for features in ("joints", "sincos", "products")
 )
-#: Where a model is asked: at true joint values, at those of motion capture, and at those of the machine's own sensors.
+#: Inputs of the evaluation: true joint values, those of motion capture, and those of the machine's sensors.
 ASKED = ("joints", "captured", "own")
 NO_NETWORKS = ("structured", "chain", "drawing as it is")
 PAPER, BEST = Variant("joints", "relu"), Variant("products", "smooth")
 
 
 def variants(checkpoints: Checkpoints | None = None) -> list[dict[str, Any]]:
-    """Every model at 500 poses over both ranges, asked at true joint values; some also at what sensors say these are."""
+    """Every model at 500 poses over both ranges, evaluated at true joint values, some also at measured ones."""
     rows = []
     for reach in RANGES:
         found = networks(reach, POSES, TRAINED, checkpoints)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from committed import markdown
 from learned.actuators import AXES, DIRECTIONS, SEEDS, SIZES
 from learned.forward import BEST, NO_NETWORKS, PAPER
 from learned.pictures import ACTUATOR, FORWARD, TITLES
@@ -13,7 +14,7 @@ from sysid.networks import PAPER_MAX
 
 Row = Mapping[str, Any]
 
-ASKED = {"joints": "true", "captured": "motion capture's", "own": "the machine's sensors'"}
+INPUTS = {"joints": "true", "captured": "motion capture's", "own": "the machine's sensors'"}
 
 
 def tables(result: Mapping[str, Any]) -> str:
@@ -22,7 +23,7 @@ def tables(result: Mapping[str, Any]) -> str:
             "500 training poses, errors of x / y / z on 1000 test poses [mm]; mean of five seeds (worst seed).",
             *(_variants(result["variants"], reach) for reach in RANGES),
             "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
-            _asked(result["variants"]),
+            _by_inputs(result["variants"]),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
             f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of {len(SEEDS)} seeds: in held-out motion against"
             " the measurement, and over the whole stroke against the crane's true linkage [mrad, mm].",
@@ -36,53 +37,52 @@ def tables(result: Mapping[str, Any]) -> str:
 
 
 def _variants(rows: Sequence[Row], reach: str) -> str:
-    lines = [f"| {TITLES[reach]} | max | 95 % | mean |", "| --- | --- | --- | --- |"]
+    lines = []
     for row in rows:
         if row["range"] == reach and row["asked"] == "joints":
-            cells = " | ".join(_three(row[key]) for key in ("p95", "mean"))
             model = row["model"]
             name = model if model in NO_NETWORKS else f"256-128: {model}"
-            lines.append(f"| {name} | {_three(row['max'])} ({_three(row['max_worst'])}) | {cells} |")
-    lines.append(f"| *the paper, its own crane and poses* | {_three(PAPER_MAX.values())} | – | – |")
-    return "\n".join(lines)
+            largest = f"{_three(row['max'])} ({_three(row['max_worst'])})"
+            lines.append((name, largest, *(_three(row[key]) for key in ("p95", "mean"))))
+    lines.append(("*the paper, its own crane and poses*", _three(PAPER_MAX.values()), "–", "–"))
+    return markdown((TITLES[reach], "max", "95 %", "mean"), lines, "llll")
 
 
-def _asked(rows: Sequence[Row]) -> str:
-    names = [f"{TITLES[reach]}: {said} joints" for reach in RANGES for said in ASKED.values()]
-    lines = [f"| | {' | '.join(names)} |", "| --- |" + " ---: |" * len(names)]
+def _by_inputs(rows: Sequence[Row]) -> str:
+    names = [f"{TITLES[reach]}: {joints} joints" for reach in RANGES for joints in INPUTS.values()]
+    lines = []
     for model in (PAPER.label, BEST.label, *NO_NETWORKS):
         cells = []
         for reach in RANGES:
-            for asked in ASKED:
-                (row,) = (r for r in rows if (r["range"], r["model"], r["asked"]) == (reach, model, asked))
+            for inputs in INPUTS:
+                (row,) = (r for r in rows if (r["range"], r["model"], r["asked"]) == (reach, model, inputs))
                 cells.append(f"{_mm(max(row['max']))} / {_mm(max(row['p95']))}")
-        lines.append(f"| {FORWARD.get(model, model)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((FORWARD.get(model, model), *cells))
+    return markdown(("", *names), lines)
 
 
 def _actuators(rows: Sequence[Row]) -> str:
     head = ["RMSE, motion", "95 %, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
-    lines = [f"| | | {' | '.join(head)} |", "| --- | --- |" + " ---: |" * len(head)]
     keys = ("motion_rmse", "motion_p95", "motion_max", "sensors", "stroke_rmse", "stroke_max")
-    for axis in AXES:
-        for direction in DIRECTIONS:
-            own = [r for r in rows if (r["axis"], r["direction"], r["rows"]) == (axis, direction, SIZES[-1])]
-            for row in own:
-                cells = " | ".join(_mm(row[key]) for key in keys)
-                lines.append(f"| {axis} {direction.replace('_', ' ')} | {ACTUATOR.get(row['model'], row['model'])} | {cells} |")
-    return "\n".join(lines)
+    lines = [
+        (f"{axis} {direction.replace('_', ' ')}", ACTUATOR.get(row["model"], row["model"]), *(_mm(row[key]) for key in keys))
+        for axis in AXES
+        for direction in DIRECTIONS
+        for row in rows
+        if (row["axis"], row["direction"], row["rows"]) == (axis, direction, SIZES[-1])
+    ]
+    return markdown(("", "", *head), lines, "ll")
 
 
 def _shipped(rows: Sequence[Row]) -> str:
-    lines = ["| recipe | max, poses | RMSE, poses | max, motion | RMSE, motion |", "| --- | --- | --- | --- | --- |"]
+    lines = []
     for recipe in dict.fromkeys(row["recipe"] for row in rows):
         cells = []
         for kind in ("poses", "motion"):
             own = [row for row in rows if (row["recipe"], row["rows"]) == (recipe, kind)]
             cells += [_three(row[key] for row in own) for key in ("max", "rmse")]
-        name = f"`{recipe}`" if "=" in recipe and "both" not in recipe else recipe
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((f"`{recipe}`" if "=" in recipe and "both" not in recipe else recipe, *cells))
+    return markdown(("recipe", "max, poses", "RMSE, poses", "max, motion", "RMSE, motion"), lines, "lllll")
 
 
 def _three(values: Any) -> str:
@@ -90,14 +90,6 @@ def _three(values: Any) -> str:
 
 
 def _mm(value: float) -> str:
-    """m → mm, or rad → mrad, with two digits that count."""
+    """m → mm, or rad → mrad, with two significant digits."""
     shown = 1e3 * value
-    return (
-        f"{shown:.0f}"
-        if shown >= 99.5
-        else f"{shown:.1f}"
-        if shown >= 1.0
-        else f"{shown:.2f}"
-        if shown >= 0.1
-        else f"{shown:.3f}"
-    )
+    return f"{shown:.{0 if shown >= 99.5 else 1 if shown >= 1.0 else 2 if shown >= 0.1 else 3}f}"

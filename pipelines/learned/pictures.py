@@ -1,4 +1,4 @@
-"""Learning curves of the networks and of what stands beside them."""
+"""Learning curves of the networks and of simpler models."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def poses(reach: str, count: int, *seed: int) -> Poses:
 
 
 def drawing(seed: int) -> Geometry:
-    """The crane as somebody drew it: every joint's origin is off by a little."""
+    """A drawing of the crane with small errors in every joint's origin."""
     rng = np.random.default_rng([seed, 77])
 
     def moved(found: re.Match[str]) -> str:

@@ -58,7 +58,7 @@ ARMS = (
 )  # fmt: skip
 
 
-def judged(arm: Arm, folder: Path, quick: bool = False) -> dict[str, Any]:
+def evaluated(arm: Arm, folder: Path, quick: bool = False) -> dict[str, Any]:
     """Errors of every model on poses that it has not seen [mm], and the learning curve of the calibrated geometry."""
     machine = load_machine(DATASETS / arm.name / "machine.toml")
     q, tip = read(arm, machine, folder)

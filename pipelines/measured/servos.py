@@ -1,9 +1,9 @@
-"""Command → motion of measured servos: learned on one-step errors, evaluated by free runs over whole recordings.
+"""Command → motion of measured servos: trained on one-step errors, evaluated by free runs over whole recordings.
 
-Fed back, a network says how far the joint moves in the next 20 ms, from the last 0.2 s of commands and 0.1 s of positions; in a
-free run it sees its own positions alone. From commands alone, it says where the joint is from the last second of commands, as
-suits a servo that settles sooner. Beside both stand linear models of the same history (least squares), and the servo that does
-what it is told, at once or after its best delay.
+With feedback, a network predicts the displacement of the joint in the next 20 ms from the last 0.2 s of commands and 0.1 s of
+positions, in a free run from its own positions. From commands alone, it predicts the position from the last second of commands,
+for servos that settle sooner. They are compared with linear models of the same inputs (least squares), and with the command
+itself as the position, without and with its best delay.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ DATASETS = Path(__file__).resolve().parents[2] / "datasets"
 RATE_HZ = 50.0
 #: Steps of history: commands, positions.
 COMMANDS, POSITIONS = 10, 5
-#: Commands that a map without feedback sees: how many, and how many steps apart.
-SEEN, APART = 25, 2
-#: Rows that are given to all before they are evaluated.
-START = APART * SEEN
+#: Commands as inputs of a map without feedback: their number, and their distance in steps.
+WINDOW, APART = 25, 2
+#: Measured rows at the start of a free run, which are not evaluated.
+START = APART * WINDOW
 MOST_ROWS = 6000
 SO101 = ("friction_gravity", "multisine", "step_response", "single_joint_elbow")
 #: Recordings that are left out in turn.
@@ -56,7 +56,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Task:
-    """A joint, what teaches it, and what is kept back."""
+    """A joint with its training and held-out recordings."""
 
     servo: str
     joint: str
@@ -64,13 +64,13 @@ class Task:
     held: Run
 
 
-def judged(data: Path, quick: bool = False) -> list[dict[str, Any]]:
+def evaluated(data: Path, quick: bool = False) -> list[dict[str, Any]]:
     """Free-run errors [mrad] of every joint and recording that was left out."""
     with tempfile.TemporaryDirectory() as folder:
         tasks = [*xl330(data / "bam_xl330", Path(folder), quick), *so101(data / "sage_so101", Path(folder), quick)]
     jobs: list[Job] = []
     for task in tasks:
-        jobs += [teach(task, histories), teach(task, told)]
+        jobs += [training_job(task, histories), training_job(task, command_features)]
     fit_together([(job.network, job.x, job.y, job.groups) for job in jobs])
     found = []
     for task, fed, alone in zip(tasks, jobs[::2], jobs[1::2], strict=True):
@@ -79,7 +79,7 @@ def judged(data: Path, quick: bool = False) -> list[dict[str, Any]]:
         for name, steps in (("network", mean_of(fed.network)), ("linear", linear(fed))):
             errors[f"{name}, fed back"] = rmse(free_run(steps, task.held, ends), task.held)
         for name, steps in (("network", mean_of(alone.network)), ("linear", linear(alone))):
-            x, _ = told(task.held)
+            x, _ = command_features(task.held)
             position = np.r_[task.held.position[:START], task.held.command[START:] + steps(x)]
             errors[f"{name}, commands alone"] = rmse(np.clip(position, *ends), task.held)
         errors["as told"] = rmse(task.held.command, task.held)
@@ -90,14 +90,14 @@ def judged(data: Path, quick: bool = False) -> list[dict[str, Any]]:
 
 
 def ends_of(runs: Sequence[Run]) -> tuple[float, float]:
-    """What no free run may leave: the positions that were learned from, and half their range more on either side."""
+    """Limits of free runs: the range of the training positions, extended by half of it at either end."""
     low, high = min(float(run.position.min()) for run in runs), max(float(run.position.max()) for run in runs)
     return low - 0.5 * (high - low), high + 0.5 * (high - low)
 
 
 @dataclass(frozen=True)
 class Job:
-    """A network and the rows that it learns from."""
+    """A network and its training rows."""
 
     network: NetworkRegressor
     x: Array
@@ -105,7 +105,7 @@ class Job:
     groups: npt.NDArray[np.int64]
 
 
-def teach(task: Task, rows_of: Callable[[Run], tuple[Array, Array]]) -> Job:
+def training_job(task: Task, rows_of: Callable[[Run], tuple[Array, Array]]) -> Job:
     rows = [rows_of(run) for run in task.fit]
     x, y = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     groups = np.concatenate([np.full(len(part), number) for number, (_, part) in enumerate(rows)])
@@ -163,29 +163,28 @@ def run_of(dataset: Dataset, recording: Recording, axis: str, name: str = "") ->
 
 
 def histories(run: Run) -> tuple[Array, Array]:
-    """What is known before each step (n, d), and how far the joint went (n,) [rad]."""
+    """Inputs before each step (n, d), and the displacement of the joint (n,) [rad]."""
     at = np.arange(COMMANDS, len(run.position) - 1)
     x = np.array([history(run, run.position, k) for k in at])
     return x, run.position[at + 1] - run.position[at]
 
 
 def history(run: Run, position: Array, k: int) -> Array:
-    """Commands against the position that is reached, the last steps of the joint, where it is, and where the others are told
-    to be (their weight), (d,)."""
+    """Commands relative to the position, the last steps of the joint, its position, and the commands of the others, (d,)."""
     now = position[k]
     return np.r_[run.command[k - COMMANDS + 1 : k + 1] - now, np.diff(position[k - POSITIONS : k + 1]), now, run.others[k]]
 
 
-def told(run: Run) -> tuple[Array, Array]:
-    """The last second of commands against the newest, that one itself, and those of the other joints, (n, d); and how far the
-    joint is from what it is told, (n,) [rad]."""
+def command_features(run: Run) -> tuple[Array, Array]:
+    """The last second of commands relative to the newest, the newest, and those of the other joints, (n, d); and the position
+    relative to the command, (n,) [rad]."""
     at = np.arange(START, len(run.position))
-    before = run.command[at[:, None] - APART * np.arange(1, SEEN)] - run.command[at, None]
+    before = run.command[at[:, None] - APART * np.arange(1, WINDOW)] - run.command[at, None]
     return np.column_stack([before, run.command[at], run.others[at]]), run.position[at] - run.command[at]
 
 
 def free_run(step: Step, run: Run, ends: tuple[float, float]) -> Array:
-    """Positions (n,) by feeding steps back, after a start of a second that is given; within the positions learned from."""
+    """Positions (n,) of a free run after a measured start of one second, within the limits ``ends``."""
     position = run.position.copy()
     for k in range(START - 1, len(position) - 1):
         moved = float(step(history(run, position, k)[None])[0])
@@ -194,12 +193,12 @@ def free_run(step: Step, run: Run, ends: tuple[float, float]) -> Array:
 
 
 def mean_of(network: NetworkRegressor) -> Step:
-    """The fitted members without the checks of every call: a free run asks one row at a time."""
+    """The fitted members without the input checks of every call, for one row at a time."""
     return lambda x: np.asarray(np.mean([one.predict(x)[:, 0] for one in network.networks_], axis=0))
 
 
 def blocks(groups: npt.NDArray[np.int64], count: int = 20) -> npt.NDArray[np.int64]:
-    """Stretches of the recordings, so that no row stops the training beside one that teaches."""
+    """Blocks of the recordings, so that training and stopping rows are not neighbours."""
     return count * groups + np.arange(len(groups)) * count // len(groups)
 
 

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 #: What runs left, by part and arm.
 Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
 
-#: What stands for what in the curves.
+#: Colours of the curves.
 COLOUR = dict(zip(("feedback", "plain"), COLOURS, strict=False))
 
 
@@ -96,7 +96,7 @@ def _candidates(results: Results) -> Iterator[str]:
 
 
 def by_arm(runs: Iterable[Mapping[str, Any]]) -> Results:
-    """What ``runs`` left; an arm that nobody has trained is empty."""
+    """Results of ``runs`` by part and arm; an arm without runs is empty."""
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
     for each in runs:
         found[each["run"]["part"], each["run"]["arm"]].append(each)

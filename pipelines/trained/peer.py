@@ -1,4 +1,4 @@
-"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, on the same helix until it is as good as the paper."""
+"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, on the same helix, up to the accuracy of the paper."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from trained.runs import PAPER, RECIPES
 
 Array = npt.NDArray[np.float64]
 
-#: Steps between two looks at the helix.
-LOOK = 2000
+#: Steps between two evaluations on the helix.
+CHECK_STEPS = 2000
 
 
 def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
-    """SB3's DDPG and how it gets on, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
+    """SB3's DDPG and its progress, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
     done = Path(work) / f"sb3-seed{seed}.json"
     return kept(done, {"seed": seed}, until, lambda: _trained(workspace, seed, limit, progress))
 
@@ -44,13 +44,13 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     torch.set_num_threads(1)
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    course = plan_tracking(plant, forward, "helix")
-    inner = KinematicEnvironment(plant, forward, size=1, seed=seed, task=recipe.setting.task, reach=course.reach)
+    task = plan_tracking(plant, forward, "helix")
+    inner = KinematicEnvironment(plant, forward, size=1, seed=seed, task=recipe.setting.task, reach=task.reach)
     low, high = inner.observation_low, inner.observation_high
     middle, half = 0.5 * (inner.action_high + inner.action_low), 0.5 * (inner.action_high - inner.action_low)
 
     def seen(observations: Array) -> npt.NDArray[np.float32]:
-        """Within ±1, as SB3's users are told to give them."""
+        """Observations scaled to ±1, as SB3 recommends."""
         return np.asarray((observations - 0.5 * (high + low)) / (0.5 * (high - low)), dtype=np.float32)
 
     class Single(gymnasium.Env[Any, Any]):
@@ -80,9 +80,9 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     spent, marks = 0.0, []
     while spent < limit:
         begin = time.process_time()
-        model.learn(LOOK, reset_num_timesteps=False, log_interval=None)
+        model.learn(CHECK_STEPS, reset_num_timesteps=False, log_interval=None)
         spent += time.process_time() - begin
-        tracked = course.run("sb3", Actor())
+        tracked = task.run("sb3", Actor())
         marks.append(
             {"step": model.num_timesteps, "cpu_seconds": spent, "rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
         )

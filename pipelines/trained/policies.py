@@ -37,11 +37,11 @@ Array = npt.NDArray[np.float64]
 
 
 def kept(done: Path, about: Mapping[str, Any], until: float, made: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
-    """What ``done`` has; else what ``made`` gives, which it has from then on.
+    """Content of the file ``done``; else the result of ``made``, which is written to it.
 
     Args:
-        about: what has to stand in it; where something else does, it was made of another recipe.
-        until: clock after which nothing is begun [s since the epoch]; None is what comes of it then.
+        about: expected entries of the file; with other ones it belongs to another recipe and is made again.
+        until: time after which nothing begins and None is returned [s since the epoch].
     """
     if done.exists():
         found: dict[str, Any] = json.loads(done.read_text("utf-8"))
@@ -62,8 +62,8 @@ def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -
 
 
 @dataclass(frozen=True)
-class Misread:
-    """A forward model that takes every joint for ``by`` of its range more than it is."""
+class MisreadModel:
+    """A forward model with an error of ``by`` of its range in every joint."""
 
     model: Any
     by: float
@@ -78,7 +78,7 @@ class Misread:
 
 
 @dataclass(frozen=True)
-class Exact:
+class ExactGeometry:
     """The plant's own geometry in the place of a fitted model."""
 
     model: Any
@@ -96,27 +96,29 @@ class Exact:
 def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict[str, Any]:
     recipe = run.recipe()
     plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
-    course = _course(plant, fitted, run.arm if recipe.setting.full else None)
-    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach, tuning=course.tuning), recipe)
+    forward: Any = {"fitted": fitted, "exact": ExactGeometry(fitted, plant), "misread": MisreadModel(fitted, MISREAD)}[
+        run.forward
+    ]
+    task = _task(plant, fitted, run.arm if recipe.setting.full else None)
+    trainer = Trainer(*environments(recipe, plant, forward, reach=task.reach, tuning=task.tuning), recipe)
     files = TrainingFiles(folder)
     files.load(trainer)
-    marks = _Marks(folder / "marks.json", trainer, course)
+    marks = _Progress(folder / "marks.json", trainer, task)
     for turn in trainer.train(lambda kind, step, figures: marks.take(step) if kind == "evaluation" else None):
         if files.is_due:
             marks.save()
             files.save(trainer)
         progress(turn / recipe.total_steps, run.name)
     last, policy = marks.found[-1], policy_of(trainer)
-    if course.full:
+    if task.full:
         ahead = recipe.setting.repeat / plant.machine.rate_hz
         more = {
-            "rmse_ahead": _late(course.run("ahead", TruncatedObservationPolicy(policy), ahead)).rmse.tolist(),
+            "rmse_ahead": _late(task.run("ahead", TruncatedObservationPolicy(policy), ahead)).rmse.tolist(),
             "ahead_s": ahead,
         }
     else:
         more = {
-            "rmse_searched": course.run("searched", CandidateSearchPolicy(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()
+            "rmse_searched": task.run("searched", CandidateSearchPolicy(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()
         }
     files.remove()
     return {
@@ -132,17 +134,17 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
     }
 
 
-def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> TrackingTask:
+def _task(plant: Plant, forward: ForwardModel, driven: str | None = None) -> TrackingTask:
     """The helix where joints follow at once, or above a controller of :data:`DRIVEN`."""
     tuning = proportional_tuning(plant) if driven == DRIVEN[0] else None
     return plan_tracking(plant, forward, "helix", full=driven is not None, tuning=tuning)
 
 
-class _Marks:
-    """What the actor alone does on the helix at each evaluation, and the processor time of training until then."""
+class _Progress:
+    """Errors of the actor on the helix at each evaluation, and the processor time of training until then."""
 
-    def __init__(self, path: Path, trainer: Trainer, course: TrackingTask) -> None:
-        self.path, self.trainer, self.course = path, trainer, course
+    def __init__(self, path: Path, trainer: Trainer, task: TrackingTask) -> None:
+        self.path, self.trainer, self.task = path, trainer, task
         self.found: list[dict[str, Any]] = []
         now = trainer.step_count * trainer.environment.size
         if now and path.exists():
@@ -152,7 +154,7 @@ class _Marks:
 
     def take(self, step: int) -> None:
         self._spent += time.process_time() - self._begin
-        tracked = _late(self.course.run("actor", TruncatedObservationPolicy(policy_of(self.trainer))))
+        tracked = _late(self.task.run("actor", TruncatedObservationPolicy(policy_of(self.trainer))))
         figures = {"rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
         self.found.append({"step": step, "cpu_seconds": self._spent, **figures})
         self._begin = time.process_time()
@@ -164,7 +166,7 @@ class _Marks:
 
 
 def _late(tracked: TrackingResult) -> TrackingResult:
-    """What counts: on the full path a machine at rest catches up with a path that moves at once."""
+    """The settled part: on the full path a machine at rest first has to reach the moving path."""
     return tracked.after(SETTLED_S) if np.isfinite(tracked.commands).all() else tracked
 
 
@@ -184,9 +186,9 @@ def baselines(workspace: str) -> dict[str, list[dict[str, Any]]]:
     """Inverse kinematics on the same helix: where joints follow at once, and above each of :data:`DRIVEN`."""
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    found = {"at once": [_course(plant, forward).baseline("ik").to_json()]}
+    found = {"at once": [_task(plant, forward).baseline("ik").to_json()]}
     for name in DRIVEN:
-        course = _course(plant, forward, name)
-        ahead = [course.run("ik", InversePolicy(course.inverse), lookahead).to_json() for lookahead in AHEAD]
+        task = _task(plant, forward, name)
+        ahead = [task.run("ik", InversePolicy(task.inverse), lookahead).to_json() for lookahead in AHEAD]
         found[name] = [ahead[0], min(ahead, key=lambda row: float(row["settled"]["distance_mm"]["rms"]))]
     return found

@@ -1,4 +1,4 @@
-"""The runs of pipelines/training.py: which policies are trained, and how long until one was good enough."""
+"""The runs of pipelines/training.py: the policies to train, and the time until an accuracy is reached."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ CUT: dict[str, dict[str, Any]] = {
     "learning": {"batch": 256},
     "setting": {"task": {"steps": 40}},
 }
-#: Steps to an update where nothing else of it is cut, and episodes between two looks at the helix.
+#: Steps per update of the otherwise complete recipe, and episodes between two evaluations on the helix.
 EVERY, APART = 25, 20
-#: One thing at a time that the quick recipe does otherwise.
+#: Single changes of the quick recipe.
 CHOICES: dict[str, dict[str, Any]] = {
     "as it is": {},
     "without hindsight": {"learning": {"hindsight": 0.0}},
@@ -49,7 +49,7 @@ SAME = {
 }
 #: Cylinder controllers below a policy that is trained and followed on the full path.
 DRIVEN = ("by hand", "from the plant")
-#: How far ahead inverse kinematics is shown the path, to find what suits it best [s].
+#: Look-ahead times of inverse kinematics, of which the best is chosen [s].
 AHEAD = tuple(0.05 * k for k in range(21))
 #: Scatter of candidates at run time.
 SCATTER, AT_RUN_TIME = 0.01, 10

@@ -2,7 +2,7 @@
 
 It is independent of the library that identifies machines: it shares no code with ``sysid.effects``, ``sysid.plant`` or
 ``sysid.gap``, and none of them imports it. Reading order: ``recipe``, then the physical parts in the order of the signal
-(``operator``, ``programs`` or ``poses``, ``valve``, ``cylinder``, ``drivetrain``, ``elastic_joint``, ``crane``, ``gripper``,
+(``operator``, ``programs`` or ``poses``, ``valve``, ``cylinder``, ``drivetrain``, ``crane``, ``gripper``,
 joined in ``machine``), then what sees them (``sensors``, ``capture``), then the files (``mcap_log``, ``motive_export``,
 ``truth``, ``write``).
 

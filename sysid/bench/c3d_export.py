@@ -1,7 +1,7 @@
 """The capture system's log as a C3D trial: every marker of every rigid body, in millimetres, stored as floats.
 
-C3D has no stamps: a frame's number is its time. Frames that were not exported (between the poses of the calibration routine)
-are there with no marker seen, and an unseen marker has the residual −1. Rigid bodies are no part of the format.
+C3D has no stamps: the time of a frame follows from its number. Frames that were not exported (between the poses of the
+calibration routine) have no marker, and a missing marker has the residual −1. The format has no rigid bodies.
 """
 
 from __future__ import annotations

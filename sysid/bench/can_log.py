@@ -18,8 +18,8 @@ import numpy.typing as npt
 from can import ASCWriter, BLFWriter, Message
 from cantools.database.conversion import BaseConversion
 
-from sysid.bench.recipe import AXES
-from sysid.bench.run import WIRED, MachineLog
+from sysid.bench.recipe import AXES, WIRED
+from sysid.bench.run import MachineLog
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as Description

@@ -1,8 +1,7 @@
-"""The motion capture system: markers on rigid bodies, seen with noise, occlusions and confusions, on a clock of its own.
+"""The motion capture system: markers on rigid bodies with noise, occlusions and confusions, on a separate clock.
 
-A rigid body is created while the machine stands in its parked pose: its axes are then those of the capture frame, its origin
-the centre of its markers or a pivot that was moved by hand. Each frame's pose is the best fit of that definition to the markers
-that were seen.
+A rigid body is defined in the parked pose of the machine: its axes are those of the capture frame, its origin the centre of
+its markers or a given pivot. The pose in each frame is the best fit of that definition to the visible markers.
 
 Source of the fit: Kabsch, Acta Cryst. A32 (1976) 922.
 """
@@ -26,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BodyTrack:
-    """One rigid body as exported; NaN where it was not seen.
+    """One rigid body as exported; NaN where it is occluded.
 
     Args:
         quaternion: x, y, z, w, (n, 4).
@@ -55,7 +54,7 @@ class CaptureClock:
 
 @dataclass(frozen=True)
 class Dropout:
-    """A body that was not seen between two times on the capture clock [s]."""
+    """Occlusion of a body between two times on the capture clock [s]."""
 
     body: str
     start: float
@@ -64,7 +63,7 @@ class Dropout:
 
 @dataclass(frozen=True)
 class Capture:
-    """A take: frame numbers (n,), their times on the capture clock (n,) [s], the bodies, and what went wrong."""
+    """A take: frame numbers (n,), their times on the capture clock (n,) [s], the bodies, and the occlusions."""
 
     frames: npt.NDArray[np.int64]
     time: Array
@@ -75,7 +74,7 @@ class Capture:
 
 
 def capture(recipe: BenchRecipe, recording: RecordingSettings, truth: Truth, rng: np.random.Generator) -> Capture:
-    """What the capture system exports of ``truth``: every frame by hand, only those of still phases from the routine."""
+    """Export of the capture system: all frames of a motion, and those of the still phases of the calibration routine."""
     settings = recipe.capture
     clock = CaptureClock(rng.uniform(*settings.offset), settings.skew)
     rate = settings.pose_rate if recording.is_calibration else settings.rate
@@ -86,14 +85,14 @@ def capture(recipe: BenchRecipe, recording: RecordingSettings, truth: Truth, rng
     if recording.is_calibration:
         seen = np.searchsorted(truth.still.ravel(), machine_time) % 2 == 1
         frames, time, machine_time = frames[seen], time[seen], machine_time[seen]
-    # A frame is stamped late by the latency: what it shows is older than what the machine's clock says.
+    # Frames are stamped late by the latency: they show an earlier state.
     shown = machine_time - settings.latency
     joints, tool, ee = truth.at(shown, truth.joint), truth.at(shown, truth.tool), truth.at(shown, truth.ee)
     parked = truth.joint[:1]
     hanging = np.array([[0.0, 0.0, -recipe.gripper.length]])
     zeros = zeros_of(recipe)
-    poses = link_poses(recipe.built, joints + zeros, tool - ee)
-    created = link_poses(recipe.built, parked + zeros, hanging)
+    poses = link_poses(recipe.built_geometry, joints + zeros, tool - ee)
+    created = link_poses(recipe.built_geometry, parked + zeros, hanging)
     dropouts = _draw_dropouts(recipe, float(time[-1]), rng)
     tracks = []
     for body in settings.bodies:
@@ -165,7 +164,7 @@ def _seen_markers(
 
 
 def _draw_dropouts(recipe: BenchRecipe, end: float, rng: np.random.Generator) -> tuple[Dropout, ...]:
-    """Occlusions after the machine has left its parked pose, in the order of time."""
+    """Occlusions after the start of the motion, in the order of time."""
     settings = recipe.capture
     count = rng.poisson(settings.dropouts_per_minute * end / 60.0) if settings.bodies else 0
     dropouts = []
@@ -193,7 +192,7 @@ def _track(name: str, definition: Array, markers: Array) -> BodyTrack:
 def quaternions(rotation: Array) -> Array:
     """x, y, z, w with w ≥ 0 of rotation matrices (n, 3, 3) → (n, 4)."""
     r = rotation
-    # The largest of the four is taken from the diagonal, the others from it: no division by a small number.
+    # The largest of the four follows from the diagonal and the others from it, without division by a small number.
     squares = np.stack(
         [
             1.0 + r[:, 0, 0] - r[:, 1, 1] - r[:, 2, 2],

@@ -1,4 +1,4 @@
-"""Settings of the motion capture system: what is tracked, how well, on which clock, and what goes wrong."""
+"""Settings of the motion capture system: bodies, noise, clock and faults."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class CaptureSettings:
         bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
         translation, rpy: surveyed pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
         export: file formats of a take; the first one is mapped by the site's recipe. C3D holds the markers alone.
-        shift, tilt: how the machine really stands in the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
+        shift, tilt: error of the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
     """
 
     __pydantic_config__ = STRICT

@@ -1,20 +1,20 @@
-"""Sealed cases: a machine as its owner knows it, and what it hides; logs and descriptions for the toolkit, the truth apart.
+"""Sealed cases: a machine as its owner describes it, with hidden changes; logs and descriptions, and separately the truth.
 
     schema = 1
     name = "case-07"
     base = "bench.toml"              # a bench recipe, beside or above this file
-    [visible]                        # over the base: what the owner knows and has measured
+    [visible]                        # over the base: known and measured by the owner
     axes.boom.valve.deadband_positive = 0.12
-    [hidden]                         # over the visible machine: what the logs hide
+    [hidden]                         # over the visible machine: hidden changes
     axes.slew.backlash = 0.0105
-    [[effects]]                      # what that is called
+    [[effects]]                      # effects of these changes
     name = "backlash"
     target = "slew"
 
-The nominal plant is fitted to step tests of the visible machine without noise, so that a case that hides nothing has (almost)
-no gap. The truth of a hidden effect of the command stage is the named effect's best fit to what the machine really did; what
-that fit leaves is stored as ``model_error``. Geometry, play, swing and sensors are known exactly.
-A hidden part that changes several things (a hydraulic drive has a spool of its own as well as a load) names all of them in
+The nominal plant is fitted to step tests of the visible machine without noise, so that a case without hidden changes has
+almost no gap. The truth of a hidden effect of the command stage is the best fit of the named effect to the noise-free motion;
+the error of that fit is stored as ``model_error``. Geometry, backlash, swing and sensors are known exactly.
+A hidden change with several effects (a hydraulic drive changes the spool as well as the load) lists all of them in
 ``effects``: they are fitted together.
 """
 
@@ -69,7 +69,7 @@ class CaseSettings:
 
 @dataclass(frozen=True)
 class BenchCase:
-    """The machine as its owner knows it, as it is, and the contract names of the difference."""
+    """The machine as its owner describes it, the real machine, and the effects of the difference."""
 
     name: str
     visible: BenchRecipe
@@ -120,7 +120,7 @@ def write_case(case: BenchCase, out: Path, nominal: CommandChain | None = None) 
     """Write ``out/site`` (logs, machine, recipe) and ``out/truth/truth.json``; returns the truth.
 
     Args:
-        nominal: what :func:`fit_nominal` says of ``case.visible``, where that is known already.
+        nominal: result of :func:`fit_nominal` for ``case.visible``, where it is already known.
     """
     nominal = nominal or fit_nominal(case.visible)
     site, sealed = out / "site", out / "truth"
@@ -157,7 +157,7 @@ def write_case(case: BenchCase, out: Path, nominal: CommandChain | None = None) 
 
 
 def known_effects(visible: BenchRecipe, nominal: CommandChain) -> list[dict[str, Any]]:
-    """What ``machine.toml`` of the site states: the fitted command stage, and play, swing and elasticity that are visible."""
+    """Effects in the ``machine.toml`` of the site: the fitted command stage, and visible backlash, swing and elasticity."""
     found: list[dict[str, Any]] = []
     for i, axis in enumerate(AXES):
         for name in dict.fromkeys(key[0] for key in KEYS):
@@ -180,7 +180,7 @@ def known_effects(visible: BenchRecipe, nominal: CommandChain) -> list[dict[str,
 def describe(
     case: BenchCase, effect: HiddenSettings, nominal: CommandChain, repaired: CommandChain, runs: tuple[Truth, ...]
 ) -> dict[str, Any]:
-    """One hidden effect with the parameters that a repaired plant should have."""
+    """One hidden effect with its true parameters."""
     real, visible = case.real, case.visible
     if effect.name in _EXACT:
         return {
@@ -200,7 +200,7 @@ def describe(
 
 
 def _compliance(real: BenchRecipe, visible: BenchRecipe, axis: str, runs: tuple[Truth, ...]) -> float:
-    """Deflection per gravity moment that fits the joint best, from its drive through the linkage [rad/(N·m)]."""
+    """Deflection per gravity moment that fits the joint best, relative to its drive through the linkage [rad/(N·m)]."""
     i = AXES.index(axis)
     bodies = bodies_of(visible.masses, visible.geometry.boom, visible.geometry.stick, visible.gripper.length)
     drive = drive_of(real.axis(axis))
@@ -233,7 +233,7 @@ _EXACT: dict[str, Callable[[BenchRecipe, str], dict[str, Any]]] = {
     "sensor_scale": _sensor("scale", "scale"),
     "sensor_quantisation": _sensor("step", "quantum"),
 }
-#: What an effect may be of, where that is no axis.
+#: Valid targets of effects whose target is not any axis.
 _TARGETS = {
     "gripper_sway": ("tool",),
     "base_misalignment": ("base",),

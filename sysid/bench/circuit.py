@@ -4,9 +4,9 @@ Per axis, with the chambers A (pushes towards positive motion) and B, speed v of
 
     ṗ_A = β/V_A·(Q_A − A_A·v − Q_leak),   ṗ_B = β/V_B·(Q_B + A_B·v + Q_leak),   F = p_A·A_A − p_B·A_B − friction.
 
-The force acts through the linkage on the rigid bodies. Nothing tells the model that a load slows an axis, that oil rings, or
-that axes share a pump: it follows. Integration is semi-implicit (pressure, then speed, then position), stable while the step
-stays below 2/ω of the stiffest oil spring; a chamber can not fall below vacuum nor above its relief valve by more than a step.
+The force acts through the linkage on the rigid bodies. That a load slows an axis, that oil oscillates and that axes share a
+pump follows from these equations. Integration is semi-implicit (pressure, then speed, then position), stable while the step is
+below 2/ω of the stiffest oil spring. Chamber pressures are limited by vacuum and by the relief valve.
 
 Source: Jelali, Kroll, Hydraulic Servo-systems (2003), ch. 4.
 """
@@ -26,16 +26,16 @@ from sysid.bench.oil import orifice_flow
 from sysid.bench.recipe import AxisSettings
 from sysid.bench.rigid_body import RigidBodies, equations, solve3
 from sysid.bench.seal import seal_step
-from sysid.bench.spool import PLAYS, edges, flow_force, spool_motion, with_friction
+from sysid.bench.spool import PLAY_OPERATORS, edges, flow_force, spool_motion, with_hysteresis
 from sysid.bench.valve import ValveNumbers, freed, metered
 
 Array = npt.NDArray[np.float64]
 
-#: Sub-steps shorter than this follow every oil spring of a machine of this size [s].
+#: Sub-step that is stable for the oil springs of a machine of this size [s].
 SUB_STEP = 1e-4
-#: Columns of the state of one axis, then the plays of its spool.
+#: Columns of the state of one axis, then the play operators of its spool.
 SPOOL, SPOOL_SPEED, PRESSURE_A, PRESSURE_B, BRISTLE, FLOW_A, FLOW_B, FRICTION = range(8)
-AXIS_STATE = 8 + PLAYS
+AXIS_STATE = 8 + PLAY_OPERATORS
 
 
 class Circuit(NamedTuple):
@@ -130,7 +130,7 @@ def lever(joint: float, position: float, drive: Drive) -> float:
 def at_rest(
     joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ...], bodies: RigidBodies, parked: float
 ) -> Array:
-    """State (axes, AXIS_STATE) in which closed valves carry the booms at ``joint`` (axes,); other sides: ``parked`` [Pa]."""
+    """State (axes, AXIS_STATE) in which closed valves hold the booms at ``joint`` (axes,); other chambers: ``parked`` [Pa]."""
     state = np.zeros((len(joint), AXIS_STATE))
     mass = np.empty((3, 3))
     bias = np.empty(3)
@@ -171,7 +171,7 @@ def advance(
     """Advance the hydraulic axes over one step of the machine, in place.
 
     Args:
-        joint, speed: of all axes (4,); those of the simple valve model are left as they are.
+        joint, speed: of all axes (4,); those of the simple valve model are not changed.
         prescribed: accelerations of the latter (4,).
         command: delayed command of each axis (4,).
         state: see :func:`at_rest`. line: (1,) pressure of the supply [Pa].
@@ -188,9 +188,9 @@ def advance(
     right = np.empty(3)
     acceleration = np.empty(3)
     force = np.zeros(n)
-    wish = np.empty(n)
+    target = np.empty(n)
     for i in range(n):
-        wish[i] = with_friction(freed(command[i], state[i, SPOOL], valves[i].silt), state[i, 8:], circuits[i].hysteresis)
+        target[i] = with_hysteresis(freed(command[i], state[i, SPOOL], valves[i].silt), state[i, 8:], circuits[i].hysteresis)
     for _ in range(substeps):
         drawn = 0.0
         for i in range(n):
@@ -210,7 +210,7 @@ def advance(
             outlet = metered(outlet, valves[i].notch, valves[i].taper)
             if inlet >= 0.0:
                 k = circuit.conductance_positive
-                # A load check in the valve: oil does not flow back to the pump.
+                # Load check valve: oil does not flow back to the pump.
                 into_a = orifice_flow(k * inlet, max(line[0] - a, 0.0), transition)
                 into_b = -orifice_flow(k * outlet, b, transition)
                 drawn += into_a
@@ -223,7 +223,7 @@ def advance(
                 drop = line[0] - b
             push = flow_force(inlet, drop, supply.pressure, circuit.flow_force)
             row[SPOOL], row[SPOOL_SPEED] = spool_motion(
-                row[SPOOL], row[SPOOL_SPEED], wish[i], push, circuit.omega, circuit.damping, valves[i].spool_speed, h
+                row[SPOOL], row[SPOOL_SPEED], target[i], push, circuit.omega, circuit.damping, valves[i].spool_speed, h
             )
             row[FLOW_A], row[FLOW_B] = into_a, into_b
             across = circuit.leakage / viscosity * (a - b)
@@ -232,7 +232,7 @@ def advance(
             volume_b = circuit.dead_volume + circuit.area_rod * (drive.high - place)
             a += h * beta / volume_a * (into_a - circuit.area * piston - across - past * a)
             b += h * beta / volume_b * (into_b + circuit.area_rod * piston + across - past * b)
-            # Below vacuum oil comes in from the tank, above its setting the relief valve lets it out.
+            # Suction from the tank below vacuum, and the relief valve above its setting.
             row[PRESSURE_A] = min(max(a, 0.0), circuit.relief)
             row[PRESSURE_B] = min(max(b, 0.0), circuit.relief)
             row[BRISTLE], row[FRICTION] = seal_step(

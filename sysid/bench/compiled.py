@@ -34,7 +34,7 @@ def cache_folder() -> Path | None:
 
 
 def compiled(function: F) -> F:
-    """``numba.njit`` with the cache of :func:`cache_folder`; the setting of other packages is left as it was."""
+    """``numba.njit`` with the cache of :func:`cache_folder`; the setting of other packages is restored."""
     folder = cache_folder()
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined, unused-ignore]
     numba.config.CACHE_DIR = str(folder or "")  # type: ignore[attr-defined, unused-ignore]

@@ -1,9 +1,10 @@
-"""The named effects of the command stage, in their documented order, written once more for evaluating cases.
+"""The named effects of the command stage in their documented order, implemented again for evaluating cases.
 
-It is what an engineer would fit to the simulated test bench; it is not part of that simulation. One row of parameters an axis:
+It is fitted to the simulated test bench as an engineer would do; it is not part of that simulation. One row of parameters for
+each axis:
 
-    delay → play → dead-band → curve → saturation → rate limit → lag → gain, sides → stiction → temperature → load → leakage
-    → second-order ringing → pump → position → end stops
+    delay → hysteresis → dead-band → curve → saturation → rate limit → lag → gain, sides → stiction → temperature → load
+    → leakage → second-order oscillation → pump → position → end stops
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def speeds(command: Array, load: Array, row: Array, gain: float, step: float, ou
             u = math.copysign(abs(u) ** curve, u)
         u = min(max(u, -limit), limit)
         ramp += min(max(u - ramp, -rate * step), rate * step)
-        # A drive moves by the mean over the step; with what holds at its end it would seem to answer half a step early.
+        # A drive moves by the mean over the step; the value at its end would be half a step early.
         x = ratio * (ramp + (filtered - ramp) * share)
         filtered = ramp + (filtered - ramp) * keep
         if x < 0.0:

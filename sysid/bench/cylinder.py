@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Drive(NamedTuple):
-    """What a valve moves, with its end stops [m or rad]; ``triangle`` 0 = the joint itself is driven."""
+    """Drive moved by a valve, with its end stops [m or rad]; ``triangle`` 0 = the joint itself is driven."""
 
     low: float
     high: float
@@ -35,14 +35,14 @@ def drive_of(axis: AxisSettings) -> Drive:
 
 
 @compiled
-def against_stops(position: float, low: float, high: float) -> float:
-    """The drive's position, held by its end stops."""
+def within_stops(position: float, low: float, high: float) -> float:
+    """The position of a drive, limited by its end stops."""
     return min(max(position, low), high)
 
 
 @compiled
 def joint_of(position: float, drive: Drive) -> float:
-    """Joint value [rad or m] at a drive position: law of cosines where a cylinder stands in between."""
+    """Joint value [rad or m] at a drive position: law of cosines for a cylinder."""
     if drive.triangle == 0:
         return position
     length = drive.retracted + position

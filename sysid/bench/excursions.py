@@ -1,4 +1,4 @@
-"""The path that a position controller is given: moves, rests, some small and some as a step."""
+"""Setpoints of a position controller: random moves and rests, some small, some as steps."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A controller that flies the machine along drawn paths: logs of closed-loop work, in which the command follows the error.
+"""The program ``flight``: a controller follows random paths, for logs of closed-loop operation.
 
-The path of each axis goes from goal to goal with the speed of half a cosine, at a share of what the drive can do. The
-controller feeds the path's speed forward, steers against the error of position and jumps over the overlap of its valve.
+The path of each axis goes from goal to goal with the speed of half a cosine, at a share of the drive's full speed. The
+controller has speed feed-forward, position feedback and compensation of the valve overlap.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from sysid.bench.recipe import AXES, BenchRecipe
 
 Array = npt.NDArray[np.float64]
 
-#: Gain of the position controller [1/s], and the share of the overlap that it jumps over.
-STEERING = 3.0
-JUMP = 0.9
-#: A wish below this share of full speed is none, so that a resting drive does not chatter across its overlap.
-QUIET = 0.02
+#: Gain of the position controller [1/s], and the share of the overlap that it compensates.
+POSITION_GAIN = 3.0
+OVERLAP_SHARE = 0.9
+#: A demand below this share of full speed is zero, so that a resting drive does not chatter across its overlap.
+MIN_COMMAND = 0.02
 
 
 def draw_flight(recipe: BenchRecipe, seconds: float, rng: np.random.Generator) -> Array:
-    """Wanted drive position of every axis in every controller cycle, and one beyond, (axes, cycles + 1) [m or rad]."""
+    """Setpoint of every drive in every controller cycle, and one beyond, (axes, cycles + 1) [m or rad]."""
     cycle = 1.0 / recipe.controller.rate
     cycles = round(seconds / cycle) + 1
     paths = np.empty((len(AXES), cycles))
@@ -51,15 +51,15 @@ def draw_flight(recipe: BenchRecipe, seconds: float, rng: np.random.Generator) -
 
 @compiled
 def flight_command(
-    position: float, wanted: float, soon: float, cycle: float, speed: float, positive: float, negative: float
+    position: float, setpoint: float, next_setpoint: float, cycle: float, speed: float, positive: float, negative: float
 ) -> float:
-    """Lever for a drive at ``position`` that should be at ``wanted`` now and at ``soon`` a cycle later.
+    """Command for a drive at ``position`` with the ``setpoint`` of this cycle and that of the next.
 
     Args:
         speed: of the drive at command 1; ``positive``, ``negative``: overlap of its valve [command].
     """
-    wish = ((soon - wanted) / cycle + STEERING * (wanted - position)) / speed
-    if abs(wish) < QUIET:
+    demand = ((next_setpoint - setpoint) / cycle + POSITION_GAIN * (setpoint - position)) / speed
+    if abs(demand) < MIN_COMMAND:
         return 0.0
-    command = wish + JUMP * positive if wish > 0.0 else wish - JUMP * negative
+    command = demand + OVERLAP_SHARE * positive if demand > 0.0 else demand - OVERLAP_SHARE * negative
     return float(round(min(max(command, -1.0), 1.0) / COMMAND_STEP) * COMMAND_STEP)

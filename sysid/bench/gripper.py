@@ -1,8 +1,8 @@
 """The gripper: a nonlinear spherical pendulum below the moving boom tip, on two passive crossed joints.
 
 The tool point is a mass on a rod of fixed length. It is integrated as a constrained point (SHAKE): one explicit step under
-gravity and damping, then back onto the sphere around the new pivot along the old rod. A pivot that changes its speed at once,
-as the structure does at the end of its play, then gives the pendulum exactly the impulse that it should.
+gravity and damping, then back onto the sphere around the new pivot along the old rod. A step in the speed of the pivot, as at
+the end of a backlash, then gives the pendulum the exact impulse.
 
 Damping acts on the speed relative to the pivot, ``−2·ζ·ω₀·(v_tool − v_pivot)`` with ``ω₀ = √(g/L)``; for small angles
 ``L·θ̈ + 2ζω₀L·θ̇ + g·θ = −a``.

@@ -1,4 +1,4 @@
-"""Settings of the hydraulic drive model: what lies between a valve's spool and the motion of the booms.
+"""Settings of the hydraulic drive model, from the spool of a valve to the motion of the booms.
 
 An axis with ``drive = "hydraulic"`` keeps ``gain``, ``delay``, ``deadband_*`` (as overlap of the lands) and ``saturation`` of
 its valve; spool, flow, pressures and friction are set here. The default of every feature is its absence.
@@ -22,9 +22,9 @@ class HydraulicSettings:
         area, area_rod: piston areas that push towards positive and negative motion [m²].
         dead_volume: hose and port volume on either side [m³].
         spool_frequency, spool_damping: own frequency [Hz] and damping ratio of the spool.
-        flow_force: how far a pressure drop of the supply's size pushes the open spool back (share of its opening).
-        hysteresis: widest of the plays that the spool's friction makes of the command (full width, command).
-        meter_out_lap: how much later the edges towards the tank open than those from the pump [command].
+        flow_force: displacement of the open spool by a pressure drop equal to the supply pressure (share of its opening).
+        hysteresis: full width of the widest play operator of the spool's friction [command].
+        meter_out_lap: additional overlap of the edges to the tank over those from the pump [command].
         retraction: speed at opening −1 without load; None = the same opening as in the positive direction.
         leakage: across the piston [m³/(s·Pa)]; ``spool_leakage``: from either chamber past the spool to the tank.
         coulomb, static: seal friction when sliding and at break-away [N]; static 0 = as sliding.
@@ -59,8 +59,8 @@ class SupplySettings:
     """The pump of all axes: it holds ``pressure`` [Pa] as long as less than ``flow_limit`` [m³/s] is drawn.
 
     ``volume`` [m³] is that of the pressure line, ``droop`` [Pa] the pressure lost between no flow and the full flow.
-    ``parked`` [Pa] is what closed valves keep on the unloaded side of a drive that has not been moved for long.
-    ``rated`` [Pa] is the pressure at which the valves' gains are stated; None = what the pump holds.
+    ``parked`` [Pa] is the pressure in the unloaded chamber of a drive that has been at rest for a long time.
+    ``rated`` [Pa] is the pressure for which the valves' gains are stated; None = ``pressure``.
     """
 
     __pydantic_config__ = STRICT
@@ -99,7 +99,7 @@ class MassSettings:
     """Masses [kg], their centres along the link [m] and moments of inertia about them [kg·m²].
 
     The telescope's centre is counted from the boom tip (negative = behind it). The gripper hangs below the tip.
-    ``balanced`` is the share of all weights that springs or counterweights carry.
+    ``balanced`` is the share of all weights that springs or counterweights compensate.
     """
 
     __pydantic_config__ = STRICT

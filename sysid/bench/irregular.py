@@ -1,13 +1,13 @@
-"""Irregularities of a drive that no common effect has a name for: what a finder of named effects must not give a name to.
+"""Irregularities of a drive that no effect of the catalogue describes, so that none must be named for them.
 
 All of them change the share of the valve's flow that becomes motion: an unevenly worn barrel or sprocket, a pulsating pump, a
-clutch that slips under much flow, and a valve whose coil loses force while it is held open.
+clutch that slips at high flow, and a valve whose coil loses force while it is held open.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 from sysid.bench.compiled import compiled
@@ -22,7 +22,7 @@ class IrregularSettings:
         uneven, pitch: the speed varies by ± this share with the position, once every ``pitch`` of the drive [1, m or rad].
         ripple, ripple_frequency: it varies by ± this share with time [1, Hz].
         slip, slip_above: this share of the speed is lost while the opening is beyond ``slip_above`` [1, command].
-        fade, fade_time: share lost by a valve held fully open for long; it recovers as slowly when closed [1, s].
+        fade, fade_time: share lost by a valve held fully open, and the time constant of loss and recovery [1, s].
     """
 
     __pydantic_config__ = STRICT
@@ -51,16 +51,7 @@ class Irregular(NamedTuple):
 
 
 def irregular_of(settings: IrregularSettings) -> Irregular:
-    return Irregular(
-        settings.uneven,
-        settings.pitch,
-        settings.ripple,
-        settings.ripple_frequency,
-        settings.slip,
-        settings.slip_above,
-        settings.fade,
-        settings.fade_time,
-    )
+    return Irregular(**asdict(settings))
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""A second family of machines: a servo arm and a slide, from a recipe to CSV logs with canonical names.
+"""A servo arm and a slide, from a recipe to CSV logs with canonical names.
 
 kind = "servo_arm"                       kind = "slide"
 name, seed, rate                         name, seed, rate
@@ -61,10 +61,10 @@ def write_joint_machine(machine: ServoArm | Slide, out: Path) -> list[Path]:
     for take in machine.recordings:
         noise = np.random.default_rng([machine.seed, take.seed, 1])
         if isinstance(machine, ServoArm):
-            time, wanted, joints = run_servo_arm(machine, take)
+            time, setpoint, joints = run_servo_arm(machine, take)
             seen = joints + machine.noise * noise.standard_normal(joints.shape)
             names = [f"{axis.name}.{part}" for part in ("command", "joint") for axis in machine.axes]
-            table = np.column_stack([time, wanted, seen])
+            table = np.column_stack([time, setpoint, seen])
         else:
             time, force, position = run_slide(machine, take)
             names = ["carriage.command", "carriage.joint"]

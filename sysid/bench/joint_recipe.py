@@ -1,4 +1,4 @@
-"""Settings of the machines that are moved joint by joint: an arm of servo axes, and a slide pushed by a force."""
+"""Settings of the machines without valves: an arm of servo axes, and a slide moved by a force."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class ServoAxis:
     Args:
         limits: range [rad]. length, mass: of its link, a slender rod [m, kg].
         delay, rate_limit, time_constant: of the servo [s, rad/s, s].
-        standing_error: the drive stops this far before its target, from either side (friction over stiffness) [rad].
-        backlash: full width of the play behind the drive [rad].
+        standing_error: distance at which the drive stops before its target, from either side (friction/stiffness) [rad].
+        backlash: full width behind the drive [rad].
         compliance: sag per gravity moment [rad/(N·m)].
-        eccentricity, teeth: a gear that runs out of true turns the joint by ± this much, ``teeth`` times a turn [rad].
+        eccentricity, teeth: amplitude [rad] of the error of an eccentric gear, and its periods per turn.
     """
 
     __pydantic_config__ = STRICT
@@ -69,14 +69,14 @@ class ServoArm:
 
 @dataclass(frozen=True)
 class Slide:
-    """A carriage pushed by a force; M·a = u − friction(v) − offset.
+    """A carriage moved by a force; M·a = u − friction(v) − offset.
 
     Args:
         mass [kg], coulomb [N], viscous [N·s/m], static: break-away force [N], 0 = as sliding; stribeck: [m/s].
-        bristle: elastic deflection of the seals before they slide [m]; 0 = none, they hold rigidly.
+        bristle: elastic deflection of the seals before they slide [m]; 0 = rigid.
         offset: constant force against positive motion [N].
-        cogging, pitch: force of the motor's magnets against positive motion, ± this much, once every ``pitch`` [N, m].
-        stiffness, damping, force_limit: of the drive that moves it [N/m, N·s/m, N].
+        cogging, pitch: amplitude [N] and period [m] of the cogging force of the motor.
+        stiffness, damping, force_limit: of the position controller [N/m, N·s/m, N].
         stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
     """
 

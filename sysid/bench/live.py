@@ -1,13 +1,12 @@
 """``python -m sysid.bench live MACHINE.toml``: the simulated test bench as a process, in real time, on a serial line.
 
-It makes a pseudo-terminal, speaks slcan on it as a CAN adapter does, and lives by its own clock: sensors and status leave every
-cycle of its controller, commands act when they come, and when they stop its valves go neutral by themselves. What people at the
-machine would do (dead-man switch, emergency stop, a cable pulled) is written to a control pipe, a line each:
+It opens a pseudo-terminal with slcan, as a CAN adapter does, and runs on its own clock: sensors and status are sent in every
+cycle of its controller, commands act on arrival, and valves go neutral when commands stop. Actions of people at the machine
+(dead-man switch, emergency stop, a cable unplugged) are written to a control pipe, one line each:
 
     dead_man 0|1 · emergency_stop 0|1 · drop MESSAGE COUNT · stuck MESSAGE 0|1 · unplug MESSAGE 0|1 · quit
 
-The truth goes to a file as it happens, a row of ``COLUMNS`` in float64 a cycle behind one line of JSON: an evaluation reads
-what the machine did and not what anybody believes it did.
+The truth is written to a file: one line of JSON, then a row of ``COLUMNS`` in float64 for each cycle.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ from sysid.errors import SysidError
 
 Array = npt.NDArray[np.float64]
 
-#: What the control pipe takes.
-WORDS = ("dead_man", "emergency_stop", "drop", "stuck", "unplug", "quit")
-#: Real-time priority that is asked for (SCHED_FIFO).
+#: Lines that the control pipe accepts.
+SWITCHES = ("dead_man", "emergency_stop", "drop", "stuck", "unplug", "quit")
+#: Requested real-time priority (SCHED_FIFO).
 PRIORITY = 60
-#: A process that wakes up later than this goes on from where it is [ns].
+#: After a delay longer than this the process does not catch up on missed cycles [ns].
 _LONGEST_SLEEP_NS = 1_000_000_000
-#: The machine's clock on the bus begins anew after so many seconds: 32 bits of 0.1 ms.
+#: Period of the machine's clock on the bus [s]: 32 bits of 0.1 ms.
 _CLOCK_TURN = 429496.7
-#: Of the truth file. Times are of the monotonic clock, which all processes of a computer share [ns]; ``asked`` is what came
-#: over the bus, ``passed`` what the watchdog let through, ``counter``, ``counter_ns`` the last alive counter and when it came.
+#: Columns of the truth file. Times are of the monotonic clock of the computer [ns]; ``asked`` are commands on the bus,
+#: ``passed`` those behind the watchdog, ``counter`` and ``counter_ns`` the last alive counter and its arrival.
 COLUMNS = (
     "at_ns",
     *(f"{name}.drive" for name in AXES),
@@ -63,7 +62,7 @@ COLUMNS = (
 
 @dataclass
 class Switches:
-    """What the control pipe has set."""
+    """State of the switches and faults that the control pipe sets."""
 
     dead_man: bool = False
     emergency_stop: bool = False
@@ -72,8 +71,8 @@ class Switches:
     unplugged: set[str] = field(default_factory=set)
     quit: bool = False
 
-    def obey(self, line: str, bus: LiveBus) -> None:
-        """Raise ValueError or KeyError for what is no such line."""
+    def apply(self, line: str, bus: LiveBus) -> None:
+        """Apply a line of the control pipe; ValueError or KeyError for an invalid one."""
         word, *rest = line.split()
         if word == "quit" and not rest:
             self.quit = True
@@ -95,7 +94,7 @@ class Switches:
                 raise ValueError(line)
 
     def through(self, name: str, frame: CanFrame) -> CanFrame | None:
-        """``frame`` of message ``name`` as it reaches the line."""
+        """``frame`` of message ``name`` with the faults applied; None where it is lost."""
         if name in self.unplugged:
             return None
         if self.drop.get(name, 0) > 0:
@@ -109,7 +108,7 @@ class Switches:
 
 
 class SerialLine:
-    """The machine's end of a pseudo-terminal that speaks slcan; nothing is sent before the other end has opened the bus."""
+    """The machine's end of a pseudo-terminal with slcan; nothing is sent before the other end has opened the bus."""
 
     def __init__(self, link: Path) -> None:
         self.master, self._slave = os.openpty()
@@ -124,11 +123,11 @@ class SerialLine:
         self.open = False
 
     def receive(self) -> list[CanFrame]:
-        """The frames that have come; whatever else is said is obeyed or, as adapters do, passed over."""
+        """Received frames; the bus is opened and closed by ``O`` and ``C``, other lines are ignored, as adapters do."""
         with contextlib.suppress(BlockingIOError):
             self._rest += os.read(self.master, 65536)
         *lines, self._rest = self._rest.split(b"\r")
-        # A line without end is noise.
+        # An incomplete line is kept, up to this length.
         self._rest = self._rest[-64:]
         frames = []
         for line in lines:
@@ -139,7 +138,7 @@ class SerialLine:
         return frames
 
     def send(self, frames: list[CanFrame]) -> None:
-        """Whole frames, or none of them where nobody takes them: an adapter whose buffer is full loses what comes."""
+        """Send whole frames; like an adapter with a full buffer, frames that the line does not accept are lost."""
         if not self.open:
             return
         self._unsent = self._unsent[self._taken(self._unsent) :]
@@ -147,11 +146,11 @@ class SerialLine:
             lines = b"".join(frame.line() for frame in frames)
             taken = self._taken(lines)
             end = lines.rfind(b"\r", 0, taken) + 1
-            if end < taken:  # the frame that is begun has to be ended; those after it are lost
+            if end < taken:  # a partly sent frame has to be completed; those after it are lost
                 self._unsent = lines[taken : lines.index(b"\r", taken) + 1]
 
     def _taken(self, lines: bytes) -> int:
-        """How many bytes of ``lines`` the line took."""
+        """Number of bytes of ``lines`` that the line accepted."""
         try:
             return os.write(self.master, lines) if lines else 0
         except BlockingIOError:
@@ -170,7 +169,7 @@ class LiveProcess:
     def __init__(self, options: argparse.Namespace) -> None:
         recipe = load_recipe(options.machine)
         self.machine = LiveMachine(recipe, options.seed)
-        self.machine.advance(np.zeros((self.machine.steps, len(AXES))))  # compiles what cannot wait later
+        self.machine.advance(np.zeros((self.machine.steps, len(AXES))))  # compile before the first cycle
         self.bus = LiveBus(options.database, options.survey)
         self.watchdog, self.switches = Watchdog(), Switches()
         self._step_ns = round(self.machine.step * 1e9)
@@ -179,20 +178,20 @@ class LiveProcess:
         self._counter_ns = 0
         self._cycle = 0
 
-    def heard(self, frames: list[CanFrame], now_ns: int) -> None:
-        """Frames came; they act from now on."""
+    def received_frames(self, frames: list[CanFrame], now_ns: int) -> None:
+        """Queue received frames; they act from ``now_ns`` on."""
         self._events += [(now_ns, frame) for frame in frames]
 
     def cycle(self, end_ns: int) -> tuple[list[CanFrame], Array]:
-        """Live through the cycle that ends at ``end_ns``: frames to send, and the row of the truth."""
+        """Simulate the cycle that ends at ``end_ns``; returns the frames to send and the row of the truth."""
         machine, switches, watchdog = self.machine, self.switches, self.watchdog
         commands = np.empty((machine.steps, len(AXES)))
         for step in range(machine.steps):
             now = end_ns - self.cycle_ns + step * self._step_ns
             while self._events and self._events[0][0] <= now:
-                came_ns, frame = self._events.pop(0)
-                self._take(came_ns, frame, machine.seconds + (came_ns - end_ns + self.cycle_ns) * 1e-9)
-            # The emergency stop takes the pilot pressure away, whoever commands what.
+                received_ns, frame = self._events.pop(0)
+                self._take(received_ns, frame, machine.seconds + (received_ns - end_ns + self.cycle_ns) * 1e-9)
+            # The emergency stop removes the pilot pressure.
             commands[step] = watchdog.passed(now) * (not switches.emergency_stop)
         machine.advance(commands)
         self._cycle += 1
@@ -204,37 +203,37 @@ class LiveProcess:
             "echo": float(max(watchdog.counter, 0)),
         }
         frames = self.bus.frames(machine.readings(), self._cycle, status)
-        people = (switches.dead_man, switches.emergency_stop, watchdog.fault, watchdog.counter, self._counter_ns)
-        row = np.concatenate([[end_ns], machine.truth, watchdog.asked, commands[-1], [watchdog.enabled], people])
+        switch_states = (switches.dead_man, switches.emergency_stop, watchdog.fault, watchdog.counter, self._counter_ns)
+        row = np.concatenate([[end_ns], machine.truth, watchdog.commanded, commands[-1], [watchdog.enabled], switch_states])
         return [sent for frame in frames if (sent := switches.through(self.bus.name(frame), frame)) is not None], row
 
-    def _take(self, came_ns: int, frame: CanFrame, seconds: float) -> None:
-        """A frame that came at ``came_ns``, ``seconds`` by the machine's own clock."""
+    def _take(self, received_ns: int, frame: CanFrame, seconds: float) -> None:
+        """Process a frame that arrived at ``received_ns``, ``seconds`` on the machine's clock."""
         if (valve := self.bus.valve(frame)) is not None:
             age = self.bus.age(frame, seconds % _CLOCK_TURN)
-            self.watchdog.command(*valve, came_ns, round(min(age, 1e3) * 1e9))
+            self.watchdog.command(*valve, received_ns, round(min(age, 1e3) * 1e9))
         elif (status := self.bus.status(frame)) is not None:
             if status[0] != self.watchdog.counter:
-                self._counter_ns = came_ns
-            self.watchdog.alive(*status, came_ns)
+                self._counter_ns = received_ns
+            self.watchdog.alive(*status, received_ns)
 
 
 def run_live(options: argparse.Namespace) -> None:
     """Run until ``quit`` or the end of ``options.seconds``.
 
     Raises:
-        SysidError: a recipe or a database that is none.
+        SysidError: an invalid recipe or database.
     """
     process = LiveProcess(options)
-    # A real machine does not wait for this computer's other processes. Where that is not permitted, it does.
+    # Real-time priority, where it is permitted.
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     if not options.control.exists():
         os.mkfifo(options.control)
-    # Open for writing as well, so that it does not end when a writer goes.
+    # Open for writing as well, so that the pipe does not end when a writer closes it.
     control = os.open(options.control, os.O_RDWR | os.O_NONBLOCK)
     line = SerialLine(options.pty)
-    said = b""
+    rest = b""
     with options.truth.open("wb", buffering=0) as truth:
         head = {"columns": COLUMNS, "machine": process.machine.recipe.name, "cycle_ns": process.cycle_ns}
         truth.write(json.dumps(head).encode() + b"\n")
@@ -247,31 +246,31 @@ def run_live(options: argparse.Namespace) -> None:
                 while (now := time.monotonic_ns()) < due:
                     ready, _, _ = select.select([line.master, control], [], [], (due - now) * 1e-9)
                     if line.master in ready:
-                        process.heard(line.receive(), time.monotonic_ns())
+                        process.received_frames(line.receive(), time.monotonic_ns())
                     if control in ready:
-                        *lines, said = (said + os.read(control, 4096)).split(b"\n")
-                        _obey(lines, process)
+                        *lines, rest = (rest + os.read(control, 4096)).split(b"\n")
+                        _apply_switches(lines, process)
                 frames, row = process.cycle(due)
                 line.send(frames)
                 truth.write(row.tobytes())
                 due += process.cycle_ns
                 if time.monotonic_ns() - due > _LONGEST_SLEEP_NS:
-                    due = time.monotonic_ns()  # it was asleep, and so was the machine
+                    due = time.monotonic_ns()  # do not catch up
         finally:
             line.close()
             os.close(control)
 
 
-def _obey(lines: list[bytes], process: LiveProcess) -> None:
+def _apply_switches(lines: list[bytes], process: LiveProcess) -> None:
     for line in lines:
         try:
-            process.switches.obey(line.decode(), process.bus)
+            process.switches.apply(line.decode(), process.bus)
         except (ValueError, KeyError, TypeError):
-            sys.stderr.write(f"control: {line!r} is none of {', '.join(WORDS)}\n")
+            sys.stderr.write(f"control: {line!r} is none of {', '.join(SWITCHES)}\n")
 
 
 def read_truth(path: Path) -> dict[str, Array]:
-    """Columns of a truth file, also of one that is being written or was cut off; stamps as int64."""
+    """Columns of a truth file, which may be incomplete."""
     data = path.read_bytes()
     start = data.index(b"\n") + 1
     columns = json.loads(data[:start])["columns"]
@@ -281,15 +280,15 @@ def read_truth(path: Path) -> dict[str, Array]:
 
 
 def main(arguments: list[str]) -> int:
-    """Exit status: 0 at the end, 2 on a mistake in what was given."""
+    """Exit status: 0 at the end, 2 for invalid arguments."""
     parser = argparse.ArgumentParser(prog="python -m sysid.bench live", description="The simulated test bench in real time.")
     parser.add_argument("machine", type=Path, help="bench recipe (TOML)")
     parser.add_argument("--database", type=Path, required=True, help="CAN database of the machine (DBC)")
-    parser.add_argument("--pty", type=Path, required=True, help="link to make to the serial line that speaks slcan")
-    parser.add_argument("--control", type=Path, required=True, help="pipe for switches and faults, made where it is missing")
-    parser.add_argument("--truth", type=Path, required=True, help="file for what really happened")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="how long it lives")
-    parser.add_argument("--seed", type=int, default=0, help="of its noise")
+    parser.add_argument("--pty", type=Path, required=True, help="link to create to the serial line (slcan)")
+    parser.add_argument("--control", type=Path, required=True, help="pipe for switches and faults, created where it is missing")
+    parser.add_argument("--truth", type=Path, required=True, help="file for the true motion")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="duration of the run")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the noise")
     parser.add_argument("--survey", action="store_true", help="with inclinometers and a tracker of the boom tip on the bus")
     try:
         run_live(parser.parse_args(arguments))

@@ -41,13 +41,13 @@ class CanFrame:
     data: bytes
 
     def line(self) -> bytes:
-        """As an slcan adapter says it."""
+        """As a line of an slcan adapter."""
         head = f"T{self.identifier:08X}" if self.extended else f"t{self.identifier:03X}"
         return f"{head}{len(self.data)}{self.data.hex().upper()}\r".encode()
 
 
 def parse_line(line: bytes) -> CanFrame | None:
-    """The data frame that a line without its end says; None for anything else, a damaged frame as well."""
+    """The data frame of a line without its end; None for anything else, damaged frames included."""
     digits = {b"T": 8, b"t": 3}.get(line[:1])
     if digits is None or len(line) < 2 + digits:
         return None
@@ -60,7 +60,7 @@ def parse_line(line: bytes) -> CanFrame | None:
 
 
 class LiveBus:
-    """Encodes what the machine sends and decodes what it is told, by the database of its bus."""
+    """Encodes messages of the machine and decodes commands, by the database of its bus."""
 
     def __init__(self, path: Path, survey: bool) -> None:
         from cantools.database.can import Database
@@ -84,7 +84,7 @@ class LiveBus:
         self._counters = dict.fromkeys(self._messages, 0)
 
     def frames(self, readings: dict[str, float], cycle: int, status: dict[str, float]) -> list[CanFrame]:
-        """What the machine sends in a cycle, its status first."""
+        """Frames that the machine sends in a cycle, its status first."""
         out = [self._encode("MACHINE_STATUS", status)]
         for name, signals in self._sent.items():
             every = max((self._messages[name].cycle_time or 10) // 10, 1)
@@ -99,7 +99,7 @@ class LiveBus:
         coded = {}
         for signal in message.signals:
             if signal.name in values:
-                # A converter stops at the end of its range; it does not wrap around.
+                # A converter saturates at the ends of its range.
                 bits = signal.length - (1 if signal.is_signed else 0)
                 low = -(1 << bits) if signal.is_signed else 0
                 raw = round((values[signal.name] - float(signal.offset)) / float(signal.scale))
@@ -110,9 +110,9 @@ class LiveBus:
         )
 
     def age(self, frame: CanFrame, seconds: float) -> float:
-        """How long before ``seconds`` of the machine's clock it was what a valve command answers [s]; negative: it is to come.
+        """Age of the stamp of a valve command at ``seconds`` of the machine's clock [s]; negative for a stamp in the future.
 
-        Zero where the database gives commands no stamp, infinite where a command does not say.
+        Zero where commands have no stamp in the database, infinite where the stamp is not available.
         """
         message = self._described[frame.identifier]
         stamp = next((signal for signal in message.signals if signal.name == "stamp"), None)
@@ -126,31 +126,31 @@ class LiveBus:
         return (age - turn if age > 0.5 * turn else age) * scale
 
     def valve(self, frame: CanFrame) -> tuple[int, float, bool] | None:
-        """Axis, command in [-1, 1], and whether its sender is fit, of a valve command; None for other frames."""
+        """Axis, command in [-1, 1], and validity of a valve command; None for other frames."""
         axis = self._valves.get(frame.identifier)
         message = self._described.get(frame.identifier)
         if axis is None or message is None or not frame.extended or len(frame.data) != message.length:
             return None
-        said = _raw(message, frame)
-        flow, state = said["flow"], said["state"]
-        # Flows above 250 are the standard's error and not-available indicators, states above 2 nothing that this machine does.
-        fit = said["fail_safe"] != FAIL_SAFE_ERROR and flow <= 250 and state in (BLOCKED, EXTEND, RETRACT)
+        values = _raw(message, frame)
+        flow, state = values["flow"], values["state"]
+        # Flows above 250 are the standard's error and not-available indicators; states above 2 are not supported.
+        fit = values["fail_safe"] != FAIL_SAFE_ERROR and flow <= 250 and state in (BLOCKED, EXTEND, RETRACT)
         sign = {EXTEND: 1.0, RETRACT: -1.0}.get(state, 0.0)
         return axis, sign * min(flow, 250) / 250.0, fit
 
     def status(self, frame: CanFrame) -> tuple[int, bool] | None:
-        """Alive counter of whoever commands, and whether he does; None for other frames."""
+        """Alive counter of the sender of commands, and whether it is enabled; None for other frames."""
         message = self._described.get(frame.identifier)
         if message is None or frame.identifier in self._valves or len(frame.data) != message.length:
             return None
-        said = _raw(message, frame)
-        return said["counter"], said["enabled"] == ON
+        values = _raw(message, frame)
+        return values["counter"], values["enabled"] == ON
 
     def identifier(self, name: str) -> int:
         """Identifier of a message that the machine sends.
 
         Raises:
-            KeyError: it sends none of that name.
+            KeyError: there is no message of that name.
         """
         return self._messages[name].frame_id
 
@@ -160,6 +160,6 @@ class LiveBus:
 
 
 def _raw(message: Message, frame: CanFrame) -> dict[str, int]:
-    said = message.decode(frame.data, decode_choices=False, scaling=False)
-    assert isinstance(said, dict)
-    return {name: int(value) for name, value in said.items() if isinstance(value, int)}
+    values = message.decode(frame.data, decode_choices=False, scaling=False)
+    assert isinstance(values, dict)
+    return {name: int(value) for name, value in values.items() if isinstance(value, int)}

@@ -1,7 +1,7 @@
-"""The machine: valves, drives, play, linkages, crane and gripper in one loop at the step of the simulation (1 kHz).
+"""The machine: valves, drives, backlash, linkages, crane and gripper in one loop at the step of the simulation (1 kHz).
 
-An axis is moved by its simple valve model or by the hydraulic circuit (:mod:`sysid.bench.circuit`), which feels the weight and
-the motion of all booms. Play and elastic joints come behind either.
+An axis is moved by its simple valve model or by the hydraulic circuit (:mod:`sysid.bench.circuit`), on which the weight and
+the motion of all booms act. Backlash and elastic joints come behind either.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.stepping import BenchState, Built, advance_machine, built_of, parked
+from sysid.bench.stepping import BenchState, MachineNumbers, advance_machine, machine_numbers, parked
 from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
@@ -29,15 +29,15 @@ LONGEST_MOVE = 30.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened, free of noise.
+    """True motion, without noise.
 
     Args:
         time: (n,) [s] since the recording's start.
         command: held command of each axis, (n, 4).
         drive: position of what the valve moves, (n, 4) [m for cylinders and telescope, rad for the slewing drive].
-        joint: the structure's joint values, from their stated zeros, after play and sag, (n, 4) [rad, rad, rad, m].
+        joint: the structure's joint values, from their stated zeros, after backlash and sag, (n, 4) [rad, rad, rad, m].
         ee, tool: boom tip and tool point in the base frame, (n, 3) [m].
-        still: (start, end) [s] of the phases in which the calibration routine holds a pose, (m, 2); empty by hand.
+        still: (start, end) [s] of the phases in which the calibration routine holds a pose, (m, 2); else empty.
         pressure: of the chambers A and B of each axis, then of the supply, (n, 9) [Pa]; zeros where nothing is hydraulic.
         friction: seal friction of each axis, (n, 4) [N or N·m].
     """
@@ -60,7 +60,7 @@ class Truth:
 def run_machine(recipe: BenchRecipe, recording: RecordingSettings, rng: np.random.Generator) -> Truth:
     """Simulate one recording.
 
-    By hand every step is kept; of the calibration routine, which takes an hour, one state per controller cycle.
+    Every step is kept; of the calibration routine, which takes an hour, one state per controller cycle.
     """
     axes = [recipe.axis(name) for name in AXES]
     cycle_steps = round(1.0 / (recipe.step * recipe.controller.rate))
@@ -74,17 +74,17 @@ def run_machine(recipe: BenchRecipe, recording: RecordingSettings, rng: np.rando
         strokes = strokes_of(recipe, recording, rng)
         longest = recording.seconds
         keep = 1
-    flies = recording.program == "flight" and not recording.is_calibration
-    paths = draw_flight(recipe, recording.seconds, rng) if flies else np.zeros((len(AXES), 0))
+    closed_loop = recording.program == "flight" and not recording.is_calibration
+    paths = draw_flight(recipe, recording.seconds, rng) if closed_loop else np.zeros((len(AXES), 0))
     steps = round(longest / recipe.step)
     fluctuations = [flow_fluctuation(axis.valve, steps, recipe.step, rng) for axis in axes]
     width = max(len(values) for values in fluctuations)
     fluctuation = np.stack([np.resize(values, width) for values in fluctuations])
-    # Where the drive stands inside its play when the machine is parked is anyone's guess.
-    built = built_of(recipe)
-    motion = parked(built, np.array([axis.park for axis in axes]), built.plays * rng.uniform(-0.5, 0.5, len(axes)))
+    # The position of a parked drive in its backlash is random.
+    numbers = machine_numbers(recipe)
+    motion = parked(numbers, np.array([axis.park for axis in axes]), numbers.plays * rng.uniform(-0.5, 0.5, len(axes)))
     kept, states, commands, still = _loop(
-        built,
+        numbers,
         motion,
         fluctuation,
         strokes,
@@ -105,7 +105,7 @@ def run_machine(recipe: BenchRecipe, recording: RecordingSettings, rng: np.rando
 
 @compiled
 def _loop(
-    built: Built,
+    numbers: MachineNumbers,
     motion: BenchState,
     fluctuation: Array,
     strokes: Array,
@@ -117,8 +117,8 @@ def _loop(
     cycle_steps: int,
     keep: int,
 ) -> tuple[int, Array, Array, Array]:
-    valves = built.valves
-    drives = built.drives
+    valves = numbers.valves
+    drives = numbers.drives
     position = motion.position
     n = len(position)
     margin, settle, hold = waits
@@ -143,7 +143,7 @@ def _loop(
                 row[14 + 2 * i] = motion.hydraulic[i, PRESSURE_A]
                 row[15 + 2 * i] = motion.hydraulic[i, PRESSURE_B]
                 row[23 + i] = motion.hydraulic[i, FRICTION]
-            row[22] = motion.line[0] if built.powered else 0.0
+            row[22] = motion.line[0] if numbers.powered else 0.0
         if k % cycle_steps == 0:
             now = k // cycle_steps
             if paths.shape[1] > 0:
@@ -189,5 +189,5 @@ def _loop(
         for i in range(n):
             motion.received[i] = delayed(commands[i, : now + 1], cycle, time, step, valves[i].delay)
             disturbance[i] = fluctuation[i, min(k, fluctuation.shape[1] - 1)]
-        advance_machine(built, motion, disturbance, time, step)
+        advance_machine(numbers, motion, disturbance, time, step)
     return (steps - 1) // keep + 1, states, commands, still

@@ -16,8 +16,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.writer import Writer
 
-from sysid.bench.recipe import AXES
-from sysid.bench.run import WIRED, MachineLog
+from sysid.bench.recipe import AXES, WIRED
+from sysid.bench.run import MachineLog
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -58,7 +58,7 @@ TOPICS = ("/valves/command", "/draw_wires", "/slew_sensor")
 _STAMP = 4
 
 
-#: Stands for a number in the message that a topic's others are made from.
+#: Placeholder for a number in the template message of a topic.
 _PLACEHOLDER = -1.2345e-67
 
 
@@ -89,7 +89,7 @@ def write_mcap(log: MachineLog, path: Path) -> None:
 
 
 def _encoded(kind: str, text: str, field: str, names: Sequence[str], stamps: Counts, values: Array) -> Octets:
-    """Every message of a topic, (n, bytes): one that the library encodes, with the stamps and numbers of all put in."""
+    """All messages of a topic, (n, bytes): a template encoded by the library, with stamps and numbers inserted."""
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message: dict[str, Any] = {"header": header, "name": list(names), field: [_PLACEHOLDER] * len(names)}
     if field == "position":

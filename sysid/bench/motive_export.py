@@ -30,7 +30,7 @@ def write_motive(
 
     Args:
         name: the take's name.
-        started: wall clock of the capture computer at the take's first frame (a hint to people; not synchronised to anything).
+        started: wall clock of the capture computer at the take's first frame (informative, not synchronised).
         exported_markers: bodies whose markers are exported as well.
     """
     columns: list[tuple[str, str, str, str, str]] = []
@@ -72,7 +72,7 @@ def _first_line(take: Capture, name: str, started: datetime, capture_rate: float
 
 
 def wall_clock(start_ns: int, ahead: float) -> datetime:
-    """The wall clock of a computer that is ``ahead`` seconds of the machine's, when that shows ``start_ns``."""
+    """Wall clock of a computer ``ahead`` seconds of the machine's clock at ``start_ns``."""
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000) + timedelta(seconds=ahead)
 
 

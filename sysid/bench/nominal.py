@@ -1,4 +1,4 @@
-"""Fits of the named effects to noise-free runs of the simulated test bench: what an engineer knows, and what is hidden."""
+"""Fits of the named effects to noise-free runs of the simulated test bench: nominal plant of the owner, and hidden effects."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from sysid.bench.rigid_body import RigidBodies, bodies_of, equations
 
 Array = npt.NDArray[np.float64]
 
-#: Effects that an engineer fits to a valve before anything else, and those that a hydraulic drive needs as well.
+#: Effects of the nominal plant of a valve, and of a hydraulic drive.
 BASIC = ("input_delay", "valve_deadband", "first_order_lag", "gain_error")
 HYDRAULIC = (*BASIC, "asymmetric_gain", "load_dependent_flow")
-#: Runs that what a case hides is fitted to, beside those of the case itself.
+#: Runs for the fit of hidden effects, beside those of the case.
 STEP_TESTS = (
     RecordingSettings("steps", seed=9001, seconds=60.0, program="steps"),
     RecordingSettings("stairs", seed=9002, seconds=60.0, program="stairs"),
     RecordingSettings("hand", seed=9003, seconds=60.0),
 )
-#: Runs that the nominal plant is fitted to: twelve minutes of every kind of work, so that it is that of the machine and not of
-#: a few strokes. Slow ones show the overlap best: without the flown ones it came out up to 0.003 wrong.
+#: Runs for the fit of the nominal plant: twelve minutes of all kinds of motion. Without the slow closed-loop runs the overlap
+#: has an error of up to 0.003.
 FLOWN = RecordingSettings("flight", seed=9004, seconds=60.0, program="flight")
 OWNERS_TESTS = tuple(replace(test, seed=test.seed + 10 * k) for k in range(1, 4) for test in (*STEP_TESTS, FLOWN))
-#: The owner's tests are the machine's own, whatever is recorded of it afterwards.
+#: Seed of the owner's tests, whatever is recorded afterwards.
 OWNERS_SEED = 1
-#: Residuals are taken every so many steps; the positions hardly change in between.
+#: Steps between two residuals; positions hardly change in between.
 STRIDE = 10
-#: What is compared is how far a drive moves in this long [s]. Over whole runs the small errors of a simplified valve add up
-#: to a drift that says more about the strokes that were made than about the valve: overlaps came out up to 0.01 wrong.
+#: Displacements over this time [s] are compared. Over whole runs the small errors of a simplified valve accumulate to a drift,
+#: with an error of the overlap of up to 0.01.
 SPAN = 0.2
 
 
@@ -54,16 +54,16 @@ class CommandChain:
 
 
 def noise_free(recipe: BenchRecipe, recordings: Sequence[RecordingSettings]) -> tuple[Truth, ...]:
-    """What really happens in ``recordings``; the flow disturbance is noise as well and left out."""
+    """True motion in ``recordings`` without flow disturbance."""
     axes = {name: replace(axis, valve=replace(axis.valve, disturbance=0.0)) for name, axis in recipe.axes.items()}
-    calm = replace(recipe, axes=axes)
-    return tuple(run_machine(calm, each, np.random.default_rng([recipe.seed, each.seed, 0])) for each in recordings)
+    undisturbed = replace(recipe, axes=axes)
+    return tuple(run_machine(undisturbed, each, np.random.default_rng([recipe.seed, each.seed, 0])) for each in recordings)
 
 
 def loads(recipe: BenchRecipe, truth: Truth) -> Array:
     """Gravity moment or force against positive motion of each drive at the joints of a run, (axes, n), from the drawing.
 
-    The drawing knows the masses, and nothing of the springs that may carry them.
+    The drawing has the masses, but no springs that compensate them.
     """
     bodies = bodies_of(replace(recipe.masses, balanced=0.0), recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length)
     found = np.zeros((len(AXES), len(truth.time)))
@@ -112,7 +112,7 @@ def fit_nominal(recipe: BenchRecipe) -> CommandChain:
     chain = CommandChain(np.array([_data_sheet(recipe, name) for name in AXES]), gains)
     for name in AXES:
         effects: tuple[str, ...] = HYDRAULIC if recipe.axis(name).drive == "hydraulic" else BASIC
-        if name == "slew" or recipe.masses.balanced == 1.0:  # no weight acts on the drive: nothing would say how much
+        if name == "slew" or recipe.masses.balanced == 1.0:  # no weight acts on the drive: not identifiable
             effects = tuple(effect for effect in effects if effect != "load_dependent_flow")
         chain = fit_effects(recipe, chain, [HiddenSettings(effect, name) for effect in effects], runs)
     rows = chain.rows.copy()
@@ -123,7 +123,7 @@ def fit_nominal(recipe: BenchRecipe) -> CommandChain:
 
 
 def _data_sheet(recipe: BenchRecipe, axis: str) -> Array:
-    """A row with what the valve's data sheet says: all there is of a simple valve, for a circuit where a fit may begin."""
+    """A row with the values of the valve's data sheet: start of the fit."""
     valve = recipe.axis(axis).valve
     row = neutral_row()
     row[KEYS.index(("input_delay", "delay"))] = valve.delay
@@ -164,12 +164,12 @@ def fit_effects(
         return np.concatenate(parts)
 
     before = np.array([chain.rows[i, k] for i, k in places] + ([min(chain.pump, 4.0)] if pump else []))
-    # From where it is and from typical sizes: play, stiction and limits are flat where they are absent.
+    # Starts: the present values and typical sizes; the cost of hysteresis, stiction and limits is flat where they are absent.
     best = None
     starts = [before, scales, 0.4 * scales]
     if len(lows) <= 2:
-        # Stiction jumps and plays have kinks, on which no slope leads to the valley: look around first.
-        starts.insert(0, _look_around(lambda point: float(np.sum(residuals(point / scales) ** 2)), lows, highs, scales))
+        # The cost of stiction jumps and that of hysteresis has kinks, so that a gradient does not lead to the minimum.
+        starts.insert(0, _grid_search(lambda point: float(np.sum(residuals(point / scales) ** 2)), lows, highs, scales))
     for start in starts:
         if best is not None and best.cost < 1e-9 * len(best.fun):
             break
@@ -185,7 +185,7 @@ def fit_effects(
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
-    # Delay and lag are nearly exchangeable: the valley between them needs fine differences.
+    # Delay and lag are strongly correlated, which needs fine differences.
     closer = least_squares(
         residuals,
         best.x,
@@ -199,7 +199,7 @@ def fit_effects(
     best = closer if closer.cost < best.cost else best
     values: Array = np.asarray(best.x, dtype=np.float64)
     if len(values) <= 3:
-        # A play or a limit has kinks, where differences mislead: finish without them.
+        # Hysteresis and limits have kinks: finish without derivatives.
         def cost(scaled: Array) -> float:
             return float(np.sum(residuals(scaled) ** 2))
 
@@ -208,8 +208,8 @@ def fit_effects(
     return with_values(np.clip(values * scales, lows, highs))
 
 
-def _look_around(cost: Callable[[Array], float], lows: Array, highs: Array, scales: Array) -> Array:
-    """The best point of a grid that is narrowed twice around the best so far."""
+def _grid_search(cost: Callable[[Array], float], lows: Array, highs: Array, scales: Array) -> Array:
+    """The best point of a grid that is refined twice around the best so far."""
     centre, half = lows + 3.0 * scales, 3.0 * scales
     for _ in range(3):
         ends = zip(np.maximum(lows, centre - half), np.minimum(highs, centre + half), strict=True)
@@ -227,9 +227,4 @@ def model_error(recipe: BenchRecipe, chain: CommandChain, runs: Sequence[Truth])
         left = predict(recipe, chain, run, loads(recipe, run), range(len(AXES))) - run.drive
         squares += np.sum(left**2, axis=0)
         count += len(left)
-    return {signal_of(recipe, name): float(np.sqrt(squares[i] / count)) for i, name in enumerate(AXES)}
-
-
-def signal_of(recipe: BenchRecipe, axis: str) -> str:
-    """The signal that the axis' drive is measured by."""
-    return f"{axis}.{'cylinder' if recipe.axis(axis).cylinder is not None else 'joint'}"
+    return {recipe.drive_signal(name): float(np.sqrt(squares[i] / count)) for i, name in enumerate(AXES)}

@@ -23,7 +23,7 @@ STROKE, DIRECTION, HELD = range(3)
 
 #: The joystick's converter: the command is a multiple of this.
 COMMAND_STEP = 0.001
-#: Time in which a lever springs back when it is let go near an end stop [s].
+#: Time constant of a lever that is released near an end stop [s].
 RELEASE_TIME = 0.12
 
 
@@ -41,7 +41,7 @@ def draw_strokes(settings: OperatorSettings, seconds: float, rng: np.random.Gene
 
 
 def _draw_pauses(settings: OperatorSettings, seconds: float, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Moments in which no lever is touched, (start, end) [s], the last one at the end of the recording."""
+    """Pauses of all axes, (start, end) [s], the last one at the end of the recording."""
     pauses = []
     time = settings.parked
     while True:
@@ -61,7 +61,7 @@ def _strokes_of_axis(
     time = settings.parked + rng.uniform(0.0, 1.5)
     while time < seconds:
         slow = rng.random() < settings.slow_share
-        # Slewing is mostly placing: to and fro, often slowly. The other levers move one way at a time.
+        # Slewing goes back and forth, often slowly; the other axes move in one direction at a time.
         repeats = int(rng.integers(3, 6)) if is_slew and rng.random() < 0.7 else int(rng.integers(1, 3))
         sign = 1.0 if rng.random() < 0.5 else -1.0
         for _ in range(repeats):
@@ -79,7 +79,7 @@ def _strokes_of_axis(
 
 
 def _after_pauses(time: float, duration: float, pauses: list[tuple[float, float]]) -> float:
-    """The first moment from ``time`` on at which a stroke of ``duration`` meets no pause."""
+    """The first time from ``time`` on at which a stroke of ``duration`` does not overlap a pause."""
     for start, end in pauses:
         if time < end and time + duration > start:
             time = end
@@ -116,11 +116,11 @@ def stroke_command(
     clear = margin * (high - low)
     level = abs(strokes[k, LEVEL])
     if state[DIRECTION] == 0.0:
-        wish = 1.0 if strokes[k, LEVEL] > 0.0 else -1.0
+        sign = 1.0 if strokes[k, LEVEL] > 0.0 else -1.0
         travel = level * speed * (strokes[k, DURATION] - strokes[k, EDGE])
-        room = high - clear - position if wish > 0.0 else position - low - clear
-        other = position - low - clear if wish > 0.0 else high - clear - position
-        state[DIRECTION] = -wish if room < travel and other > room else wish
+        room = high - clear - position if sign > 0.0 else position - low - clear
+        other = position - low - clear if sign > 0.0 else high - clear - position
+        state[DIRECTION] = -sign if room < travel and other > room else sign
         state[HELD] = 1.0
     direction = state[DIRECTION]
     stopping = clear + 0.25 * level * speed

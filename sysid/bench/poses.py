@@ -1,4 +1,4 @@
-"""The calibration routine: drives to random poses one after the other and holds still at each."""
+"""The calibration routine: moves to random poses one after the other and holds each."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ Array = npt.NDArray[np.float64]
 #: Columns of the routine's state: pose being taken, 0 = driving or the moment of arrival [s].
 POSE, ARRIVED = range(2)
 
-#: Smallest lever, and by how much it exceeds a wider overlap; share of speed per remaining distance [1/s].
-KICK = 0.26
+#: Least command, its excess over a wider overlap, and the gain of the approach [1/s].
+MIN_LEVER = 0.26
 BEYOND_OVERLAP = 0.06
 APPROACH = 2.5
 #: An axis has arrived within this share of its range; the pose need not be exact, only still.
@@ -37,9 +37,9 @@ def draw_targets(recipe: BenchRecipe, count: int, rng: np.random.Generator) -> A
 
 @compiled
 def approach_command(position: float, target: float, low: float, high: float, speed: float, overlap: float) -> float:
-    """Lever that brings a drive to ``target``, past the ``overlap`` of its valve, and is zero once it is there."""
+    """Command that moves a drive to ``target``, beyond the ``overlap`` of its valve; zero on arrival."""
     error = target - position
     if abs(error) < TOLERANCE * (high - low):
         return 0.0
-    size = min(max(KICK, overlap + BEYOND_OVERLAP) + APPROACH * abs(error) / speed, 1.0)
+    size = min(max(MIN_LEVER, overlap + BEYOND_OVERLAP) + APPROACH * abs(error) / speed, 1.0)
     return size if error > 0.0 else -size

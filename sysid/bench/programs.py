@@ -1,7 +1,7 @@
-"""Excitation programs: what is recorded to learn one thing about the machine, beside an operator's work.
+"""Excitation programs for single properties of the machine, beside an operator's work.
 
-A program fills the same table of strokes as the operator (:mod:`sysid.bench.operator`), so that the same hand looks for room
-before a stroke and lets go near an end stop. Axes take turns unless the program moves all of them at once.
+A program fills the same table of strokes as the operator (:mod:`sysid.bench.operator`), with the same rules near the end stops.
+Axes take turns unless the program moves all of them at once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def strokes_of(recipe: BenchRecipe, recording: RecordingSettings, rng: np.random
         return draw_strokes(recipe.operator, recording.seconds, rng)
     begin = recipe.operator.parked
     if recording.program == "flight":
-        return np.full((len(AXES), 1, 4), np.inf)  # no hand on any lever
+        return np.full((len(AXES), 1, 4), np.inf)  # no strokes
     if recording.program == "script":
         per_axis: list[list[Stroke]] = [
             [(s.start, s.duration, s.level, s.edge) for s in recording.strokes if s.axis == name] for name in AXES
@@ -57,7 +57,7 @@ def _in_turns(begin: float, end: float, pattern: Callable[[int], list[Stroke]]) 
 
 
 def _reversals(begin: float, end: float, rng: np.random.Generator) -> list[list[Stroke]]:
-    """Slow reversals: play and hysteresis show where the direction turns, friction where the speed is low."""
+    """Slow reversals: for backlash, hysteresis and friction at low speed."""
 
     def pattern(turn: int) -> list[Stroke]:
         level = float(rng.uniform(0.28, 0.40))
@@ -67,7 +67,7 @@ def _reversals(begin: float, end: float, rng: np.random.Generator) -> list[list[
 
 
 def _stairs(begin: float, end: float, rng: np.random.Generator) -> list[list[Stroke]]:
-    """Small commands in rising pulses, both ways: overlap, stiction, break-away."""
+    """Small commands in rising pulses, both ways: for overlap, stiction and break-away."""
     levels = np.arange(0.04, 0.37, 0.04)
 
     def pattern(turn: int) -> list[Stroke]:
@@ -78,7 +78,7 @@ def _stairs(begin: float, end: float, rng: np.random.Generator) -> list[list[Str
 
 
 def _steps(begin: float, end: float, rng: np.random.Generator) -> list[list[Stroke]]:
-    """Steps of one axis at several amplitudes: delay, lag, gain, its curve, its two sides, ringing."""
+    """Steps of one axis at several amplitudes: for delay, lag, gain, gain curve, asymmetry and oscillation."""
 
     def pattern(turn: int) -> list[Stroke]:
         levels = (0.35, 0.6, 0.85, 1.0)
@@ -89,7 +89,7 @@ def _steps(begin: float, end: float, rng: np.random.Generator) -> list[list[Stro
 
 
 def _together(begin: float, end: float, rng: np.random.Generator) -> list[list[Stroke]]:
-    """One axis, then all at once with wide levers: what the axes take from each other."""
+    """One axis, then all at once with large commands: for the shared pump."""
     per_axis: list[list[Stroke]] = [[] for _ in AXES]
     time = begin
     while True:
@@ -105,7 +105,7 @@ def _together(begin: float, end: float, rng: np.random.Generator) -> list[list[S
 
 
 def _rest(begin: float, end: float, rng: np.random.Generator) -> list[list[Stroke]]:
-    """Out to a loaded pose, then no lever is touched for long: leakage, drift, sag."""
+    """Move to a loaded pose, then a long rest: for leakage, drift and sag."""
     per_axis: list[list[Stroke]] = [[] for _ in AXES]
     time = begin
     while time + 4.0 < end:
@@ -126,9 +126,9 @@ _PROGRAMS: dict[str, Callable[[float, float, np.random.Generator], list[list[Str
 
 
 def check_script(recording: RecordingSettings) -> str | None:
-    """What is wrong with the strokes of a script, None if nothing."""
+    """The error in the strokes of a script, or None."""
     if (recording.program == "script") != bool(recording.strokes):
-        return "strokes are what the program 'script' is made of, and only that"
+        return "strokes belong to the program 'script', and only to it"
     for name in AXES:
         end = -math.inf
         for stroke in sorted((s for s in recording.strokes if s.axis == name), key=lambda s: s.start):

@@ -2,7 +2,7 @@
 
 Every feature has a neutral setting (its default), so that a recipe switches on exactly what it names.
 Effects carry the parameter conventions of ``docs/effects``: a dead-band takes ``positive`` and ``negative`` off the command and
-leaves the slope, play is given by its full width, ``direction_ratio`` is the speed at command −1 over the speed at +1.
+leaves the slope, backlash is given by its full width, ``direction_ratio`` is the speed at command −1 over that at +1.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from sysid.errors import SettingsError, nearest
 
 #: The axes of the crane, from the base outwards. Cylinders move the second and third, the others are driven directly.
 AXES = ("slew", "boom", "stick", "telescope")
+#: The axes that have a draw wire: two cylinders and the telescope.
+WIRED = AXES[1:]
 
 
 @dataclass(frozen=True)
@@ -26,16 +28,16 @@ class ValveSettings:
     """From the command to the speed of one drive.
 
     Args:
-        gain: speed at command 1 [m/s or rad/s] before the dead-band takes its share.
+        gain: speed per opening [m/s or rad/s], so that of command 1 without a dead-band.
         delay: transport delay [s].
         time_constant: first-order lag of the spool [s]; 0 = none.
         deadband_positive, deadband_negative: overlap of the spool on either side [command], both ≥ 0.
         saturation: opening beyond which the flow no longer rises [command].
         direction_ratio: speed at −1 over speed at +1 (area ratio of a cylinder).
-        notch: share of the full opening over which V-notches meter before the land's whole edge does; 0 = a plain land.
-        taper: how much wider the metering edge is at full opening than on average, as a share; below 0: narrower.
-        silt: command that frees a spool which has come to rest with its ports closed (particles lock it); then it moves freely.
-        spool_speed: fastest that pilot oil or the driver's ramp lets the spool travel [command/s].
+        notch: share of the full opening over which V-notches meter before the whole edge does; 0 = no notches.
+        taper: relative excess width of the metering edge at full opening over the average; below 0: narrower.
+        silt: command that frees a spool which rests with closed ports (locked by particles); then it moves freely.
+        spool_speed: largest speed of the spool, limited by pilot stage or ramp [command/s].
         disturbance: standard deviation of a slow relative flow fluctuation [1].
         disturbance_time: its correlation time [s].
     """
@@ -81,10 +83,10 @@ class AxisSettings:
     Args:
         limits, park: range of the joint and where it is parked [rad or m].
         cylinder: None = the joint is driven directly.
-        backlash: full width of the play between drive and structure [rad or m].
-        drive: the simple model of the valve alone, or the hydraulic circuit with the booms' dynamics (needs ``hydraulics``).
-        stiffness: of the structure at the joint [N·m/rad]; it sags under its weight and swings with ``flex_damping`` (ratio).
-        irregular: what the drive does that nobody has a name for (of a simple valve only).
+        backlash: full width between drive and structure [rad or m].
+        drive: the simple model of the valve, or the hydraulic circuit with the booms' dynamics (needs ``hydraulics``).
+        stiffness: of the structure at the joint [N·m/rad]; it sags under its weight; ``flex_damping``: damping ratio.
+        irregular: behaviour of the drive outside the catalogue (of a simple valve only).
     """
 
     __pydantic_config__ = STRICT
@@ -114,7 +116,7 @@ class GeometrySettings:
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """How the machine was built, as against its drawing (``geometry``) and the zero of its joints.
+    """Deviations of the built machine from its drawing (``geometry``) and the zeros of its joints.
 
     Args:
         boom, stick: length errors of the links [m].
@@ -130,10 +132,10 @@ class BuildSettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """A sensor that reads ``scale``·value + ``bias`` in whole ``quantum`` (SI) where its data sheet says value.
+    """A sensor that reads ``scale``·value + ``bias`` in multiples of ``quantum`` (SI).
 
-    A draw wire may be hooked up ``aside`` of the line it measures, ``standoff`` ahead of its drum at zero [m]: it then reads
-    how much longer it gets, ``√((standoff + value)² + aside²) − √(standoff² + aside²)``.
+    A draw wire may be mounted ``aside`` of the line it measures, ``standoff`` ahead of its drum at zero [m]: it then reads
+    ``√((standoff + value)² + aside²) − √(standoff² + aside²)``.
     """
 
     __pydantic_config__ = STRICT
@@ -170,7 +172,7 @@ class WireSettings:
 class SlewSensorSettings:
     """An inductive angle sensor: smooth systematic error (bound), white noise, the quantum of its converter [rad].
 
-    ``mount``: whether it turns with the structure or with the drive, before any play.
+    ``mount``: on the structure or on the drive, before the backlash.
     """
 
     __pydantic_config__ = STRICT
@@ -183,12 +185,12 @@ class SlewSensorSettings:
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """The machine's computer: its cycle [Hz], its clock at the start of the first recording [ns], and the way into the log.
+    """The machine's computer: its cycle [Hz], its clock at the start of the first recording [ns], and its log.
 
     A message is published ``publish_delay`` after its stamp and logged ``transport_delay`` later still [s];
     each delay has an exponentially distributed part of the given ``jitter`` (mean, [s]).
-    ``log``: what is recorded, messages (``mcap``) or the frames of the bus (``blf``, ``asc``), which the logger stamps when
-    they are published; the first one is mapped by the site's recipe.
+    ``log``: formats, messages (``mcap``) or CAN frames (``blf``, ``asc``), which the logger stamps when they are published;
+    the site's recipe maps the first one.
     """
 
     __pydantic_config__ = STRICT
@@ -203,7 +205,7 @@ class ControllerSettings:
 
 @dataclass(frozen=True)
 class StrokeSettings:
-    """One push of the lever of ``axis``: start [s], duration [s], level [command], and its smooth edges [s]."""
+    """One stroke of ``axis``: start [s], duration [s], level [command], and its smooth edges [s]."""
 
     __pydantic_config__ = STRICT
 
@@ -218,7 +220,7 @@ class StrokeSettings:
 class RecordingSettings:
     """One recording: ``seconds`` of a ``program`` (an operator by default), or ``poses`` poses of the calibration routine.
 
-    ``strokes`` are those of the program ``script``; ``flight`` is a controller's work, not a hand's.
+    ``strokes`` are those of the program ``script``; ``flight`` is closed-loop operation by a controller.
     """
 
     __pydantic_config__ = STRICT
@@ -237,11 +239,11 @@ class RecordingSettings:
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """How the operator moves.
+    """Behaviour of the operator.
 
     Args:
         parked: rest at the start [s].
-        pause_every, pause: about how often no lever is touched [s], and for how long (range, [s]).
+        pause_every, pause: mean time between pauses of all axes [s], and their duration (range, [s]).
         slow_share: share of slow strokes around the dead-band.
         margin: share of the range kept clear at either end stop.
     """
@@ -257,7 +259,7 @@ class OperatorSettings:
 
 @dataclass(frozen=True)
 class RoutineSettings:
-    """The calibration routine: waits ``settle`` after arriving, then records the still machine for ``hold`` [s]."""
+    """The calibration routine: waits ``settle`` after arrival, then records the machine at rest for ``hold`` [s]."""
 
     __pydantic_config__ = STRICT
 
@@ -269,7 +271,7 @@ class RoutineSettings:
 
 @dataclass(frozen=True)
 class HiddenSettings:
-    """An effect of the machine (contract name and target) that its description keeps back."""
+    """An effect of the machine (contract name and target) that its description does not contain."""
 
     __pydantic_config__ = STRICT
 
@@ -305,14 +307,18 @@ class BenchRecipe:
     hidden: tuple[HiddenSettings, ...] = ()
 
     @property
-    def built(self) -> GeometrySettings:
-        """The links as they are."""
+    def built_geometry(self) -> GeometrySettings:
+        """The links of the built machine."""
         return GeometrySettings(
             self.geometry.height, self.geometry.boom + self.build.boom, self.geometry.stick + self.build.stick
         )
 
     def sensor(self, signal: str) -> SensorSettings | None:
         return next((sensor for sensor in self.sensors if sensor.signal == signal), None)
+
+    def drive_signal(self, axis: str) -> str:
+        """The signal that measures the drive of an axis."""
+        return f"{axis}.{'cylinder' if self.axes[axis].cylinder is not None else 'joint'}"
 
     def axis(self, name: str) -> AxisSettings:
         return self.axes[name]

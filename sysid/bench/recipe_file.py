@@ -1,4 +1,4 @@
-"""Reading a bench recipe, and refusing what describes no machine that could be simulated."""
+"""Reading and checking of a bench recipe."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def load_recipe(path: Path) -> BenchRecipe:
     """Read and check a bench recipe.
 
     Raises:
-        SettingsError: an unknown key, an axis that is missing, a value that no machine can have.
+        SettingsError: an unknown key, a missing axis, an invalid value.
     """
     recipe = load_settings(path, BenchRecipe)
     check_recipe(recipe, path)
@@ -23,7 +23,7 @@ def load_recipe(path: Path) -> BenchRecipe:
 
 
 def check_recipe(recipe: BenchRecipe, where: object) -> None:
-    """Raise where ``recipe`` describes no machine that can be simulated."""
+    """Raise SettingsError where ``recipe`` cannot be simulated."""
     if sorted(recipe.axes) != sorted(AXES):
         odd = sorted(set(recipe.axes) ^ set(AXES))[0]
         raise SettingsError(f"{where}: axes", f"{odd!r} is missing or not an axis of the crane", f"exactly {', '.join(AXES)}")
@@ -36,12 +36,19 @@ def check_recipe(recipe: BenchRecipe, where: object) -> None:
         )
     for name, axis in recipe.axes.items():
         _check_axis(axis, f"{where}: axes.{name}")
-    if not 0.0 <= recipe.masses.balanced <= 1.0:
-        raise SettingsError(f"{where}: masses.balanced", f"{recipe.masses.balanced}", "a share from 0 to 1 of the weights")
-    if recipe.supply.rated is not None and not recipe.supply.rated > 0.0:
-        raise SettingsError(f"{where}: supply.rated", f"{recipe.supply.rated}", "more than zero")
-    if recipe.supply.parked < 0.0:
-        raise SettingsError(f"{where}: supply.parked", f"{recipe.supply.parked}", "zero or more")
+    _require(
+        0.0 <= recipe.masses.balanced <= 1.0,
+        f"{where}: masses.balanced",
+        recipe.masses.balanced,
+        "a share from 0 to 1 of the weights",
+    )
+    _require(
+        recipe.supply.rated is None or recipe.supply.rated > 0.0,
+        f"{where}: supply.rated",
+        recipe.supply.rated,
+        "more than zero",
+    )
+    _require(recipe.supply.parked >= 0.0, f"{where}: supply.parked", recipe.supply.parked, "zero or more")
     for name in recipe.build.joint_offset:
         if name not in AXES:
             raise SettingsError(f"{where}: build.joint_offset", f"unknown axis {name!r}", nearest(name, AXES))
@@ -57,32 +64,30 @@ def check_recipe(recipe: BenchRecipe, where: object) -> None:
             raise SettingsError(place, wrong, "strokes of one axis one after the other, edges up to half of each")
     _check_swaps(recipe, where)
     for key, kinds in (("controller.log", recipe.controller.log), ("capture.export", recipe.capture.export)):
-        if not kinds or len(set(kinds)) < len(kinds):
-            raise SettingsError(f"{where}: {key}", f"{list(kinds)}", "at least one format, each once")
+        once = bool(kinds) and len(set(kinds)) == len(kinds)
+        _require(once, f"{where}: {key}", list(kinds), "at least one format, each once")
+
+
+def _require(holds: bool, where: str, found: object, expected: str) -> None:
+    """Raise where a setting does not hold."""
+    if not holds:
+        raise SettingsError(where, f"{found}", expected)
 
 
 def _check_axis(axis: AxisSettings, where: str) -> None:
     valve = axis.valve
     for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "silt", "disturbance"):
-        if not getattr(valve, key) >= 0.0:
-            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "zero or more")
+        _require(getattr(valve, key) >= 0.0, f"{where}.valve.{key}", getattr(valve, key), "zero or more")
     for key in ("gain", "saturation", "direction_ratio", "disturbance_time", "spool_speed"):
-        if not getattr(valve, key) > 0.0:
-            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
-    if not 0.0 <= valve.notch <= 1.0:
-        raise SettingsError(f"{where}.valve.notch", f"{valve.notch}", "a share from 0 to 1 of the full opening")
-    if not -1.0 < valve.taper < 1.0:
-        raise SettingsError(f"{where}.valve.taper", f"{valve.taper}", "a share between -1 and 1 of the edge's width")
-    if axis.backlash < 0.0:
-        raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
-    if not axis.stiffness > 0.0:
-        raise SettingsError(f"{where}.stiffness", f"{axis.stiffness}", "more than zero")
-    if not 0.0 <= axis.flex_damping < 1.0:
-        raise SettingsError(f"{where}.flex_damping", f"{axis.flex_damping}", "a damping ratio from 0 to below 1")
+        _require(getattr(valve, key) > 0.0, f"{where}.valve.{key}", getattr(valve, key), "more than zero")
+    _require(0.0 <= valve.notch <= 1.0, f"{where}.valve.notch", valve.notch, "a share from 0 to 1 of the full opening")
+    _require(-1.0 < valve.taper < 1.0, f"{where}.valve.taper", valve.taper, "a share between -1 and 1 of the edge's width")
+    _require(axis.backlash >= 0.0, f"{where}.backlash", axis.backlash, "zero or more")
+    _require(axis.stiffness > 0.0, f"{where}.stiffness", axis.stiffness, "more than zero")
+    _require(0.0 <= axis.flex_damping < 1.0, f"{where}.flex_damping", axis.flex_damping, "a damping ratio from 0 to below 1")
     _check_hydraulics(axis, where)
     for key in ("pitch", "ripple_frequency", "fade_time"):
-        if not getattr(axis.irregular, key) > 0.0:
-            raise SettingsError(f"{where}.irregular.{key}", f"{getattr(axis.irregular, key)}", "more than zero")
+        _require(getattr(axis.irregular, key) > 0.0, f"{where}.irregular.{key}", getattr(axis.irregular, key), "more than zero")
     low, high = axis.limits
     if not low < axis.park < high:
         raise SettingsError(f"{where}.park", f"{axis.park}", f"a value inside the limits [{low}, {high}]")
@@ -98,11 +103,9 @@ def _check_hydraulics(axis: AxisSettings, where: str) -> None:
         return
     positive = ("area", "area_rod", "dead_volume", "spool_frequency", "spool_damping", "stribeck_velocity", "bristle", "relief")
     for key in positive:
-        if not getattr(settings, key) > 0.0:
-            raise SettingsError(f"{where}.hydraulics.{key}", f"{getattr(settings, key)}", "more than zero")
+        _require(getattr(settings, key) > 0.0, f"{where}.hydraulics.{key}", getattr(settings, key), "more than zero")
     for key in ("flow_force", "hysteresis", "meter_out_lap", "leakage", "spool_leakage", "coulomb", "static", "viscous"):
-        if not getattr(settings, key) >= 0.0:
-            raise SettingsError(f"{where}.hydraulics.{key}", f"{getattr(settings, key)}", "zero or more")
+        _require(getattr(settings, key) >= 0.0, f"{where}.hydraulics.{key}", getattr(settings, key), "zero or more")
     if settings.spool_frequency > 500.0:
         raise SettingsError(f"{where}.hydraulics.spool_frequency", f"{settings.spool_frequency} Hz", "at most 500 Hz")
 

@@ -5,7 +5,7 @@ plane about the vertical. With the planar joints p = (boom, stick, telescope):
 
     M(p)·p̈ + h(p, ṗ, ψ̇) + g(p) = τ,        J(p)·ψ̈ + J̇·ψ̇ = τ_slew.
 
-A gripper that swings loads the tip with its weight; sideways it pulls through its rod only (:func:`rod_force`).
+A swinging gripper loads the tip with its weight; horizontally only through its rod (:func:`rod_force`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GRAVITY = 9.81
 
 
 class RigidBodies(NamedTuple):
-    """Masses and lengths as numbers the compiled loop can take; ``swings`` 1 = the hanging mass is free sideways."""
+    """Masses and lengths for compiled code; ``swings`` 1 = the hanging mass is free horizontally."""
 
     column_inertia: float
     boom: float

@@ -1,4 +1,4 @@
-"""One recording of the simulated test bench: what happened, and what its computer and the capture system saw of it."""
+"""One recording of the simulated test bench: the true motion, and the logs of its computer and of the capture system."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ import numpy.typing as npt
 
 from sysid.bench.capture import Capture, capture
 from sysid.bench.machine import Truth, run_machine
-from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.sensors import read_slew, read_wires, through
+from sysid.bench.recipe import BenchRecipe, RecordingSettings
+from sysid.bench.sensors import read_machine
 
 Array = npt.NDArray[np.float64]
-
-#: The axes that have a draw wire, with what it measures: two cylinders and the telescope.
-WIRED = ("boom", "stick", "telescope")
 
 #: Recordings are taken this far apart; the machine's clock runs on between them [s].
 BETWEEN_RECORDINGS = 600.0
@@ -23,7 +20,7 @@ BETWEEN_RECORDINGS = 600.0
 
 @dataclass(frozen=True)
 class MachineLog:
-    """What the machine's computer measured and sent, once a controller cycle.
+    """Measurements and commands of the machine's computer, once per controller cycle.
 
     Args:
         stamps: when it was measured or sent, on the machine's clock (n,) [ns].
@@ -58,7 +55,7 @@ def simulate(recipe: BenchRecipe, recording: str | RecordingSettings) -> Run:
         SettingsError: the recipe has no recording of that name.
     """
     chosen = recipe.recording(recording) if isinstance(recording, str) else recording
-    # Streams of random numbers of their own: switching one feature leaves the numbers of the others as they were.
+    # Separate random streams, so that a change of one feature does not change the noise of the others.
     motion, sensors, camera, network = (np.random.default_rng([recipe.seed, chosen.seed, part]) for part in range(4))
     truth = run_machine(recipe, chosen, motion)
     names = [each.name for each in recipe.recordings]
@@ -80,15 +77,10 @@ def _read_machine(
     step = truth.time[1] - truth.time[0]
     ticks = np.arange(0, len(truth.time), round(1.0 / (controller.rate * step)))
     if recording.is_calibration:
-        # The recorder is triggered by the routine and thinned: it writes only while a pose is held.
+        # The routine triggers the recorder, at a lower rate and only while a pose is held.
         thinned = ticks[:: max(round(controller.rate / recipe.routine.log_rate), 1)]
         ticks = thinned[np.searchsorted(truth.still.ravel(), truth.time[thinned]) % 2 == 1]
-    columns = [AXES.index(name) for name in WIRED]
-    wires = read_wires(truth.drive[ticks][:, columns], recipe.draw_wire, sensors)
-    turned = truth.drive if recipe.slew_sensor.mount == "drive" else truth.joint
-    slew = read_slew(turned[ticks, 0], recipe.slew_sensor, sensors)
-    signals = [f"{name}.{'cylinder' if recipe.axis(name).cylinder is not None else 'joint'}" for name in WIRED]
-    wires = np.stack([through(wires[:, k], recipe.sensor(signal)) for k, signal in enumerate(signals)], axis=1)
+    wires, slew = read_machine(recipe, truth.drive[ticks], truth.joint[ticks], sensors)
     stamps = start_ns + np.round(truth.time[ticks] * 1e9).astype(np.int64)
     shape = (len(ticks), 3)
     published = controller.publish_delay + controller.jitter * network.exponential(size=shape)
@@ -99,5 +91,5 @@ def _read_machine(
         logged=stamps[:, None] + np.round(arrived * 1e9).astype(np.int64),
         command=truth.command[ticks],
         wires=wires,
-        slew=through(slew, recipe.sensor("slew.joint")),
+        slew=slew,
     )

@@ -1,4 +1,4 @@
-"""Seal friction with elastic bristles (LuGre): it sticks, breaks away, and slides with a Stribeck dip.
+"""Seal friction with elastic bristles (LuGre): sticking, break-away, and sliding with the Stribeck effect.
 
     ż = v − σ0·|v|/g(v)·z,   F = σ0·z + σ1·ż·e^(−(v/vs)²) + σ2·v,   g(v) = Fc + (Fs − Fc)·e^(−(v/vs)²).
 
@@ -11,7 +11,7 @@ import math
 
 from sysid.bench.compiled import compiled
 
-#: σ1/σ0: how fast the bristles damp out [s].
+#: σ1/σ0: damping of the bristles over their stiffness [s].
 BRISTLE_TIME = 3e-4
 
 
@@ -25,7 +25,7 @@ def seal_step(
     near = math.exp(-((speed / stribeck) ** 2))
     level = coulomb + (max(static, coulomb) - coulomb) * near
     rate = stiffness * abs(speed) / level
-    # Exact for a speed held over the step: never past its sliding deflection, whatever the step.
+    # Exact for a constant speed over the step: never beyond the sliding deflection.
     if rate * step > 1e-9:
         end = math.copysign(level / stiffness, speed)
         after = end + (bristle - end) * math.exp(-rate * step)

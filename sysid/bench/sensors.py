@@ -5,23 +5,32 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.recipe import SensorSettings, SlewSensorSettings, WireSettings
+from sysid.bench.recipe import AXES, WIRED, BenchRecipe, SensorSettings, SlewSensorSettings, WireSettings
 
 Array = npt.NDArray[np.float64]
 
 
 def converted(values: Array, quantum: float) -> Array:
-    """``values`` as a converter gives them, in whole quanta; 0 = as they are."""
+    """``values`` in whole quanta; 0 = not quantised."""
     return np.round(values / quantum) * quantum if quantum > 0.0 else values
 
 
 def through(values: Array, sensor: SensorSettings | None) -> Array:
-    """Readings of a sensor that is off, from those of its data sheet."""
+    """Readings of a sensor with its errors, from ideal readings."""
     if sensor is None:
         return values
     if sensor.aside != 0.0:
         values = np.hypot(sensor.standoff + values, sensor.aside) - np.hypot(sensor.standoff, sensor.aside)
     return converted(sensor.scale * values + sensor.bias, sensor.quantum)
+
+
+def read_machine(recipe: BenchRecipe, drive: Array, joint: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Readings of the draw wires (…, 3) [m] and of the slewing sensor (…) [rad] at true drives and joints (…, 4)."""
+    wires = read_wires(drive[..., [AXES.index(name) for name in WIRED]], recipe.draw_wire, rng)
+    slew = read_slew((drive if recipe.slew_sensor.mount == "drive" else joint)[..., 0], recipe.slew_sensor, rng)
+    sensors = [recipe.sensor(recipe.drive_signal(name)) for name in WIRED]
+    wires = np.stack([through(wires[..., k], sensor) for k, sensor in enumerate(sensors)], axis=-1)
+    return wires, through(slew, recipe.sensor("slew.joint"))
 
 
 def read_wires(lengths: Array, settings: WireSettings, rng: np.random.Generator) -> Array:

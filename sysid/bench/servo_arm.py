@@ -1,7 +1,7 @@
 """An arm of servo axes in the vertical plane.
 
-A drive follows its commanded position as an inner speed loop does: late, no faster than its rate limit, and it stops short by
-what friction holds against its stiffness; behind it come play and the sag of the structure.
+A drive follows its commanded position like an inner speed loop: with delay, lag and rate limit, and with a steady-state error
+by friction over stiffness; behind it come backlash and the sag of the structure.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.compiled import compiled
-from sysid.bench.drivetrain import follow_with_play
+from sysid.bench.drivetrain import follow_with_backlash
 from sysid.bench.excursions import draw_path
 from sysid.bench.joint_recipe import STEP, ServoArm, Take
 from sysid.bench.valve import delayed, spool_step
@@ -25,13 +25,13 @@ def run_servo_arm(arm: ServoArm, take: Take) -> tuple[Array, Array, Array]:
     rng = np.random.default_rng([arm.seed, take.seed])
     cycle = 1.0 / arm.rate
     ticks = round(take.seconds * arm.rate)
-    wanted = np.stack([draw_path(axis.limits, ticks, cycle, rng) for axis in arm.axes], axis=1)
+    setpoint = np.stack([draw_path(axis.limits, ticks, cycle, rng) for axis in arm.axes], axis=1)
     per_cycle = round(cycle / STEP)
-    drives = np.empty_like(wanted)
-    joints = np.empty_like(wanted)
+    drives = np.empty_like(setpoint)
+    joints = np.empty_like(setpoint)
     for i, axis in enumerate(arm.axes):
         _servo(
-            np.ascontiguousarray(wanted[:, i]),
+            np.ascontiguousarray(setpoint[:, i]),
             (axis.delay, min(axis.rate_limit, 1e9), axis.time_constant, axis.standing_error, axis.backlash),
             cycle,
             per_cycle,
@@ -44,7 +44,7 @@ def run_servo_arm(arm: ServoArm, take: Take) -> tuple[Array, Array, Array]:
     moments = gravity_moments(arm, drives)
     for i, axis in enumerate(arm.axes):
         joints[:, i] -= axis.compliance * moments[:, i]
-    return np.arange(ticks, dtype=np.float64) * cycle, wanted, joints
+    return np.arange(ticks, dtype=np.float64) * cycle, setpoint, joints
 
 
 def gravity_moments(arm: ServoArm, joints: Array) -> Array:
@@ -62,19 +62,19 @@ def gravity_moments(arm: ServoArm, joints: Array) -> Array:
 
 
 @compiled
-def _servo(wanted: Array, servo: tuple[float, float, float, float, float], cycle: float, per_cycle: int, out: Array) -> None:
-    delay, rate_limit, time_constant, standing, play = servo
-    limited = wanted[0]
-    drive = wanted[0]
-    filtered = wanted[0]
-    structure = wanted[0]
-    for k in range(len(wanted)):
+def _servo(setpoint: Array, servo: tuple[float, float, float, float, float], cycle: float, per_cycle: int, out: Array) -> None:
+    delay, rate_limit, time_constant, standing_error, play = servo
+    limited = setpoint[0]
+    drive = setpoint[0]
+    filtered = setpoint[0]
+    structure = setpoint[0]
+    for k in range(len(setpoint)):
         out[k] = structure
         for j in range(per_cycle):
             time = k * cycle + j * STEP
-            target = delayed(wanted[: k + 1], cycle, time, STEP, delay)
+            target = delayed(setpoint[: k + 1], cycle, time, STEP, delay)
             limited += min(max(target - limited, -rate_limit * STEP), rate_limit * STEP)
             filtered, _ = spool_step(filtered, limited, STEP, time_constant)
-            # Friction holds the drive until the controller's pull exceeds it: it trails its target by that much.
-            drive = follow_with_play(drive, filtered, 2.0 * standing)
-            structure = follow_with_play(structure, drive, play)
+            # Friction holds the drive until the controller's force exceeds it.
+            drive = follow_with_backlash(drive, filtered, 2.0 * standing_error)
+            structure = follow_with_backlash(structure, drive, play)

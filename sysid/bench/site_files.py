@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.capture_recipe import BodySettings, marker_label
-from sysid.bench.recipe import AXES, AxisSettings, BenchRecipe
+from sysid.bench.recipe import AXES, WIRED, AxisSettings, BenchRecipe
 from sysid.bench.write import LOG_FILES, write_database
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ def machine_toml(recipe: BenchRecipe, gains: dict[str, float], effects: Sequence
         if axis.cylinder is not None:
             lines += [f"stroke = [0.0, {axis.cylinder.stroke}]", f"linkage = {_linkage(axis)}"]
     if recipe.draw_wire.noise > 0.0:
-        lines += ["", "[noise]", *(f'"{s}" = {recipe.draw_wire.noise}' for s in _wired(recipe))]
+        lines += ["", "[noise]", *(f'"{s}" = {recipe.draw_wire.noise}' for s in map(recipe.drive_signal, WIRED))]
     for effect in effects:
         parameters = ", ".join(f"{key} = {value:.6g}" for key, value in effect["parameters"].items())
         lines += ["", "[[effects]]", f'name = "{effect["name"]}"', f'target = "{effect["target"]}"']
@@ -48,10 +48,6 @@ def _linkage(axis: AxisSettings) -> str:
     assert c is not None
     sizes = f"a = {c.a}, b = {c.b}, offset = {c.offset}, retracted = {c.retracted}, sense = {c.sense}"
     return f'{{ kind = "triangle", {sizes} }}'
-
-
-def _wired(recipe: BenchRecipe) -> list[str]:
-    return [f"{name}.{'cylinder' if recipe.axis(name).cylinder is not None else 'joint'}" for name in AXES[1:]]
 
 
 def urdf(recipe: BenchRecipe) -> str:
@@ -138,8 +134,10 @@ def _machine_lines(recipe: BenchRecipe) -> list[str]:
         topics, fields = ("VALVE_COMMAND", "DRAW_WIRES", "SLEW_SENSOR"), ("{}", "{}")
     for name in AXES:
         lines += [f'"{name}.command" = {{ topic = "{topics[0]}", field = "{fields[0].format(name)}" }}']
-    for name, signal in zip(AXES[1:], _wired(recipe), strict=True):
-        lines += [f'"{signal}" = {{ topic = "{topics[1]}", field = "{fields[1].format(name)}", unit = "m" }}']
+    for name in WIRED:
+        lines += [
+            f'"{recipe.drive_signal(name)}" = {{ topic = "{topics[1]}", field = "{fields[1].format(name)}", unit = "m" }}'
+        ]
     slew = f'topic = "{topics[2]}", field = "{fields[1].format("slew")}", unit = "rad", primary = false'
     return [*lines, f'"slew.joint" = {{ {slew} }}']
 

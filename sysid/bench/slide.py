@@ -1,6 +1,4 @@
-"""A slide pushed by the force of a position controller; its friction dips with speed (Stribeck), and it sticks.
-
-It sticks rigidly, or on elastic bristles (:mod:`sysid.bench.seal`) that give way before they slide.
+"""A slide moved by the force of a position controller, with Stribeck friction, rigid or on elastic bristles.
 
 Source of the procedure: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019).
 """
@@ -50,10 +48,10 @@ def _slide(
     force: Array,
     position: Array,
 ) -> None:
-    """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round.
+    """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not reverse it.
 
-    The carriage moves by the mean of a sub-step's speeds: by the last one alone it would be half a sub-step early, which passes
-    for 0.2 % of viscous friction.
+    The carriage moves by the mean of the speeds of a sub-step: with the last one it would be half a sub-step early, which looks
+    like 0.2 % of viscous friction.
     """
     mass, coulomb, static, stribeck, viscous, constant, bristle, cogging, waves = numbers
     stiffness, damping, most = drive

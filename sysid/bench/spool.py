@@ -11,32 +11,32 @@ from sysid.bench.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
-#: The friction's plays, of widths evenly spaced up to the widest (Prandtl–Ishlinskii).
-PLAYS = 5
+#: Play operators of the friction, of widths evenly spaced up to the widest (Prandtl–Ishlinskii).
+PLAY_OPERATORS = 5
 
 
 @compiled
-def with_friction(command: float, plays: Array, widest: float) -> float:
-    """The command as the spool feels it: the mean of plays of growing width; ``plays`` (PLAYS,) is their state."""
+def with_hysteresis(command: float, plays: Array, widest: float) -> float:
+    """Command behind the hysteresis: the mean of play operators of growing width, with their state ``plays``."""
     if widest <= 0.0:
         return command
     total = 0.0
-    for k in range(PLAYS):
-        half = 0.5 * widest * (k + 1) / PLAYS
+    for k in range(PLAY_OPERATORS):
+        half = 0.5 * widest * (k + 1) / PLAY_OPERATORS
         plays[k] = min(max(plays[k], command - half), command + half)
         total += plays[k]
-    return total / PLAYS
+    return total / PLAY_OPERATORS
 
 
 @compiled
 def spool_motion(
-    position: float, speed: float, wish: float, push: float, omega: float, damping: float, fastest: float, step: float
+    position: float, speed: float, target: float, push: float, omega: float, damping: float, fastest: float, step: float
 ) -> tuple[float, float]:
     """Position and speed after ``step`` (semi-implicit); ``push`` is the flow force as a displacement [command].
 
-    The pilot oil lets the spool travel no faster than ``fastest`` [command/s].
+    The pilot stage limits the speed of the spool to ``fastest`` [command/s].
     """
-    speed += step * (omega * omega * (wish - push - position) - 2.0 * damping * omega * speed)
+    speed += step * (omega * omega * (target - push - position) - 2.0 * damping * omega * speed)
     speed = min(max(speed, -fastest), fastest)
     position += step * speed
     if position > 1.0 or position < -1.0:
@@ -57,5 +57,5 @@ def edges(position: float, positive: float, negative: float, meter_out_lap: floa
 
 @compiled
 def flow_force(opening: float, drop: float, supply: float, share: float) -> float:
-    """How far the flow pushes the spool back [command]; grows with opening and pressure drop."""
+    """Displacement of the spool by the flow force [command], proportional to opening and pressure drop."""
     return share * opening * math.fabs(drop) / supply

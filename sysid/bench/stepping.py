@@ -1,4 +1,4 @@
-"""One step of the machine: valves, drives, play, linkages, crane and gripper, whoever commands them.
+"""One step of the machine: valves, drives, backlash, linkages, crane and gripper.
 
 :mod:`sysid.bench.machine` steps it through a recording, :mod:`sysid.bench.live` in real time.
 """
@@ -14,9 +14,8 @@ import numpy.typing as npt
 from sysid.bench.circuit import SUB_STEP, Circuit, Supply, advance, at_rest, circuit_of, supply_of
 from sysid.bench.compiled import compiled
 from sysid.bench.crane import tip_position
-from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
-from sysid.bench.drivetrain import follow_with_play
-from sysid.bench.elastic_joint import flex_step
+from sysid.bench.cylinder import Drive, drive_of, joint_of, position_of, within_stops
+from sysid.bench.drivetrain import flex_step, follow_with_backlash
 from sysid.bench.gripper import swing
 from sysid.bench.irregular import Irregular, flow_share, irregular_of
 from sysid.bench.oil import viscosity
@@ -27,14 +26,14 @@ from sysid.bench.valve import ValveNumbers, drive_speed, freed, metered, opening
 Array = npt.NDArray[np.float64]
 
 
-class Built(NamedTuple):
-    """The machine as numbers the compiled step can take.
+class MachineNumbers(NamedTuple):
+    """Parameters of the machine for compiled code.
 
     Args:
         plays: full widths (4,). geometry: height, boom and stick [m]. zeros: true joints less those of the stated zeros (4,).
         oil: start, end, warm-up, reference and thinning. flex: stiffness and damping ratio of each joint, (4, 2).
         gripper: length [m] and damping ratio. stops: joint values at the end stops (4, 2).
-        powered: any axis is moved by the circuit. elastic: any joint gives way.
+        powered: any axis has a hydraulic circuit. elastic: any joint is elastic.
     """
 
     valves: tuple[ValveNumbers, ...]
@@ -55,12 +54,12 @@ class Built(NamedTuple):
 
 
 class BenchState(NamedTuple):
-    """Where everything is; every entry is changed in place.
+    """State of the machine; every entry is changed in place.
 
     Args:
-        position: of the drives (4,). structure: behind the play (4,). joint: of the structure, from the stated zeros (4,).
+        position: of the drives (4,). structure: behind the backlash (4,). joint: of the structure, from the stated zeros (4,).
         received: command at each valve, after its delay (4,). spool, held: of the simple valves (4,).
-        moved, rate, prescribed: joints before the play, and how they move (4,).
+        moved, rate, prescribed: joints before the backlash, their rates and prescribed accelerations (4,).
         hydraulic: see :func:`sysid.bench.circuit.at_rest`. line: pressure of the supply (1,).
         deflection, deflecting, stiff, stiff_rate: of the elastic joints (4,).
         pivot, tool, velocity: boom tip, tool point and its velocity in the base frame (3,).
@@ -91,22 +90,22 @@ def zeros_of(recipe: BenchRecipe) -> Array:
     return np.array([recipe.build.joint_offset.get(name, 0.0) for name in AXES])
 
 
-def built_of(recipe: BenchRecipe) -> Built:
+def machine_numbers(recipe: BenchRecipe) -> MachineNumbers:
     """The machine of ``recipe``."""
     axes = [recipe.axis(name) for name in AXES]
     drives = tuple(drive_of(axis) for axis in axes)
     circuits = tuple(circuit_of(axis, recipe.supply) for axis in axes)
     ends = [sorted((joint_of(drive.low, drive), joint_of(drive.high, drive))) for drive in drives]
     flex = np.array([(axis.stiffness, axis.flex_damping) for axis in axes])
-    return Built(
+    return MachineNumbers(
         tuple(valve_of(axis.valve) for axis in axes),
         tuple(irregular_of(axis.irregular) for axis in axes),
         drives,
         np.array([axis.backlash for axis in axes]),
-        (recipe.built.height, recipe.built.boom, recipe.built.stick),
+        (recipe.built_geometry.height, recipe.built_geometry.boom, recipe.built_geometry.stick),
         zeros_of(recipe),
         circuits,
-        bodies_of(recipe.masses, recipe.built.boom, recipe.built.stick, recipe.gripper.length),
+        bodies_of(recipe.masses, recipe.built_geometry.boom, recipe.built_geometry.stick, recipe.gripper.length),
         supply_of(recipe.supply, recipe.oil),
         (recipe.oil.start, recipe.oil.end, recipe.oil.warm_up, recipe.oil.reference, recipe.oil.thinning),
         flex,
@@ -118,39 +117,39 @@ def built_of(recipe: BenchRecipe) -> Built:
 
 
 @compiled
-def parked(built: Built, park: Array, in_play: Array) -> BenchState:
-    """The machine at rest with its joints at ``park`` (4,), its drives ``in_play`` (4,) off the middle of their play."""
+def parked(numbers: MachineNumbers, park: Array, backlash_offset: Array) -> BenchState:
+    """The machine at rest with its joints at ``park`` (4,), its drives at ``backlash_offset`` (4,) in their backlash."""
     n = len(park)
-    drives = built.drives
+    drives = numbers.drives
     position = np.empty(n)
     structure = np.empty(n)
     joint = park.copy()
     moved = joint.copy()
     for i in range(n):
         structure[i] = position_of(park[i], drives[i])
-        position[i] = against_stops(structure[i] + in_play[i], drives[i].low, drives[i].high)
+        position[i] = within_stops(structure[i] + backlash_offset[i], drives[i].low, drives[i].high)
         moved[i] = joint_of(position[i], drives[i])
-    hydraulic = at_rest(moved, built.circuits, drives, built.bodies, built.supply.parked)
-    line = np.full(1, built.supply.pressure)
+    hydraulic = at_rest(moved, numbers.circuits, drives, numbers.bodies, numbers.supply.parked)
+    line = np.full(1, numbers.supply.pressure)
     deflection = np.zeros(n)
     stiff = joint.copy()
-    if built.elastic:
+    if numbers.elastic:
         mass = np.empty((3, 3))
         bias = np.empty(3)
         weight = np.empty(3)
-        # It was parked long ago: sagged and still.
+        # At rest with its sag.
         for _ in range(50):
-            equations(joint + deflection, np.zeros(n), built.bodies, mass, bias, weight)
+            equations(joint + deflection, np.zeros(n), numbers.bodies, mass, bias, weight)
             for i in range(1, n):
-                if math.isfinite(built.flex[i, 0]):
-                    deflection[i] = -weight[i - 1] / built.flex[i, 0]
+                if math.isfinite(numbers.flex[i, 0]):
+                    deflection[i] = -weight[i - 1] / numbers.flex[i, 0]
         joint += deflection
-    height, boom_length, stick_length = built.geometry
-    true = joint + built.zeros
+    height, boom_length, stick_length = numbers.geometry
+    true = joint + numbers.zeros
     pivot = np.empty(3)
     pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
     tool = pivot.copy()
-    tool[2] -= built.gripper[0]
+    tool[2] -= numbers.gripper[0]
     return BenchState(
         position,
         structure,
@@ -174,23 +173,23 @@ def parked(built: Built, park: Array, in_play: Array) -> BenchState:
 
 
 @compiled
-def advance_machine(built: Built, motion: BenchState, fluctuation: Array, time: float, step: float) -> None:
+def advance_machine(numbers: MachineNumbers, motion: BenchState, fluctuation: Array, time: float, step: float) -> None:
     """Advance ``motion`` by ``step`` [s] under ``motion.received``.
 
     Args:
         fluctuation: relative flow disturbance of each axis in this step (4,).
         time: since the start [s]; oil and irregularities go by it.
     """
-    valves = built.valves
-    drives = built.drives
-    circuits = built.circuits
+    valves = numbers.valves
+    drives = numbers.drives
+    circuits = numbers.circuits
     position = motion.position
     joint = motion.joint
     spool = motion.spool
     moved = motion.moved
     rate = motion.rate
     n = len(position)
-    length, damping_ratio = built.gripper
+    length, damping_ratio = numbers.gripper
     for i in range(n):
         valve = valves[i]
         if circuits[i].enabled != 0.0:
@@ -198,17 +197,17 @@ def advance_machine(built: Built, motion: BenchState, fluctuation: Array, time: 
         target = opening(freed(motion.received[i], spool[i], valve.silt), valve.positive, valve.negative, valve.saturation)
         spool[i], mean = piloted_step(spool[i], target, step, valve.time_constant, valve.spool_speed)
         speed = drive_speed(metered(mean, valve.notch, valve.taper), valve.gain, valve.ratio, fluctuation[i])
-        share, motion.held[i] = flow_share(mean, position[i], time, motion.held[i], built.irregulars[i], step)
-        position[i] = against_stops(position[i] + share * speed * step, drives[i].low, drives[i].high)
-        if built.powered:
+        share, motion.held[i] = flow_share(mean, position[i], time, motion.held[i], numbers.irregulars[i], step)
+        position[i] = within_stops(position[i] + share * speed * step, drives[i].low, drives[i].high)
+        if numbers.powered:
             there_now = joint_of(position[i], drives[i])
             motion.prescribed[i] = ((there_now - moved[i]) / step - rate[i]) / step
             rate[i] = (there_now - moved[i]) / step
             moved[i] = there_now
-    if built.powered:
-        oil = built.oil
+    if numbers.powered:
+        oil = numbers.oil
         thick = viscosity(time, oil[0], oil[1], oil[2], oil[3], oil[4])
-        pull = rod_force(motion.tool, motion.pivot, built.bodies.hanging) if length > 0.0 else (0.0, 0.0)
+        pull = rod_force(motion.tool, motion.pivot, numbers.bodies.hanging) if length > 0.0 else (0.0, 0.0)
         advance(
             moved,
             rate,
@@ -219,9 +218,9 @@ def advance_machine(built: Built, motion: BenchState, fluctuation: Array, time: 
             circuits,
             valves,
             drives,
-            built.bodies,
-            built.supply,
-            built.stops,
+            numbers.bodies,
+            numbers.supply,
+            numbers.stops,
             pull,
             thick,
             step,
@@ -229,13 +228,13 @@ def advance_machine(built: Built, motion: BenchState, fluctuation: Array, time: 
         )
     for i in range(n):
         if circuits[i].enabled != 0.0:
-            position[i] = against_stops(position_of(moved[i], drives[i]), drives[i].low, drives[i].high)
-        motion.structure[i] = follow_with_play(motion.structure[i], position[i], built.plays[i])
+            position[i] = within_stops(position_of(moved[i], drives[i]), drives[i].low, drives[i].high)
+        motion.structure[i] = follow_with_backlash(motion.structure[i], position[i], numbers.plays[i])
         joint[i] = joint_of(motion.structure[i], drives[i])
-    if built.elastic:
-        _flex(joint, motion.stiff, motion.stiff_rate, motion.deflection, motion.deflecting, built.bodies, built.flex, step)
-    true = joint + built.zeros
-    height, boom_length, stick_length = built.geometry
+    if numbers.elastic:
+        _flex(joint, motion.stiff, motion.stiff_rate, motion.deflection, motion.deflecting, numbers.bodies, numbers.flex, step)
+    true = joint + numbers.zeros
+    height, boom_length, stick_length = numbers.geometry
     pivot = np.empty(3)
     pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
     swing(motion.tool, motion.velocity, motion.pivot, pivot, length, damping_ratio, step)

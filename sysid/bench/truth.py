@@ -1,4 +1,4 @@
-"""What is true of the logs and stands in none of them: effects under their contract names, clocks, occlusions."""
+"""The truth about the logs: effects under their contract names, clocks, occlusions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEUTRAL: dict[str, dict[str, float]] = {
 
 
 def describe_effects(recipe: BenchRecipe) -> list[dict[str, Any]]:
-    """Every effect that the recipe switches on: name, target, parameters, and whether the machine description keeps it back."""
+    """Every effect that the recipe switches on: name, target, parameters, and whether it is hidden."""
     hidden = {(item.name, item.target) for item in recipe.hidden}
     effects = [effect for name, axis in recipe.axes.items() for effect in _axis_effects(name, axis)]
     if recipe.gripper.length > 0.0:
@@ -31,7 +31,7 @@ def describe_effects(recipe: BenchRecipe) -> list[dict[str, Any]]:
 
 
 def without_hidden(recipe: BenchRecipe) -> BenchRecipe:
-    """The same machine and recordings with every hidden effect at its neutral setting: nothing is left to be found.
+    """The same machine and recordings with every hidden effect at its neutral setting.
 
     Raises:
         SettingsError: the recipe hides an effect that the simulated test bench does not have.
@@ -72,7 +72,7 @@ def _axis_effects(name: str, axis: AxisSettings) -> list[dict[str, Any]]:
 
 
 def describe_run(run: Run) -> dict[str, Any]:
-    """The clock of one recording, its occlusions and its confused markers, the play's hidden start."""
+    """The clock of one recording, its occlusions and confused markers, and the start of the drives in their backlash."""
     clock = run.capture.clock
     latency = run.recipe.capture.latency
     return {

@@ -1,8 +1,7 @@
 """A proportional valve: from the command to the speed of the drive it feeds.
 
 Order: delay → silt → overlap (dead-band) → saturation → first-order lag of the spool, no faster than its pilot → notches →
-taper → gain → direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace
-in speed or displacement.
+taper → gain → direction ratio. The spool is integrated exactly over a step.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ AT_REST = 0.005
 
 
 class ValveNumbers(NamedTuple):
-    """The settings of one valve as numbers the compiled loop can take."""
+    """Settings of one valve for compiled code."""
 
     gain: float
     delay: float
@@ -97,9 +96,9 @@ def spool_step(position: float, target: float, step: float, time_constant: float
 
 @compiled
 def piloted_step(position: float, target: float, step: float, time_constant: float, fastest: float) -> tuple[float, float]:
-    """:func:`spool_step` of a spool whose pilot stage gives way no faster than ``fastest`` [command/s].
+    """:func:`spool_step` of a spool whose pilot stage limits its speed to ``fastest`` [command/s].
 
-    Far from its target the spool travels at that speed, from ``fastest·time_constant`` on it closes in exponentially.
+    Far from its target the spool moves at that speed; within ``fastest·time_constant`` it approaches exponentially.
     """
     if fastest == math.inf:
         return spool_step(position, target, step, time_constant)
@@ -120,7 +119,7 @@ def piloted_step(position: float, target: float, step: float, time_constant: flo
 
 @compiled
 def freed(command: float, spool: float, silt: float) -> float:
-    """The command that reaches the spool: none while silt locks it where it rests, closer to its centre than ``AT_REST``."""
+    """Command at the spool: zero while silt locks a spool that rests closer to its centre than ``AT_REST``."""
     return 0.0 if abs(spool) < AT_REST and abs(command) < silt else command
 
 

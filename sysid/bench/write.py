@@ -1,4 +1,4 @@
-"""Writing recordings the way a site would hand them over: one folder a recording, ``machine.mcap`` and ``mocap.csv`` in it.
+"""Writing of recordings, one folder each, with ``machine.mcap`` and ``mocap.csv``.
 
 The recipe may choose other formats: ``machine.blf`` or ``machine.asc`` with a database beside the recordings, ``mocap.c3d``.
 """
@@ -23,7 +23,7 @@ LOG_FILES = {
     "c3d": "mocap.c3d",
 }  # fmt: skip
 
-#: The capture computer's wall clock was never set by the machine's [s].
+#: Offset of the capture computer's wall clock from the machine's [s].
 WALL_CLOCK_AHEAD = 37.4
 
 

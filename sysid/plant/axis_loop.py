@@ -16,7 +16,7 @@ from sysid.plant.machine_arrays import CYLINDER, FORCE, HIGH, KIND, LOW, POSITIO
 def begin(s, m, size, position, speed, joint, p, b, first, dt):
     """State of an axis that begins at sample ``first`` of its recording, its first command held since long before.
 
-    ``joint`` NaN begins in the middle of the play.
+    ``joint`` NaN begins in the middle of the backlash.
     """
     for k in range(m, m + size):
         s[k] = np.nan
@@ -28,34 +28,32 @@ def begin(s, m, size, position, speed, joint, p, b, first, dt):
 
 
 @loop
-def run(p, rig, i, s, command, load, share, first, last, dt, drive, joint, own):
+def run(p, arrays, i, s, command, load, share, first, last, dt, drive, joint, net):
     """Samples ``first … last`` from the state ``s``; ``joint`` is only written where the joint itself is driven.
 
-    ``own`` is the network that the axis carries (:class:`sysid.plant.residual.StageResidual`), or None.
+    ``net`` is the residual network of the axis (:class:`sysid.plant.residual.StageResidual`), or None.
     """
-    b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)  # a plain 0 would be a type of its own: all compiled once more
-    fed, jointed = rig.axes[i, KIND] == VELOCITY, rig.axes[i, CYLINDER] == 0.0
-    if own is not None:
-        residual.forget(own.memory)
+    b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)  # a literal 0 has another type and would be compiled separately
+    fed, jointed = arrays.axes[i, KIND] == VELOCITY, arrays.axes[i, CYLINDER] == 0.0
+    if net is not None:
+        residual.reset_memory(net.memory)
     for k in range(first, last):
-        if own is None:
-            wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
-            drive[k] = chain.move(wanted * share[k] if fed else wanted, s, m, rig.axes, i, dt)
+        if net is None:
+            demanded = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
+            drive[k] = chain.move(demanded * share[k] if fed else demanded, s, m, arrays.axes, i, dt)
         else:
             extra = 0.0
-            if rig.axes[i, KIND] != POSITION:
-                extra = residual.look(own.nets, own.row, own.memory, own.commands[k], s[m + STATE.position], load[k], dt)
-            elif k > first:  # a servo stands at a sample where the step before has led it
-                extra = residual.look(
-                    own.nets, own.row, own.memory, own.commands[k - 1], s[m + STATE.position], load[k - 1], dt
-                )
-            if rig.axes[i, KIND] == FORCE:
-                wanted = chain.ask(command[k] - extra, p, s, m, size, rig.axes, i, load[k], dt)
+            if arrays.axes[i, KIND] != POSITION:
+                extra = residual.update_stage(net, k, s[m + STATE.position], load[k], dt)
+            elif k > first:  # the position of a servo at a sample results from the step before
+                extra = residual.update_stage(net, k - 1, s[m + STATE.position], load[k - 1], dt)
+            if arrays.axes[i, KIND] == FORCE:
+                demanded = chain.demand(command[k] - extra, p, s, m, size, arrays.axes, i, load[k], dt)
             else:
-                wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
-                wanted = wanted * share[k] * (1.0 + extra) if fed else wanted + extra
-                if rig.axes[i, KIND] == POSITION:
-                    wanted = min(max(wanted, rig.axes[i, LOW]), rig.axes[i, HIGH])
-            drive[k] = chain.move(wanted, s, m, rig.axes, i, dt)
+                demanded = chain.demand(command[k], p, s, m, size, arrays.axes, i, load[k], dt)
+                demanded = demanded * share[k] * (1.0 + extra) if fed else demanded + extra
+                if arrays.axes[i, KIND] == POSITION:
+                    demanded = min(max(demanded, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
+            drive[k] = chain.move(demanded, s, m, arrays.axes, i, dt)
         if jointed:
             joint[k] = chain.joint_stage(drive[k], p, b, s, m, load[k])

@@ -1,7 +1,7 @@
-"""Where compiled code is kept between processes.
+"""Cache folder of the compiled code.
 
 Numba reuses a cached function even when a step function that it inlined was edited. The cache folder is therefore
-named by a hash of every source that the compiled chain is made of. Imported before anything that compiles.
+named by a hash of all sources of the compiled chain. Imported before anything that compiles.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def source_digest() -> str:
 
 
 def use_cache_folder() -> Path:
-    """Point Numba at a folder of its own for these sources; a temporary one, with a warning, where none can be written."""
+    """Set Numba's cache to a folder for these sources; a temporary one, with a warning, where none can be written."""
     root = Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache")
     folder = root / "sysid" / "numba" / source_digest()[:16]
     try:

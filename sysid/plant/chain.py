@@ -37,7 +37,7 @@ from sysid.plant.machine_arrays import GAIN, HIGH, KIND, LOW, POSITION, SENSE, V
 
 @inlined
 def opening(u, p, b, s, m):
-    """Command → opening that the valve is asked for, before all that takes time."""
+    """Command → demanded opening of the valve, before everything that takes time."""
     u = valve_hysteresis.step(u, p, b + AT.valve_hysteresis, s, m + STATE.valve_hysteresis)
     u = valve_deadband.step(u, p, b + AT.valve_deadband)
     u = gain_curve.step(u, p, b + AT.gain_curve)
@@ -46,10 +46,10 @@ def opening(u, p, b, s, m):
 
 @inlined
 def command_stage(u, p, b, s, m, size, gain, load, dt):
-    """Command → speed that a velocity axis asks for [m/s or rad/s], mean over the step. ``load`` opposes positive motion.
+    """Command → demanded speed of a velocity axis [m/s or rad/s], mean over the step. ``load`` opposes positive motion.
 
-    The dead time comes first in the machine. What has no clock of its own gives the same before and after it, and only behind
-    its bends is the blending of a part of a step exact.
+    The dead time comes first in the machine. Static curves commute with it, and a fraction of a step is interpolated exactly
+    only behind their kinks.
     """
     u = opening(u, p, b, s, m)
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
@@ -66,7 +66,7 @@ def command_stage(u, p, b, s, m, size, gain, load, dt):
 
 @inlined
 def position_stage(u, p, b, s, m, size, dt):
-    """Commanded position → position of a servo axis where the step ends; means over the step are for what integrates them."""
+    """Commanded position → position of a servo axis at the end of the step (the other stages take means over the step)."""
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
     command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
     u = s[m + STATE.command_rate_limit]
@@ -78,7 +78,7 @@ def position_stage(u, p, b, s, m, size, dt):
 def force_stage(u, v, p, b, inertia, dt):
     """Force [N or N·m] → speed after the step.
 
-    Dry friction is applied last and may stop the motion but not turn it round (implicit step), so the axis sticks without
+    Dry friction is applied last and may stop the motion but not reverse it (implicit step), so the axis sticks without
     chattering.
     """
     mass = inertia * p[b + AT.inertia_error]
@@ -106,10 +106,10 @@ def force_at_motion(v, a, p, b, inertia):
 
 
 @inlined
-def ask(u, p, s, m, size, axes, i, load, dt):
-    """What axis ``i`` of ``MachineArrays.axes`` wants to do in this step: mean speed, or the position of a servo.
+def demand(u, p, s, m, size, axes, i, load, dt):
+    """Demand of axis ``i`` of ``MachineArrays.axes`` in this step: mean speed, or the position of a servo.
 
-    ``load`` is the gravity load about the joint. Not inlined: it is long, and called from many places.
+    ``load`` is the gravity load about the joint.
     """
     b, kind, gain = i * AXIS_WIDTH, axes[i, KIND], axes[i, GAIN]
     if kind == VELOCITY:
@@ -122,15 +122,15 @@ def ask(u, p, s, m, size, axes, i, load, dt):
 
 
 @inlined
-def move(wanted, s, m, axes, i, dt):
-    """The motion of the step, up to the end stops; returns the position *before* it, on the sample grid."""
+def move(demanded, s, m, axes, i, dt):
+    """Motion of the step, up to the end stops; returns the position *before* it, on the sample grid."""
     if axes[i, KIND] == POSITION:
-        s[m + STATE.position] = wanted
-        return wanted
+        s[m + STATE.position] = demanded
+        return demanded
     if axes[i, KIND] == VELOCITY:
-        s[m + STATE.speed] = wanted
+        s[m + STATE.speed] = demanded
     position = s[m + STATE.position]
-    moved = position + dt * wanted
+    moved = position + dt * demanded
     if moved > axes[i, HIGH]:
         moved = axes[i, HIGH]
         s[m + STATE.speed] = min(s[m + STATE.speed], 0.0)
@@ -143,14 +143,14 @@ def move(wanted, s, m, axes, i, dt):
 
 @inlined
 def joint_stage(x, p, b, s, m, load):
-    """Drive (behind the linkage) → joint where its sensor is; ``load`` is the gravity moment about the joint."""
+    """Drive (behind the linkage) → joint at its sensor; ``load`` is the gravity moment about the joint."""
     q = backlash.step(x, p, b + AT.backlash_drive, s, m + STATE.backlash_drive)
     return joint_compliance.step(q, p, b + AT.joint_compliance_drive, load)
 
 
 @inlined
 def structure_stage(q, p, b, s, m, load):
-    """Joint where its sensor is → joint of the structure."""
+    """Joint at its sensor → joint of the structure."""
     q = backlash.step(q, p, b + AT.backlash_structure, s, m + STATE.backlash_structure) + p[b + AT.joint_offset]
     return joint_compliance.step(q, p, b + AT.joint_compliance_structure, load)
 

@@ -30,8 +30,8 @@ Array = npt.NDArray[np.float64]
 class ForceFilter:
     """The stated filter. ``still`` is the speed [share of the 95th percentile] below which friction is not determined.
 
-    Nor is it while a reversal passes through the low-pass of the position, half a period long: the filtered speed has
-    changed its sign, or not yet, when the axis itself stands or has gone the other way.
+    Nor is it within half a period of the position's low-pass around a reversal, where the sign of the filtered speed may
+    differ from that of the true speed.
     """
 
     position_hz: float = 50.0
@@ -48,7 +48,7 @@ class ForceInputs:
         rows: rows of the recording that survive, (m,).
         speed, acceleration: on all rows (n,).
         position: low-passed, on all rows (n,).
-        rests: where dry friction has no known sign and the measured force is taken instead (n,).
+        rests: samples at which the sign of dry friction is unknown and the measured force is used instead (n,).
         raw: measured force on all rows, not filtered (n,).
         force: measured force on ``rows`` (m,).
     """
@@ -113,7 +113,7 @@ def force_inputs(
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
     rows = np.arange(edge, len(position) - edge, stride)
-    # At rest friction may take any value below break-away: such samples say nothing about it.
+    # At rest friction may take any value below break-away.
     spread = int(rate / settings.force_hz)
     slow = np.convolve((np.abs(speed) < still).astype(float), np.ones(2 * spread + 1), mode="same") > spread
     measured = np.isin(rows, there)
@@ -126,8 +126,8 @@ def force_inputs(
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:
     """Half a sample where the force was held over each step, none where it was sampled with the motion.
 
-    A log does not say which; half a sample passes for viscous friction. Taken is what leaves less of the force unexplained by
-    acceleration, speed in each direction, its sign and a constant (no effect is named from this fit).
+    A log does not say which, and half a sample looks like viscous friction. The value with the smaller residual of a fit by
+    acceleration, speed in each direction, its sign and a constant is returned (no effect is named from this fit).
     """
     left = []
     for hold in (0.0, 0.5):

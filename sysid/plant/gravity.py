@@ -1,4 +1,4 @@
-"""Gravity loads along a recording: what every axis has to carry at the measured joints."""
+"""Gravity loads on every axis along a recording, at the measured joints."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def gravity_load(machine: Machine, recording: Recording, within: Segments | None
     """Gravity moment about every joint [N·m] or force along it [N], (n, A); above zero where it opposes positive motion.
 
     From the URDF's masses; of one kilogram at the tip where it has none. Zero without a URDF and where a joint is not measured
-    in a whole stretch; gaps of a motion are bridged linearly. The nominal kinematics are used: what a joint offset changes is
-    second order.
+    in a whole stretch; gaps of a motion are interpolated. The kinematics are nominal: a joint offset changes loads in second
+    order only.
 
     Args:
-        within: (m, 2) first and last+1 row of the stretches that matter; elsewhere it is zero. All of them by default.
+        within: (m, 2) first and last+1 row of the stretches to compute; elsewhere the load is zero. All rows by default.
     """
     names = [axis_signal(name, "joint") for name in machine.axis_names]
     axes, links = len(names), links_of(machine.kinematics())
@@ -42,8 +42,3 @@ def gravity_load(machine: Machine, recording: Recording, within: Segments | None
                 column[:] = np.interp(rows, rows[there], column[there])
         loads(neutral, links, base_place(axes), joints, out[first:last])
     return out
-
-
-def measured_joints(recording: Recording, machine: Machine) -> Array:
-    """All joints (n, A)."""
-    return np.column_stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names])

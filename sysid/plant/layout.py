@@ -1,11 +1,11 @@
-"""The flat vectors of a compiled plant: which number stands where.
+"""The flat vectors of a compiled plant: the index of every number.
 
 ``theta = [axis 0 | axis 1 | … | machine | base | tool | signal 0 | signal 1 | …]``; every axis and every signal has the same
 block of slots, neutral values mean "absent". An effect that may sit on two sides has one set of slots for each. The state of
 an axis is one flat row as well, in which NaN means "not begun".
 
-Compiled code takes places from ``AT`` (inside a block of ``theta``) and ``STATE`` (inside the state of an axis): named tuples
-of numbers that the compiler sees as constants. An effect on one side of two is ``<name>_<side>`` there.
+Compiled code takes indices from ``AT`` (inside a block of ``theta``) and ``STATE`` (inside the state of an axis): named tuples
+of numbers that the compiler treats as constants. An effect on one side of two is ``<name>_<side>`` there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ assert CACHE_FOLDER is not None  # chosen before anything compiles
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, str | None, str]
-#: Stream (file stem) → the signals that it carries: what a clock effect acts on.
+#: Stream (file stem) → its signals, on which a clock effect acts.
 Streams = Mapping[str, tuple[str, ...]]
 
 
@@ -61,7 +61,7 @@ def _places() -> dict[str, int]:
 
 
 def _states() -> dict[str, int]:
-    """Position and speed, then what each effect of an axis keeps; the ring of the delay, whose length varies, is last."""
+    """Position and speed, then the state of each effect of an axis; the delay's ring buffer, of variable length, is last."""
     found, count = {"position": 0, "speed": 1}, 2
     for effect in CATALOGUE:
         if effect.target == "axis" and effect is not input_delay.EFFECT:
@@ -82,7 +82,7 @@ def axis_memory(dt: float) -> int:
 
 
 def signals_of(axis_names: Sequence[str]) -> tuple[str, ...]:
-    """The signals that a sensor can read, in the order of their blocks."""
+    """Signals that a sensor can measure, in the order of their blocks."""
     axes = (axis_signal(name, kind) for name in axis_names for kind in ("cylinder", "joint"))
     return (*axes, *point_signals("ee"), *point_signals("tool"))
 
@@ -101,13 +101,13 @@ def tool_place(axes: int) -> int:
 
 @cache
 def signal_place(axis_names: tuple[str, ...], signal: str) -> int:
-    """Where the block of a signal begins."""
+    """Index at which the block of a signal begins."""
     return tool_place(len(axis_names)) + len(_TOOL) + signals_of(axis_names).index(signal) * SIGNAL_WIDTH
 
 
 @cache
 def neutral_vector(axes: int) -> Array:
-    """``theta`` of a plant without any effect, read-only: it is asked for with every run."""
+    """``theta`` of a plant without any effect, read-only and cached."""
     axis, signal = ([neutral for _, neutral in block.values()] for block in (_AXIS, _SIGNAL))
     rest = [neutral for block in (_MACHINE, _BASE, _TOOL) for _, neutral in block.values()]
     neutral = np.array(axis * axes + rest + signal * (2 * axes + 6))
@@ -118,7 +118,7 @@ def neutral_vector(axes: int) -> Array:
 def slot_indices(
     axis_names: Sequence[str], effect: Effect, target: str, side: str | None, slot: str, streams: Streams | None = None
 ) -> list[int]:
-    """Where a slot stands in ``theta``: one place, or one for each signal of a stream.
+    """Indices of a slot in ``theta``: one, or one for each signal of a stream.
 
     Raises:
         SettingsError: the target does not exist, or the side does not fit the effect.
@@ -166,7 +166,7 @@ def parameter_indices(
     parameter: str,
     streams: Streams | None = None,
 ) -> list[list[int]]:
-    """For each component of a public parameter, the places in ``theta`` that take its value."""
+    """For each component of a public parameter, the indices in ``theta`` that take its value."""
     effect = effect_named(effect_name)
     for form in effect.forms:
         for candidate in form.parameters:

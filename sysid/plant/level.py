@@ -1,4 +1,4 @@
-"""How far a simulated stretch lies from the measured one: median, spread, mean shift, slope; compiled."""
+"""Differences between a simulated and a measured stretch: median, spread, mean, squares, line; compiled."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from sysid.effects.compiled import inlined, loop
 
-#: So many samples are enough for a median and its spread.
-ENOUGH = 64
-#: Quartiles of a normal distribution are so many standard deviations apart.
-QUARTILES = 1.349
+#: A median and its spread are computed from this number of samples.
+MEDIAN_SAMPLES = 64
+#: Distance between the quartiles of a normal distribution [standard deviations].
+INTERQUARTILE_RANGE = 1.349
 
 
 @inlined
@@ -35,7 +35,7 @@ def median(values, count):
 def middle_and_spread(measured, simulated, first, last, most, scratch):
     """Median and standard deviation (by quartiles) of the last ``most`` differences measured − simulated; NaN of none."""
     count, k = 0, last
-    stride = 1 + most // ENOUGH
+    stride = 1 + most // MEDIAN_SAMPLES
     seen = 0
     while k > first and seen < most:
         k -= 1
@@ -48,7 +48,7 @@ def middle_and_spread(measured, simulated, first, last, most, scratch):
         return np.nan, np.nan
     _sort(scratch, count)
     middle = 0.5 * (scratch[(count - 1) // 2] + scratch[count // 2])
-    return middle, (scratch[(3 * count - 1) // 4] - scratch[count // 4]) / QUARTILES
+    return middle, (scratch[(3 * count - 1) // 4] - scratch[count // 4]) / INTERQUARTILE_RANGE
 
 
 @loop

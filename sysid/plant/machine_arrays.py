@@ -1,4 +1,4 @@
-"""What the compiled kernels need of a machine beside its parameters: constant arrays, one tuple."""
+"""Constant arrays of a machine for the compiled kernels, beside its parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH =
 class MachineArrays(NamedTuple):
     """Constant arrays of a machine with A axes and J joints in its chain (J = 0 without a URDF).
 
-    Few arrays with many columns, since the compiled code counts references to each of them.
+    Few arrays with many columns: the compiled code counts references to each of them.
 
     Args:
         axes: (A, 8): kind of actuation; gain, or inertia of a force axis; low and high end stop of what the command drives;
@@ -39,7 +39,7 @@ class MachineArrays(NamedTuple):
         links: (J + 1, 24): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
             else 0; whether the frame is turned at all; whether the joint is prismatic; which axis moves it; mass and centre
             of all that moves with it and no further joint; length of the translation.
-        machine, base, tool: where their blocks begin in ``theta``.
+        machine, base, tool: indices at which their blocks begin in ``theta``.
     """
 
     axes: Array
@@ -55,7 +55,7 @@ class MachineArrays(NamedTuple):
         return len(self.links) > 1
 
 
-def rig_of(plant: Plant) -> MachineArrays:
+def machine_arrays(plant: Plant) -> MachineArrays:
     """The arrays of a plant."""
     machine = plant.machine
     count = len(machine.axes)
@@ -94,7 +94,7 @@ def links_of(kinematics: Kinematics | None) -> Array:
             rows.append(row)
             groups.append([])
             frame = np.eye(4)
-        if groups:  # what does not move weighs on no axis
+        if groups:  # fixed masses load no axis
             groups[-1] += _bodies(kinematics, joint.child, frame)
     if groups and not any(mass for group in groups for mass, _ in group):
         groups[-1].append((UNIT_MASS, frame[:3, 3]))
@@ -115,7 +115,7 @@ def _row(frame: Array) -> Array:
 def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float, Array]]:
     """(mass, centre in the moved frame) of a link and of all that is attached to it beside the chain.
 
-    What turns there freely (a gripper) hangs, whatever the arm does: its weight pulls at its joint.
+    A part on a passive joint (a gripper) hangs: its weight acts at that joint.
     """
     found = []
     if link in kinematics.masses:

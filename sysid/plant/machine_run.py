@@ -1,7 +1,7 @@
-"""The whole machine step by step, compiled: all axes at once, since they share a pump and hang on each other's weight.
+"""The whole machine step by step, compiled: all axes at once, since they share a pump and load each other by their weight.
 
-:func:`observe` reads what stands at a sample, :func:`advance` leads to the next one. The free run of a recording and the
-lanes of :class:`sysid.plant.stepper.Stepper` are loops around these two.
+:func:`observe` computes the outputs at a sample, :func:`advance` the state at the next one. The free run of a recording and
+the lanes of :class:`sysid.plant.stepper.Stepper` are loops around these two.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.pose import SCRATCH, pose
 
-#: Places of :data:`sysid.plant.residual.PLACES`.
+#: Places of :data:`sysid.plant.residual.STAGES`.
 COMMAND, JOINT, INVERSE = range(3)
 
 
 @inlined
-def observe(p, rig, s, load, scratch, drive, joints, structure, tip, nets, t):
+def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t):
     """State ``s`` (A · size,) → drive, joint sensors, structure, each (A,), end effector (3,), and the ``load`` (A,) there.
 
-    Sag is taken from the load that ``load`` holds when this is called, that of the sample before. An axis without a position is
-    NaN, and then so is the tip. ``nets`` and their memory ``t`` (R, M) are None where the plant carries none.
+    Sag follows from the value of ``load`` on entry, that of the sample before. An axis without a position is NaN, and then so
+    is the tip. ``nets`` and their memory ``t`` (R, M) are None where the plant has none.
     """
-    missing = len(rig.links) < 2
-    size = len(s) // len(rig.axes)
-    for i in range(len(rig.axes)):
+    missing = len(arrays.links) < 2
+    size = len(s) // len(arrays.axes)
+    for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
         x = s[m + STATE.position]
         drive[i] = x
-        if rig.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
-            x = chain.look_up(x, rig.tables, i, rig.axes[i, TABLE_LOW], rig.axes[i, TABLE_STEP])
+        if arrays.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
+            x = chain.look_up(x, arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])
         if np.isnan(x):
             joints[i] = np.nan
             structure[i] = np.nan
@@ -41,67 +41,69 @@ def observe(p, rig, s, load, scratch, drive, joints, structure, tip, nets, t):
             continue
         joints[i] = chain.joint_stage(x, p, b, s, m, load[i])
         if nets is not None:
-            joints[i] += residual.added(nets, t, i, JOINT)
+            joints[i] += residual.contribution(nets, t, i, JOINT)
         structure[i] = chain.structure_stage(joints[i], p, b, s, m, load[i])
     if missing:
         tip[0] = np.nan
         tip[1] = np.nan
         tip[2] = np.nan
     else:
-        pose(structure, p, rig.links, rig.base, scratch, tip, load)
+        pose(structure, p, arrays.links, arrays.base, scratch, tip, load)
 
 
 @inlined
-def advance(p, rig, s, load, wanted, command, dt, nets, t):
-    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``wanted`` (A,) is used inside."""
-    size = len(s) // len(rig.axes)
+def advance(p, arrays, s, load, demands, command, dt, nets, t):
+    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``demands`` (A,) is used inside."""
+    size = len(s) // len(arrays.axes)
     demand = 0.0
     if nets is not None:
         for r in range(len(t)):
             i = int(nets.about[r, residual.AXIS])
-            residual.look(nets, r, t[r], command, s[i * size + STATE.position], load[i], dt)
-    for i in range(len(rig.axes)):
+            residual.update(nets, r, t[r], command, s[i * size + STATE.position], load[i], dt)
+    for i in range(len(arrays.axes)):
         if np.isnan(s[i * size + STATE.position]):
             continue
-        asked = command[i]
-        if nets is not None and rig.axes[i, KIND] == FORCE:
-            asked -= residual.added(nets, t, i, INVERSE)
-        wanted[i] = chain.ask(asked, p, s, i * size, size, rig.axes, i, load[i], dt)
-        if rig.axes[i, KIND] == VELOCITY:
-            demand += abs(wanted[i]) / rig.axes[i, GAIN]
-    share = pump_flow_limit.share(demand, p, rig.machine + AT.pump_flow_limit)
-    for i in range(len(rig.axes)):
+        setpoint = command[i]
+        if nets is not None and arrays.axes[i, KIND] == FORCE:
+            setpoint -= residual.contribution(nets, t, i, INVERSE)
+        demands[i] = chain.demand(setpoint, p, s, i * size, size, arrays.axes, i, load[i], dt)
+        if arrays.axes[i, KIND] == VELOCITY:
+            demand += abs(demands[i]) / arrays.axes[i, GAIN]
+    share = pump_flow_limit.share(demand, p, arrays.machine + AT.pump_flow_limit)
+    for i in range(len(arrays.axes)):
         if not np.isnan(s[i * size + STATE.position]):
-            part = share if rig.axes[i, KIND] == VELOCITY else 1.0
+            part = share if arrays.axes[i, KIND] == VELOCITY else 1.0
             if nets is None:
-                chain.move(part * wanted[i], s, i * size, rig.axes, i, dt)
+                chain.move(part * demands[i], s, i * size, arrays.axes, i, dt)
             else:
-                extra = residual.added(nets, t, i, COMMAND)
-                moved = part * wanted[i] * (1.0 + extra) if rig.axes[i, KIND] == VELOCITY else wanted[i] + extra
-                chain.move(within(moved, rig.axes, i), s, i * size, rig.axes, i, dt)
+                extra = residual.contribution(nets, t, i, COMMAND)
+                moved = part * demands[i] * (1.0 + extra) if arrays.axes[i, KIND] == VELOCITY else demands[i] + extra
+                chain.move(within(moved, arrays.axes, i), s, i * size, arrays.axes, i, dt)
 
 
 @inlined
-def within(wanted, axes, i):
-    """A servo's position inside its stops; speeds are stopped where they move."""
-    return min(max(wanted, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else wanted
+def within(demands, axes, i):
+    """The position of a servo, limited to its stops; speeds are limited by :func:`sysid.plant.chain.move`."""
+    return min(max(demands, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else demands
 
 
 @inlined
-def enter(p, rig, i, s, size, load, start, command, dt, nets, t):
+def enter(p, arrays, i, s, size, load, start, command, dt, nets, t):
     """Put axis ``i`` into the state ``start`` (size,) before its first sample, at which it gets ``command``."""
     for j in range(size):
         s[i * size + j] = start[j]
     load[i] = 0.0
     if nets is not None:
-        residual.forget_axis(nets, t, i)
-    if rig.axes[i, KIND] == POSITION:
-        where = chain.ask(command, p, s, i * size, size, rig.axes, i, 0.0, dt)
+        residual.reset_axis(nets, t, i)
+    if arrays.axes[i, KIND] == POSITION:
+        where = chain.demand(command, p, s, i * size, size, arrays.axes, i, 0.0, dt)
         s[i * size + STATE.position] = where
 
 
 @loop
-def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t):
+def _run(
+    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
+):
     count, axes = drive.shape
     for k in range(count):
         fresh = False
@@ -111,22 +113,22 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
                 at[i] += 1
             if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                 fresh = True
-                enter(p, rig, i, s, size, load, starts[i, at[i]], commands[k, i], dt, nets, t)
-        observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
-        if fresh:  # once more, now that the load is known; where the structure began does not hold without it
+                enter(p, arrays, i, s, size, load, starts[i, at[i]], commands[k, i], dt, nets, t)
+        observe(p, arrays, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
+        if fresh:  # again with the known load, on which the start of the structure depends
             for i in range(axes):
                 if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                     s[i * size + STATE.backlash_structure] = np.nan
-            observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
+            observe(p, arrays, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         for i in range(axes):
             row[i] = commands[k, i]
-            if rig.axes[i, KIND] == POSITION and k + 1 < len(commands):
+            if arrays.axes[i, KIND] == POSITION and k + 1 < len(commands):
                 row[i] = commands[k + 1, i]
-        advance(p, rig, s, load, wanted, row, dt, nets, t)
+        advance(p, arrays, s, load, demands, row, dt, nets, t)
 
 
 @kernel
-def run_machine(p, rig, commands, edges, starts, dt, drive, joints, tip, s, load, nets, t):
+def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, load, nets, t):
     """Free run of all axes from their commands.
 
     Args:
@@ -135,11 +137,13 @@ def run_machine(p, rig, commands, edges, starts, dt, drive, joints, tip, s, load
         starts: (A, m, size) as :func:`sysid.plant.axis_run.find_starts` gives them.
         drive, joints: out, (n, A), NaN outside of the stretches; ``tip`` (n, 3), NaN where any joint is.
         s, load: (A · size,) NaN and (A,) zero before; after it the state that the n steps lead to.
-        nets: residual networks, with their memory ``t``; both None where the plant carries none.
+        nets: residual networks, with their memory ``t``; both None where the plant has none.
     """
     axes = commands.shape[1]
     size = len(s) // axes
-    wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
-    scratch = np.empty((len(rig.links), SCRATCH))
+    demands, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
+    scratch = np.empty((len(arrays.links), SCRATCH))
     at = np.zeros(axes, dtype=np.int64)
-    _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t)
+    _run(
+        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
+    )

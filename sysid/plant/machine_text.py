@@ -1,4 +1,4 @@
-"""A plant as the text of its ``machine.toml``, and what a repair changes in it as a unified diff."""
+"""A plant as the text of its ``machine.toml``, and the changes of a repair as a unified diff."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _PARAMETERS = re.compile(r"\s*parameters\s*=\s*\{[^{}]*\}")
 
 
 def machine_text(plant: Plant) -> str | None:
-    """``machine.toml`` with the effects of ``plant``; all other lines, comments too, stay as they are in the machine's own.
+    """``machine.toml`` with the effects of ``plant``; all other lines, comments too, stay as they are in the machine's file.
 
-    Values have six significant digits; what the plant shares with the file keeps the digits that it has there.
+    Values have six significant digits; unchanged values keep their digits.
 
     Returns:
-        None where the file lays its effects out in another way than as ``[[effects]]`` tables.
+        None where the effects in the file are not ``[[effects]]`` tables.
     """
     text = plant.machine.text
     known = {effect_key(item): item for item in plant.machine.effects}
-    wanted = {effect_key(item): item for item in plant.effects}
+    new_effects = {effect_key(item): item for item in plant.effects}
     lines = text.splitlines(keepends=True)
     blocks = _blocks(lines)
     if len(blocks) != len(plant.machine.effects):
@@ -39,27 +39,27 @@ def machine_text(plant: Plant) -> str | None:
     for (begin, end), item in zip(blocks, plant.machine.effects, strict=True):
         edited += lines[at:begin]
         at = end
-        becomes = wanted.get(effect_key(item))
+        becomes = new_effects.get(effect_key(item))
         if becomes is None:
             at = _after_blank(lines, end)
         else:
             edited += _changed(lines[begin:end], item, becomes)
         if (begin, end) == blocks[-1]:
-            edited += _added([item for key, item in wanted.items() if key not in known], edited)
+            edited += _added([item for key, item in new_effects.items() if key not in known], edited)
     if not blocks:
-        edited, at = [*lines, *_added(list(wanted.values()), lines)], len(lines)
+        edited, at = [*lines, *_added(list(new_effects.values()), lines)], len(lines)
     made = "".join([*edited, *lines[at:]])
-    return made if _says(made, text, plant.effects) else None
+    return made if _describes(made, text, plant.effects) else None
 
 
 def machine_difference(before: Plant, after: Plant) -> str:
-    """What makes ``before`` into ``after``, as ``patch machine.toml`` understands it; empty where nothing does.
+    """Difference from ``before`` to ``after`` as input of ``patch machine.toml``; empty without a difference.
 
-    Where the effects are not laid out as ``[[effects]]`` tables, the difference of the tables that they could be.
+    Where the effects in the file are not ``[[effects]]`` tables, the difference of the effects written as such tables.
     """
     texts = machine_text(before), machine_text(after)
     if texts[0] is None or texts[1] is None:
-        old, new = (effects_toml(sorted(plant.effects, key=_order)) for plant in (before, after))
+        old, new = (effects_toml(sorted(plant.effects, key=_sort_key)) for plant in (before, after))
     else:
         old, new = texts[0], texts[1]
     parts = difflib.unified_diff(old.splitlines(keepends=True), new.splitlines(keepends=True), MACHINE_TOML, MACHINE_TOML)
@@ -78,7 +78,7 @@ def _blocks(lines: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _changed(block: Sequence[str], item: KnownEffect, becomes: KnownEffect) -> list[str]:
-    """The lines of one table with other values: only the line that holds them is new where they are in one line."""
+    """The lines of one table with other values; where the values are in one line, only that line changes."""
     order = [key for key in item.parameters if key in becomes.parameters]
     order += [key for key in becomes.parameters if key not in item.parameters]
     ordered = KnownEffect(becomes.name, becomes.target, {key: becomes.parameters[key] for key in order}, becomes.side)
@@ -106,8 +106,8 @@ def _after_blank(lines: Sequence[str], end: int) -> int:
     return end + 1 if end < len(lines) and not lines[end].strip() else end
 
 
-def _says(made: str, text: str, effects: Sequence[KnownEffect]) -> bool:
-    """Whether the edited file describes the old machine with these effects, and parses at all."""
+def _describes(made: str, text: str, effects: Sequence[KnownEffect]) -> bool:
+    """Whether the edited file parses and describes the old machine with these effects."""
     try:
         new, old = tomllib.loads(made), tomllib.loads(text)
         listed = [parse_settings(entry, KnownEffect, MACHINE_TOML) for entry in new.pop("effects", [])]
@@ -126,5 +126,5 @@ def _rounded(effects: Sequence[KnownEffect]) -> Mapping[Any, str]:
     }
 
 
-def _order(item: KnownEffect) -> tuple[str, str, str]:
+def _sort_key(item: KnownEffect) -> tuple[str, str, str]:
     return item.target, item.name, item.side or ""

@@ -1,4 +1,4 @@
-"""A plant made ready for the compiled kernels: stages of recordings for many parameter vectors at once, over all cores."""
+"""A plant compiled into arrays: stages of recordings for many parameter vectors at once, on all cores."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from sysid.machine import Machine
 from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
-from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, rig_of
+from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, machine_arrays
 from sysid.plant.plant import Plant
-from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, memory_of, nets_of
+from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 Segments = npt.NDArray[np.int64]
 
-#: Where a play stands behind a measured cylinder is taken from this stretch [s]; so is the place of a run that goes on from
-#: the one before it.
+#: The start of the backlash behind a measured cylinder, and the position of a run that follows another, are estimated from
+#: this time [s].
 START_WINDOW = 0.2
-#: The side of a play on which a free run starts is taken from this stretch [s].
+#: The position of the drive in its backlash at the start of a free run is estimated from this time [s].
 SETTLE_WINDOW = 10.0
 #: A command may be missing this long [s] before the free run restarts.
 COMMAND_GAP = 0.1
 
 
-#: Parameters of an axis that do nothing without a load.
+#: Parameters of an axis that have no influence without a load.
 _BY_LOAD = (AT.load_dependent_flow, AT.joint_compliance_drive)
 
 
 @dataclass(frozen=True)
 class Model:
-    """What the kernels need of a plant; ``theta`` (N,) may be replaced by lanes of other values, ``thetas`` (lanes, N)."""
+    """Arrays of a plant for the kernels; most methods take lanes of parameter vectors, ``thetas`` (lanes, N), for ``theta``."""
 
     machine: Machine
     theta: Array
-    rig: MachineArrays
+    arrays: MachineArrays
     linked: frozenset[str]
     streams: layout.Streams = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
@@ -57,7 +57,7 @@ class Model:
     @property
     def posed(self) -> bool:
         """Whether the machine has kinematics."""
-        return self.rig.posed
+        return self.arrays.posed
 
     def axis_index(self, axis: str) -> int:
         return self.machine.axis_names.index(axis)
@@ -67,7 +67,7 @@ class Model:
 
         Where it neither has a link nor swings, tool = ee (contract).
         """
-        swings = bool(theta[self.rig.tool] > 0.0)
+        swings = bool(theta[self.arrays.tool] > 0.0)
         return self.machine.tool is not None or swings or not np.isnan(measured_point(recording, "tool")).all()
 
     # -- stages ----------------------------------------------------------------------------------------------------
@@ -75,44 +75,44 @@ class Model:
     def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> Array:
         """Command → the signal that it drives, free-running: (lanes, n).
 
-        Load and pump share are those at the measured joints and at the other axes' commands. It starts where a free run does.
-        ``restart_every`` [s] puts a moving axis where the measurement has it again and again, for starting values of a fit;
-        its valve goes on as it is.
+        Load and pump share follow from the measured joints and the commands of the other axes. The start is that of a free run.
+        ``restart_every`` [s] resets a moving axis to its measured position at this interval, for starting values of a fit;
+        its valve keeps its state.
         """
         i, about, dt = self.axis_index(axis), self.machine.axis(axis), 1.0 / recording.rate_hz
         command, segments = self.held(recording, axis)
         if restart_every is not None:
-            segments = _shorter(segments, max(2, round(restart_every / dt)))
-        measured = self.believed(thetas, recording, about.driven)
+            segments = _split_segments(segments, max(2, round(restart_every / dt)))
+        measured = self.true_signal(thetas, recording, about.driven)
         load, share = self.load(thetas, recording)[i], self.share(thetas, recording)
         size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
-        place: residual.Place = "force" if about.actuation == "force" else "command"
-        commands = self.in_steps(recording, i) if self.carries(place, axis, dt) else None
+        place: residual.ResidualStage = "force" if about.actuation == "force" else "command"
+        commands = self.residual_commands(place, axis, recording)
         position, behind = np.full((2, len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:
             axis_run.drive_axis(
-                thetas[k], self.rig, i, command, measured[k], load, share[k], segments, dt, window, settle, size, False,
-                position[k], behind[k], self.own(place, axis, commands),
+                thetas[k], self.arrays, i, command, measured[k], load, share[k], segments, dt, window, settle, size, False,
+                position[k], behind[k], self.stage_net(place, axis, commands),
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), len(command))
         return self.sensed(thetas, about.driven, behind, dt)
 
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
-        """Measured cylinder → joint through linkage, play and sag: (lanes, n)."""
+        """Measured cylinder → joint through linkage, backlash and sag: (lanes, n)."""
         if axis not in self.linked:
             raise SettingsError(f"axis {axis}", "no linkage", "geometry in machine.toml or a fitted actuator network")
         i, signal = self.axis_index(axis), axis_signal(axis, "joint")
-        cylinder = self.believed(thetas, recording, axis_signal(axis, "cylinder"))
-        measured, load = self.believed(thetas, recording, signal), self.load(thetas, recording)[i]
+        cylinder = self.true_signal(thetas, recording, axis_signal(axis, "cylinder"))
+        measured, load = self.true_signal(thetas, recording, signal), self.load(thetas, recording)[i]
         window, out = self.window(recording), np.empty((len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
-        commands = self.in_steps(recording, i) if self.carries("joint", axis, dt) else None
+        commands = self.residual_commands("joint", axis, recording)
 
         def lane(k: int) -> None:
-            own = self.own("joint", axis, commands)
-            axis_run.joint_axis(thetas[k], self.rig, i, cylinder[k], measured[k], load, window, dt, out[k], own)
+            stage_net = self.stage_net("joint", axis, commands)
+            axis_run.joint_axis(thetas[k], self.arrays, i, cylinder[k], measured[k], load, window, dt, out[k], stage_net)
 
         in_parallel(lane, len(thetas), len(recording))
         return self.sensed(thetas, signal, out, 1.0 / recording.rate_hz)
@@ -122,31 +122,31 @@ class Model:
         if not self.posed:
             raise SettingsError(f"machine {self.machine.name}", "no URDF", "urdf and tip in machine.toml")
         names = [axis_signal(name, "joint") for name in self.machine.axis_names]
-        believed = [self.believed(thetas, recording, name) for name in names]
-        alike = all(part.strides[0] == 0 for part in believed)
-        joints = np.stack([part[0] if alike else part for part in believed], axis=-1)
+        true_signal = [self.true_signal(thetas, recording, name) for name in names]
+        alike = all(part.strides[0] == 0 for part in true_signal)
+        joints = np.stack([part[0] if alike else part for part in true_signal], axis=-1)
         out = np.empty((len(thetas), len(recording), 3))
 
         def lane(k: int) -> None:
-            stage_tip.tip(thetas[k], self.rig, joints if alike else joints[k], out[k])
+            stage_tip.tip(thetas[k], self.arrays, joints if alike else joints[k], out[k])
 
         in_parallel(lane, len(thetas), len(recording))
         return self._sensed_point(thetas, "ee", out, 1.0 / recording.rate_hz)
 
     def tool(self, thetas: Array, recording: Recording) -> Array:
         """Measured end effector → hanging tool: (lanes, n, 3); the measured tool starts the swing."""
-        pivot = self.believed_point(thetas, recording, "ee")
-        measured = self.believed_point(thetas, recording, "tool")
+        pivot = self.true_point(thetas, recording, "ee")
+        measured = self.true_point(thetas, recording, "tool")
         return self._sensed_point(
-            thetas, "tool", self.hang(thetas, pivot, measured, recording.rate_hz), 1.0 / recording.rate_hz
+            thetas, "tool", self.tool_motion(thetas, pivot, measured, recording.rate_hz), 1.0 / recording.rate_hz
         )
 
-    def hang(self, thetas: Array, pivot: Array, measured: Array, rate_hz: float) -> Array:
+    def tool_motion(self, thetas: Array, pivot: Array, measured: Array, rate_hz: float) -> Array:
         """True end effector (lanes, n, 3) → true tool; ``measured`` tool (lanes, n, 3) starts the swing."""
         out, pivot, measured = np.empty(pivot.shape), frozen(pivot), frozen(measured)
 
         def lane(k: int) -> None:
-            swing.swing(thetas[k], self.rig.tool, pivot[k], measured[k], 1.0 / rate_hz, out[k])
+            swing.swing(thetas[k], self.arrays.tool, pivot[k], measured[k], 1.0 / rate_hz, out[k])
 
         in_parallel(lane, len(thetas), pivot.shape[1])
         return out
@@ -154,42 +154,47 @@ class Model:
     def inverse(self, theta: Array, axis: str, x: Array, v: Array, a: Array, dt: float) -> Array:
         """Force that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m]."""
         out = np.empty(len(v))
-        commands = np.zeros((len(v), self.axes)) if self.carries("force", axis, dt) else None
-        own = self.own("force", axis, commands)
-        axis_run.force_axis(theta, self.rig, self.axis_index(axis), frozen(x), frozen(v), frozen(a), dt, out, own)
+        commands = np.zeros((len(v), self.axes)) if self.has_residual("force", axis, dt) else None
+        stage_net = self.stage_net("force", axis, commands)
+        axis_run.force_axis(theta, self.arrays, self.axis_index(axis), frozen(x), frozen(v), frozen(a), dt, out, stage_net)
         return out
 
-    # -- what no effect explains ---------------------------------------------------------------------------------------
+    # -- residual networks ---------------------------------------------------------------------------------------------
 
-    def carries(self, stage: residual.Place, axis: str, dt: float) -> bool:
-        """Whether a network sits at that stage.
+    def has_residual(self, stage: residual.ResidualStage, axis: str, dt: float) -> bool:
+        """Whether that stage has a residual network.
 
         Raises:
-            SettingsError: it cannot be run with steps of ``dt``.
+            SettingsError: steps of ``dt`` are longer than its interval.
         """
         found = [item for item in self.residuals if item.key == (stage, axis)]
         check_step(found, dt)
         return bool(found)
 
-    def own(self, stage: residual.Place, axis: str, commands: Array | None) -> StageResidual | None:
+    def stage_net(self, stage: residual.ResidualStage, axis: str, commands: Array | None) -> StageResidual | None:
         """The network of a stage with a fresh memory; None where ``commands`` are None."""
         if commands is None or self.nets is None:
             return None
         row = next(k for k, item in enumerate(self.residuals) if item.key == (stage, axis))
-        return StageResidual(self.nets, row, frozen(commands), memory_of(self.nets)[row])
+        return StageResidual(self.nets, row, frozen(commands), new_memory(self.nets)[row])
 
-    def in_steps(self, recording: Recording, i: int) -> Array:
-        """Commands in force during each step that begins at a sample, (n, A); for the steps of axis ``i``."""
+    def residual_commands(self, stage: residual.ResidualStage, axis: str, recording: Recording) -> Array | None:
+        """:meth:`commands_by_step` for the network of a stage; None where the stage has none."""
+        known = self.has_residual(stage, axis, 1.0 / recording.rate_hz)
+        return self.commands_by_step(recording, self.axis_index(axis)) if known else None
+
+    def commands_by_step(self, recording: Recording, i: int) -> Array:
+        """Commands of all axes during each step that begins at a sample, (n, A); for the steps of axis ``i``."""
         columns = []
         for k, name in enumerate(self.machine.axis_names):
             command = self.held(recording, name)[0]
-            columns.append(np.append(command[1:], command[-1:]) if self.rig.axes[k, KIND] == POSITION else command)
+            columns.append(np.append(command[1:], command[-1:]) if self.arrays.axes[k, KIND] == POSITION else command)
         return np.column_stack(columns)
 
-    # -- what stages take from elsewhere ---------------------------------------------------------------------------------
+    # -- further inputs of the stages --------------------------------------------------------------------------------
 
     def held(self, recording: Recording, axis: str) -> tuple[Array, Segments]:
-        """:func:`held` of a command, remembered: a fit asks for it thousands of times."""
+        """:func:`held` of a command, cached in the recording."""
         known: tuple[Array, Segments] | None = recording.derived.get(("held", axis))
         if known is None:
             known = recording.derived["held", axis] = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
@@ -200,12 +205,12 @@ class Model:
         return max(3, round(START_WINDOW * recording.rate_hz))
 
     def load(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:
-        """:func:`sysid.plant.gravity.gravity_load` of every axis, (A, n), remembered; zero where no lane has an effect of it.
+        """:func:`sysid.plant.gravity.gravity_load` of every axis, (A, n), cached; zero where no lane has an effect of it.
 
         ``seconds``: only within so much of each stretch with commands, elsewhere zero.
         """
         places = [i * AXIS_WIDTH + at for i in range(self.axes) for at in _BY_LOAD]
-        if not thetas[:, places].any() and not self._weighed:
+        if not thetas[:, places].any() and not self._uses_load:
             return np.zeros((self.axes, len(recording)))
         if seconds < math.inf:
             stretches = [self.stretches(recording, name, seconds) for name in self.machine.axis_names]
@@ -216,8 +221,8 @@ class Model:
         return known[1]
 
     @property
-    def _weighed(self) -> bool:
-        """Whether a network looks at a load."""
+    def _uses_load(self) -> bool:
+        """Whether a residual network has a load as input."""
         return self.nets is not None and bool(self.nets.scale[:, -3].any())
 
     def stretches(self, recording: Recording, axis: str, seconds: float = math.inf) -> Segments:
@@ -229,15 +234,15 @@ class Model:
         return np.column_stack([segments[:, 0], ends])
 
     def share(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:
-        """What the pump feeds of the velocity axes' demand, (lanes, n); within the first ``seconds`` of each stretch."""
-        place = self.rig.machine + AT.pump_flow_limit
+        """Share of the velocity axes' demand that the pump supplies, (lanes, n); for the first ``seconds`` of each stretch."""
+        place = self.arrays.machine + AT.pump_flow_limit
         neutral = neutral_vector(self.axes)[place]
         if (thetas[:, place] >= neutral).all():
             return np.broadcast_to(np.ones(len(recording)), (len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
         limited = np.flatnonzero(thetas[:, place] < neutral)
-        # The demand does not depend on the limit: lanes that differ in it alone, or elsewhere, share theirs.
-        moved = [i for i in range(self.axes) if self.rig.axes[i, KIND] == VELOCITY]
+        # The demand depends on the velocity axes only: lanes that are equal in these share it.
+        moved = [i for i in range(self.axes) if self.arrays.axes[i, KIND] == VELOCITY]
         blocks = np.concatenate([np.arange(i * AXIS_WIDTH, (i + 1) * AXIS_WIDTH) for i in moved])
         rows: list[int] = []
         known: dict[bytes, int] = {}
@@ -253,7 +258,7 @@ class Model:
 
         def lane(k: int) -> None:
             for i, command, segments in inputs:
-                axis_run.add_demand(thetas[rows[k]], self.rig, i, command, load[i], segments, dt, size, total[k])
+                axis_run.add_demand(thetas[rows[k]], self.arrays, i, command, load[i], segments, dt, size, total[k])
 
         in_parallel(lane, len(rows), len(recording) * len(moved))
         out = np.ones((len(thetas), len(recording)))
@@ -263,7 +268,7 @@ class Model:
     # -- sensors -----------------------------------------------------------------------------------------------------
 
     def sensed(self, thetas: Array, signal: str, true: Array, dt: float) -> Array:
-        """True values (lanes, n) → what the signal's sensor says; the same array where all sensors read the truth."""
+        """True values (lanes, n) → readings of the signal's sensor; the same array where all sensors are ideal."""
         place = self._sensor(thetas, signal)
         if place is None:
             return true
@@ -272,43 +277,43 @@ class Model:
             sensing.sensed(thetas[k], place, np.ascontiguousarray(true[k]), dt, out[k])
         return out
 
-    def believed(self, thetas: Array, recording: Recording, signal: str) -> Array:
-        """What must be true while the signal's sensor says what was recorded, (lanes, n)."""
+    def true_signal(self, thetas: Array, recording: Recording, signal: str) -> Array:
+        """True values that follow from the recorded readings of the signal's sensor (inverse sensor model), (lanes, n)."""
         values, place = recording.values(signal), self._sensor(thetas, signal)
         if place is None:
             return np.broadcast_to(values, (len(thetas), len(values)))
         out = np.empty((len(thetas), len(values)))
         for k in range(len(thetas)):
-            sensing.believed(thetas[k], place, values, 1.0 / recording.rate_hz, out[k])
+            sensing.true_signal(thetas[k], place, values, 1.0 / recording.rate_hz, out[k])
         return frozen(out)
 
     def _sensor(self, thetas: Array, signal: str) -> int | None:
-        """Where the signal's sensor stands in ``theta``; None where it reads the truth in all lanes."""
+        """Index of the signal's sensor in ``theta``; None where it is ideal in all lanes."""
         place = layout.signal_place(self.machine.axis_names, signal)
         neutral = neutral_vector(self.axes)[place : place + SIGNAL_WIDTH]
         return None if (thetas[:, place : place + SIGNAL_WIDTH] == neutral).all() else place
 
     def _sensed_point(self, thetas: Array, point: str, true: Array, dt: float) -> Array:
         for c, signal in enumerate(point_signals(point)):
-            said = self.sensed(thetas, signal, true[:, :, c], dt)
-            if said.base is not true:
-                true[:, :, c] = said
+            readings = self.sensed(thetas, signal, true[:, :, c], dt)
+            if readings.base is not true:
+                true[:, :, c] = readings
         return true
 
-    def believed_point(self, thetas: Array, recording: Recording, point: str) -> Array:
-        """:meth:`believed` of ``ee`` or ``tool``, (lanes, n, 3); a row with any coordinate missing is all NaN."""
-        parts = [self.believed(thetas, recording, signal) for signal in point_signals(point)]
+    def true_point(self, thetas: Array, recording: Recording, point: str) -> Array:
+        """:meth:`true_signal` of ``ee`` or ``tool``, (lanes, n, 3); a row with any coordinate missing is all NaN."""
+        parts = [self.true_signal(thetas, recording, signal) for signal in point_signals(point)]
         if all(part.strides[0] == 0 for part in parts):
-            values = whole_rows(np.stack([part[0] for part in parts], axis=-1))
+            values = mask_incomplete_rows(np.stack([part[0] for part in parts], axis=-1))
             return np.broadcast_to(values, (len(thetas), *values.shape))
-        return whole_rows(np.stack(parts, axis=-1))
+        return mask_incomplete_rows(np.stack(parts, axis=-1))
 
 
 def compile_plant(plant: Plant) -> Model:
     """The arrays of a plant."""
-    nets = nets_of(plant.machine, plant.residuals)
+    nets = residual_arrays(plant.machine, plant.residuals)
     linked = frozenset(plant.linkages)
-    return Model(plant.machine, plant.vector(), rig_of(plant), linked, plant.streams, plant.residuals, nets)
+    return Model(plant.machine, plant.vector(), machine_arrays(plant), linked, plant.streams, plant.residuals, nets)
 
 
 def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
@@ -325,20 +330,20 @@ def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
     return filled, edges.reshape(-1, 2).astype(np.int64)
 
 
-def _shorter(segments: Segments, length: int) -> Segments:
+def _split_segments(segments: Segments, length: int) -> Segments:
     """Every stretch cut into pieces of at most ``length`` samples."""
     cut = [(k, min(k + length, last)) for first, last in segments for k in range(first, last, length)]
     return np.array(cut, dtype=np.int64).reshape(-1, 2)
 
 
 def frozen(values: Array) -> Array:
-    """A read-only view: kernels compile once where recorded and computed inputs are of one type."""
+    """A read-only view, so that recorded and computed inputs have one type and kernels compile once."""
     view = values.view()
     view.setflags(write=False)
     return view
 
 
-def whole_rows(values: Array) -> Array:
+def mask_incomplete_rows(values: Array) -> Array:
     """Rows (…, 3) with any coordinate missing are all NaN."""
     values[np.isnan(values).any(axis=-1)] = np.nan
     return values
@@ -346,20 +351,20 @@ def whole_rows(values: Array) -> Array:
 
 def measured_point(recording: Recording, point: str) -> Array:
     """``ee`` or ``tool`` as (n, 3); a row with any coordinate missing is all NaN."""
-    return whole_rows(np.column_stack([recording.values(signal) for signal in point_signals(point)]))
+    return mask_incomplete_rows(np.column_stack([recording.values(signal) for signal in point_signals(point)]))
 
 
-#: Cores that lanes are spread over.
+#: Cores for the lanes.
 WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1))
 _pool: ThreadPoolExecutor | None = None
-#: Fewer steps than this run faster on one core than handed to several.
+#: Fewer steps than this are faster on one core than on several.
 SERIAL = 20_000
 
 
 def in_parallel(lane: Callable[[int], None], count: int, samples: int) -> None:
-    """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all cores where that is worth it.
+    """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all cores where that is faster.
 
-    The kernels release the interpreter lock; every worker takes a stretch of lanes.
+    The kernels release the interpreter lock.
     """
     global _pool
     workers = min(WORKERS, count)

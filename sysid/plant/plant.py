@@ -1,4 +1,4 @@
-"""A plant version: machine, linkages and a list of effects. Frozen; a repaired plant is a new one."""
+"""A plant: machine, linkages and a list of effects. Immutable; a repaired plant is a new one."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ Value = float | Sequence[float]
 
 @dataclass(frozen=True)
 class Plant:
-    """The simulation that is compared with the machine.
+    """The simulation model that is compared with the machine.
 
     Args:
         linkages: axis → cylinder ↔ joint table, for axes that drive a cylinder.
-        effects: what is known; one instance per (name, target, side).
-        streams: stream (file stem) → the signals that it carries, for the effects of clocks.
-        uncertainty: how well its parameters are known.
-        origin: where it came from, for the lineage (dataset and plant versions, linkage models, evidence).
+        effects: one instance per (name, target, side).
+        streams: stream (file stem) → its signals, for the effects of clocks.
+        uncertainty: joint distribution of its parameters.
+        origin: lineage (dataset and plant versions, linkage models, evidence).
         reference: ``name@version`` once registered.
-        residuals: networks that carry what no effect explains (:mod:`sysid.plant.residual`); they are no effects.
+        residuals: networks for errors that no effect explains (:mod:`sysid.plant.residual`).
     """
 
     machine: Machine
@@ -80,7 +80,7 @@ class Plant:
         return theta
 
     def effect(self, name: str, target: str, side: str | None = None) -> KnownEffect | None:
-        """The instance, or None where the plant does not have it."""
+        """The instance, or None."""
         side = side_of(effect_named(name), side)
         for item in self.effects:
             if effect_key(item) == (name, target, side):
@@ -88,13 +88,13 @@ class Plant:
         return None
 
     def with_effect(self, item: KnownEffect) -> Plant:
-        """A plant with ``item`` added, or put in the place of the instance it already had."""
+        """A plant with ``item`` added, which replaces an instance with the same name, target and side."""
         rest = tuple(known for known in self.effects if effect_key(known) != effect_key(item))
         known = self.uncertainty.without({effect_key(item)})
         return replace(self, effects=(*rest, item), uncertainty=known, reference="")
 
     def with_uncertainty(self, uncertainty: Uncertainty) -> Plant:
-        """A plant of which is known how well these parameters are known; what was known of others stays.
+        """A plant with this uncertainty of these parameters; that of the others is kept.
 
         Raises:
             SettingsError: a parameter that the plant does not have.
@@ -104,9 +104,9 @@ class Plant:
         return replace(self, uncertainty=self.uncertainty.joined(uncertainty), reference="")
 
     def sample(self, count: int, seed: int) -> Array:
-        """Parameter vectors of ``count`` plants as likely as the data allow, (count, N); all the same where nothing is known.
+        """``count`` parameter vectors drawn from the uncertainty, (count, N); all the same without an uncertainty.
 
-        For :class:`sysid.plant.stepper.Stepper` (``thetas``), a lane each.
+        They are the ``thetas`` of a :class:`sysid.plant.stepper.Stepper`, one lane each.
         """
         places = self.uncertainty.places
         thetas = np.tile(self.vector(), (count, 1))
@@ -135,21 +135,21 @@ class Plant:
         return replace(self, effects=rest, uncertainty=self.uncertainty.without({key}), reference="")
 
     def with_residual(self, item: Residual) -> Plant:
-        """A plant that carries ``item``, in the place of what it carried at that stage.
+        """A plant with this residual network, which replaces that of the same stage.
 
         Raises:
-            SettingsError: the stage cannot carry one.
+            SettingsError: the stage cannot have one.
         """
         rest = self.without_residual(*item.key)
         return replace(rest, residuals=(*rest.residuals, item), reference="")
 
     def without_residual(self, stage: str, target: str) -> Plant:
-        """A plant that carries nothing at that stage."""
+        """A plant without a residual network at that stage."""
         rest = tuple(item for item in self.residuals if item.key != (stage, target))
         return self if len(rest) == len(self.residuals) else replace(self, residuals=rest, reference="")
 
     def to_files(self) -> dict[str, bytes]:
-        """What a registry stores: JSON, the machine's own files, the linkage tables."""
+        """Files for a registry: JSON, the machine's files, the linkage tables."""
         from safetensors.numpy import save
 
         content = {
@@ -168,7 +168,7 @@ class Plant:
             "uncertainty": self.uncertainty.plain(),
             "origin": dict(self.origin),
         }
-        if self.residuals:  # a schema of its own, so that no reader passes over them
+        if self.residuals:  # another schema, so that no reader ignores them
             content |= {"schema": 2, "residuals": [item.to_json() for item in self.residuals]}
         files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
         if self.residuals:
@@ -222,11 +222,11 @@ def nominal_plant(
     streams: Streams | None = None,
     **origin: Any,
 ) -> Plant:
-    """The simulation that ``machine.toml`` describes.
+    """The plant that ``machine.toml`` describes.
 
     Args:
         linkages: fitted actuator networks by axis, for axes whose description has no linkage geometry.
-        streams: what each stream of a dataset carries (``dataset.streams``), for effects of its clock.
+        streams: signals of each stream of a dataset (``dataset.streams``), for effects of its clock.
 
     Raises:
         SettingsError: a linkage that depends on the past.
@@ -243,7 +243,7 @@ def nominal_plant(
 
 
 def _static(machine: Machine, axis: str, found: CylinderJointMap) -> CylinderJointMap:
-    """A linkage is a map of positions: what depends on where the cylinder came from is an effect of the plant (backlash)."""
+    """A linkage is a static map of positions; a dependence on the past is an effect of the plant (backlash)."""
     if isinstance(found, HistoryNetwork):
         remedy = "Hand over its `static` part; a plant has history as effects."
         where = f"machine {machine.name}: linkage of {axis}"
@@ -257,7 +257,7 @@ def _parameter(place: PlantNumber) -> Parameter:
 
 
 def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
-    """What tells two instances apart: name, target, side."""
+    """Key of an instance: name, target, side."""
     return item.name, item.target, side_of(effect_named(item.name), item.side)
 
 
@@ -292,7 +292,7 @@ def check_effect(machine: Machine, item: KnownEffect, streams: Streams | None = 
 
 
 def predicted_signals(machine: Machine) -> tuple[str, ...]:
-    """The signals that a plant of this machine may predict, and a sensor of it read."""
+    """Signals that a plant of this machine may predict and a sensor may measure."""
     drives = (axis.driven for axis in machine.axes)
     joints = (axis_signal(name, "joint") for name in machine.axis_names)
     return tuple(dict.fromkeys((*drives, *joints, *point_signals("ee"), *point_signals("tool"))))

@@ -1,11 +1,11 @@
-"""``unnamed_residual``: a small recurrent network that carries what no effect explains. No physics, and of bounded size.
+"""``unnamed_residual``: a small recurrent network for an error that no effect explains. No physics, bounded output.
 
-Every ``interval`` seconds the network looks at commands, position, speed and load of its axis (x), and says what to add to a
-stage of the chain until it looks again: ``bound·tanh(w·h + w₀)`` of a long short-term memory (:mod:`sysid.networks.cell`).
+Every ``interval`` seconds the network takes commands, position, speed and load of its axis (x) and updates its contribution to
+a stage of the chain: ``bound·tanh(w·h + w₀)`` of a long short-term memory (:mod:`sysid.networks.cell`).
 
-What it adds: a share of the speed that a velocity axis asks for, so that it moves nothing that stands; to the position of a
-servo (both ``command``), to the joint behind a cylinder (``joint``), or to the force that a motion needs (``force``). It looks
-at the beginning of a step, so that the chain stays causal.
+It contributes a share of the demanded speed of a velocity axis, so that an axis at rest stays at rest; to the position of a
+servo (both ``command``); to the joint behind a cylinder (``joint``); or to the force of a motion (``force``). It is updated at
+the beginning of a step, so that the chain stays causal.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from sysid.networks import cell
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
-Place = Literal["command", "joint", "force"]
+ResidualStage = Literal["command", "joint", "force"]
 
 NAME = "unnamed_residual"
-#: Stages that may carry one.
-PLACES: tuple[Place, ...] = get_args(Place)
+#: Stages that may have one.
+STAGES: tuple[ResidualStage, ...] = get_args(ResidualStage)
 FILE = "residuals.safetensors"
-#: What a reader has to know of it, wherever it is shown.
-WARNING = "learned from the recordings, no physics: it says nothing about the cause and nothing beyond what was recorded"
+#: Shown with every residual network.
+WARNING = "learned from the recordings, no physics: it does not show the cause and is not valid beyond what was recorded"
 
 # Columns of ``ResidualArrays.about``.
 AXIS, STAGE, UNITS, INTERVAL, BOUND, PERIOD = range(6)
-# What a network keeps: what it adds now, seconds since it looked, the position then; then what its cell keeps.
-ADDS, SINCE, LAST, STATES = 0, 1, 2, 3
+# Memory of a network: its contribution, seconds since the last update, the position then; then the state of its cell.
+OUTPUT, AGE, LAST_POSITION, STATES = 0, 1, 2, 3
 
 
 class ResidualArrays(NamedTuple):
@@ -51,7 +51,7 @@ class ResidualArrays(NamedTuple):
 
 
 class StageResidual(NamedTuple):
-    """The network of one stage for a run of its axis alone: ``commands`` (n, A) in force during each step, memory (M,)."""
+    """The network of one stage for a run of its axis alone: ``commands`` (n, A) during each step, memory (M,)."""
 
     nets: ResidualArrays
     row: int
@@ -64,16 +64,16 @@ class Residual:
     """A trained network at one stage of one axis.
 
     Args:
-        bound: it never adds more than this: share of the speed, or position, angle, force.
-        interval: seconds between two looks.
-        period: of a ripple over the position; the network looks at its sine and cosine. Zero for none.
+        bound: largest contribution: share of the speed, or position, angle, force.
+        interval: seconds between two updates.
+        period: of a ripple over the position, whose sine and cosine are inputs. Zero for none.
         mean, scale: of the inputs, ``x = clip((value − mean)·scale, ±REACH)``; a scale of zero leaves an input out, (F,).
         W, U, b: of the gates, (4H, F), (4H, H), (4H,).
         w, w0: of the output, (H,), (1,).
-        origin: what it was learned from, for the lineage.
+        origin: lineage of its training.
     """
 
-    stage: Place
+    stage: ResidualStage
     target: str
     bound: float
     interval: float
@@ -97,26 +97,28 @@ class Residual:
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the weights."""
-        said = {"name": NAME, "stage": self.stage, "target": self.target, "bound": self.bound, "interval": self.interval}
-        return {**said, "period": self.period, "origin": dict(self.origin)}
+        return {
+            "name": NAME, "stage": self.stage, "target": self.target, "bound": self.bound, "interval": self.interval,
+            "period": self.period, "origin": dict(self.origin),
+        }  # fmt: skip
 
 
-def inputs_of(machine: Machine, target: str) -> tuple[str, ...]:
-    """What a network of an axis looks at: the commands of all axes, then position, speed and load of its own, and a ripple."""
+def input_names(machine: Machine, target: str) -> tuple[str, ...]:
+    """Inputs of a network of an axis: the commands of all axes, then its position, speed and load, and a ripple."""
     commands = (axis_signal(name, "command") for name in machine.axis_names)
     driven = machine.axis(target).driven
     return (*commands, driven, f"speed of {target}", f"load of {target}", f"sine over {driven}", f"cosine over {driven}")
 
 
 def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> None:
-    """Whether this machine can carry it.
+    """Check that a machine can have this network.
 
     Raises:
-        SettingsError: a stage or axis that cannot, or numbers that are no network.
+        SettingsError: a stage or axis that cannot have one, or parameters of a wrong shape or range.
     """
     where = f"machine {machine.name}: {NAME} on {item.target}"
-    if item.stage not in PLACES:
-        raise SettingsError(where, f"stage {item.stage!r}", f"one of {', '.join(PLACES)}", "Other stages cannot carry one.")
+    if item.stage not in STAGES:
+        raise SettingsError(where, f"stage {item.stage!r}", f"one of {', '.join(STAGES)}", "Other stages cannot have one.")
     axis = machine.axis(item.target)
     fits = {
         "command": axis.actuation in ("velocity", "position"),
@@ -126,7 +128,7 @@ def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> N
     if not fits[item.stage]:
         expected = {"command": "a velocity or position axis", "joint": "a cylinder with a linkage", "force": "a force axis"}
         raise SettingsError(where, f"stage {item.stage!r} of a {axis.actuation}-actuated {axis.drives}", expected[item.stage])
-    F, H = len(inputs_of(machine, item.target)), item.units
+    F, H = len(input_names(machine, item.target)), item.units
     shapes = {"mean": (F,), "scale": (F,), "W": (4 * H, F), "U": (4 * H, H), "b": (4 * H,), "w": (H,), "w0": (1,)}
     for name, shape in shapes.items():
         values = getattr(item, name)
@@ -139,8 +141,8 @@ def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> N
             raise SettingsError(where, f"{name} = {getattr(item, name)}", "a positive number")
 
 
-def nets_of(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays | None:
-    """Networks as the kernels take them; None where there are none."""
+def residual_arrays(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays | None:
+    """Networks as arrays for the kernels; None without networks."""
     if not residuals:
         return None
     flat = [cell.flat_weights(vars(item)) for item in residuals]
@@ -149,19 +151,19 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays |
     for row, (item, values) in enumerate(zip(residuals, flat, strict=True)):
         weights[row, : len(values)] = values
         place = machine.axis_names.index(item.target)
-        about[row] = place, PLACES.index(item.stage), item.units, item.interval, item.bound, item.period
+        about[row] = place, STAGES.index(item.stage), item.units, item.interval, item.bound, item.period
     return ResidualArrays(about, np.array([r.mean for r in residuals]), np.array([r.scale for r in residuals]), weights)
 
 
-def memory_of(nets: ResidualArrays) -> Array:
-    """Memory of networks that have not begun, (R, M)."""
+def new_memory(nets: ResidualArrays) -> Array:
+    """Initial memory of networks, (R, M)."""
     memory = np.zeros((len(nets.about), STATES + cell.state_size(nets.mean.shape[1], int(nets.about[:, UNITS].max()))))
-    memory[:, SINCE] = np.nan
+    memory[:, AGE] = np.nan
     return memory
 
 
 def check_step(residuals: Sequence[Residual], dt: float) -> None:
-    """Raises SettingsError where steps are longer than the intervals at which a network has to look."""
+    """Raise SettingsError where steps are longer than the interval of a network."""
     for item in residuals:
         if dt > 1.001 * item.interval:
             raise SettingsError(
@@ -176,49 +178,49 @@ def check_step(residuals: Sequence[Residual], dt: float) -> None:
 
 
 @inlined
-def forget(s):
-    """Memory of a network (M,) as if it had never looked."""
+def reset_memory(s):
+    """Reset the memory of a network (M,) to its initial state."""
     for k in range(len(s)):
         s[k] = 0.0
-    s[SINCE] = np.nan
+    s[AGE] = np.nan
 
 
 @inlined
-def forget_axis(nets, t, i):
+def reset_axis(nets, t, i):
     """The same for all networks of axis ``i``, memory (R, M)."""
     for r in range(len(t)):
         if nets.about[r, AXIS] == i:
-            forget(t[r])
+            reset_memory(t[r])
 
 
 @inlined
-def added(nets, t, i, stage):
-    """What stands in the memory (R, M) to be added at a stage of axis ``i``."""
+def contribution(nets, t, i, stage):
+    """Contribution to a stage of axis ``i``, from the memory (R, M)."""
     total = 0.0
     for r in range(len(t)):
         if nets.about[r, AXIS] == i and nets.about[r, STAGE] == stage:
-            total += t[r, ADDS]
+            total += t[r, OUTPUT]
     return total
 
 
 @loop
-def look(nets, r, s, command, x, load, dt):
-    """Beginning of a step of length ``dt``: look if it is time to, and return what is added during the step.
+def update(nets, r, s, command, x, load, dt):
+    """Update the network at the beginning of a step of length ``dt``, if it is due; return its contribution to the step.
 
     Args:
         s: memory of network ``r`` (M,).
-        command: of all axes (A,); ``x`` position of the own one, NaN where it is not known: it then waits.
+        command: of all axes (A,); ``x`` is the position of its axis. While that is NaN, there is no update.
     """
     interval = nets.about[r, INTERVAL]
-    since = s[SINCE]
+    since = s[AGE]
     due = np.isnan(since) or since >= interval - 0.5 * dt
     if not due or np.isnan(x):
         if not np.isnan(since):
-            s[SINCE] = since + dt
-        return s[ADDS]
-    speed = 0.0 if np.isnan(since) else (x - s[LAST]) / since
-    s[SINCE] = dt
-    s[LAST] = x
+            s[AGE] = since + dt
+        return s[OUTPUT]
+    speed = 0.0 if np.isnan(since) else (x - s[LAST_POSITION]) / since
+    s[AGE] = dt
+    s[LAST_POSITION] = x
     axes, units = len(command), int(nets.about[r, UNITS])
     inputs = axes + 5
     turn = 2.0 * math.pi * x / nets.about[r, PERIOD] if nets.about[r, PERIOD] > 0.0 else 0.0
@@ -232,8 +234,14 @@ def look(nets, r, s, command, x, load, dt):
     s[at + axes + 4] = math.cos(turn)
     for j in range(inputs):
         s[at + j] = cell.standardised(s[at + j], nets.mean[r, j], nets.scale[r, j])
-    s[ADDS] = nets.about[r, BOUND] * math.tanh(cell.lstm_step(nets.weights[r], inputs, units, s, STATES))
-    return s[ADDS]
+    s[OUTPUT] = nets.about[r, BOUND] * math.tanh(cell.lstm_step(nets.weights[r], inputs, units, s, STATES))
+    return s[OUTPUT]
+
+
+@inlined
+def update_stage(net, k, x, load, dt):
+    """:func:`update` of the network of a :class:`StageResidual` at the beginning of step ``k``."""
+    return update(net.nets, net.row, net.memory, net.commands[k], x, load, dt)
 
 
 # -- files ------------------------------------------------------------------------------------------------------------------

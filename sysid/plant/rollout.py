@@ -1,4 +1,4 @@
-"""What a plant predicts for a recording: the whole chain, free-running from its commands."""
+"""Free run of a plant: the whole chain from the commands of a recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.plant import axis_run, layout
 from sysid.plant.machine_run import run_machine
 from sysid.plant.model import SETTLE_WINDOW, Model, Segments, compile_plant
 from sysid.plant.plant import Plant
-from sysid.plant.residual import Place, check_step, memory_of
+from sysid.plant.residual import ResidualStage, check_step, new_memory
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
     Start states are estimated from the first seconds of the measurement (:mod:`sysid.plant.axis_start`).
 
     Returns:
-        ``time`` and one column for each signal the plant can predict, on the recording's rows, as its sensors would read it.
+        ``time`` and one column for each signal that the plant can predict, on the recording's rows, as its sensors read it.
     """
     model = plant if isinstance(plant, Model) else compile_plant(plant)
     theta, dt = model.theta[None], 1.0 / recording.rate_hz
@@ -40,8 +40,8 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
     if not np.isnan(tip).all():
         points = {"ee": tip}
         if model.has_tool(model.theta, recording):
-            measured = model.believed_point(theta, recording, "tool")
-            points["tool"] = model.hang(theta, tip[None], measured, recording.rate_hz)[0]
+            measured = model.true_point(theta, recording, "tool")
+            points["tool"] = model.tool_motion(theta, tip[None], measured, recording.rate_hz)[0]
         for point, values in points.items():
             for c, signal in enumerate(point_signals(point)):
                 columns[signal] = model.sensed(theta, signal, values[None, :, c], dt)[0]
@@ -49,13 +49,13 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
 
 
 def true_run(model: Model, recording: Recording) -> tuple[Array, Array, Array]:
-    """Drives (n, A), joints (n, A), end effector (n, 3), before any sensor reads them."""
-    return run_steps(model, recording, starts(model, recording), len(recording))[0]
+    """True drives (n, A), joints (n, A) and end effector (n, 3), without sensors."""
+    return run_steps(model, recording, start_states(model, recording), len(recording))[0]
 
 
 @dataclass(frozen=True)
-class Starts:
-    """Where the axes of a free run start after each gap of their commands.
+class StartStates:
+    """Start states of the axes of a free run, after each gap of their commands.
 
     Args:
         edges: (A, m, 2) first and last+1 sample of each stretch, in order; beyond the last one the number of samples.
@@ -68,32 +68,40 @@ class Starts:
     commands: Array
 
 
-def starts(model: Model, recording: Recording) -> Starts:
+def start_states(model: Model, recording: Recording) -> StartStates:
     """Start states of a free run, estimated from the first seconds of each stretch."""
     names, dt = model.machine.axis_names, 1.0 / recording.rate_hz
     stretches = [model.held(recording, name)[1] for name in names]
     rows = max(1, *(len(part) for part in stretches))
     edges = np.full((model.axes, rows, 2), len(recording), dtype=np.int64)
     states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
-    share = model.share(model.theta[None], recording, SETTLE_WINDOW)[0]
-    load = model.load(model.theta[None], recording, SETTLE_WINDOW)
-    for i, part in enumerate(stretches):
-        edges[i, : len(part)] = part
-        states[i, : len(part)] = _starts(model, recording, names[i], load[i], share)
-    return Starts(edges, states, np.column_stack([model.held(recording, name)[0] for name in names]))
+    theta = model.theta[None]
+    share, load = model.share(theta, recording, SETTLE_WINDOW)[0], model.load(theta, recording, SETTLE_WINDOW)
+    for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
+        edges[i, : len(segments)] = segments
+        stage: ResidualStage = "force" if axis.actuation == "force" else "command"
+        driven, joint = (model.true_signal(theta, recording, s)[0] for s in (axis.driven, axis_signal(axis.name, "joint")))
+        axis_run.find_starts(
+            model.theta, model.arrays, i, model.held(recording, axis.name)[0], driven, joint, load[i], share, segments, dt,
+            model.window(recording), round(SETTLE_WINDOW / dt), states.shape[2], states[i],
+            model.stage_net(stage, axis.name, model.residual_commands(stage, axis.name, recording)),
+        )  # fmt: skip
+    return StartStates(edges, states, np.column_stack([model.held(recording, name)[0] for name in names]))
 
 
-def run_steps(model: Model, recording: Recording, begun: Starts, count: int) -> tuple[tuple[Array, Array, Array], MachineState]:
-    """The first ``count`` samples of a free run, as :func:`true_run` gives them, and the state that they lead to."""
+def run_steps(
+    model: Model, recording: Recording, starts: StartStates, count: int
+) -> tuple[tuple[Array, Array, Array], MachineState]:
+    """The first ``count`` samples of a free run, as of :func:`true_run`, and the state after them."""
     dt = 1.0 / recording.rate_hz
     drive, joints, tip = np.empty((count, model.axes)), np.empty((count, model.axes)), np.empty((count, 3))
     check_step(model.residuals, dt)
-    networks = None if model.nets is None else memory_of(model.nets)
-    memory, load = np.full(model.axes * begun.states.shape[2], np.nan), np.zeros(model.axes)
-    commands = begun.commands[: count + 1]
+    networks = None if model.nets is None else new_memory(model.nets)
+    memory, load = np.full(model.axes * starts.states.shape[2], np.nan), np.zeros(model.axes)
     run_machine(
-        model.theta, model.rig, commands, begun.edges, begun.states, dt, drive, joints, tip, memory, load, model.nets, networks
-    )
+        model.theta, model.arrays, starts.commands[: count + 1], starts.edges, starts.states, dt, drive, joints, tip, memory,
+        load, model.nets, networks,
+    )  # fmt: skip
     return (drive, joints, tip), MachineState(memory, load, networks)
 
 
@@ -104,19 +112,3 @@ class MachineState:
     memory: Array
     load: Array
     networks: Array | None
-
-
-def _starts(model: Model, recording: Recording, axis: str, load: Array, share: Array) -> Array:
-    """State of one axis before each of its stretches, (m, size)."""
-    theta, dt = model.theta[None], 1.0 / recording.rate_hz
-    i, about = model.axis_index(axis), model.machine.axis(axis)
-    command, segments = model.held(recording, axis)
-    measured, joint = (model.believed(theta, recording, s)[0] for s in (about.driven, axis_signal(axis, "joint")))
-    out = np.empty((len(segments), layout.axis_memory(dt)))
-    place: Place = "force" if about.actuation == "force" else "command"
-    own = model.own(place, axis, model.in_steps(recording, i) if model.carries(place, axis, dt) else None)
-    axis_run.find_starts(
-        model.theta, model.rig, i, command, measured, joint, load, share, segments, dt, model.window(recording),
-        round(SETTLE_WINDOW / dt), layout.axis_memory(dt), out, own,
-    )  # fmt: skip
-    return out

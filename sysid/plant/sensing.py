@@ -1,4 +1,4 @@
-"""Sensors and their clocks, compiled: what a device writes down while a signal is true, and what was true when it wrote."""
+"""Sensors and their clocks, compiled: readings of true values, and the inverse."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def reading(x, p, b):
 
 @kernel
 def sensed(p, b, true, dt, out):
-    """True values on the machine's clock (n,) → what the sensor says on the clock of its stream (n,)."""
+    """True values on the machine's clock (n,) → readings on the clock of the sensor's stream (n,)."""
     on_time = p[b + AT.clock_skew] == 0.0 and p[b + AT.clock_offset] == 0.0
     for k in range(len(true)):
         x = true[k]
@@ -32,8 +32,8 @@ def sensed(p, b, true, dt, out):
 
 
 @kernel
-def believed(p, b, measured, dt, out):
-    """What a sensor says on the clock of its stream (n,) → the true values on the machine's clock (n,)."""
+def true_signal(p, b, measured, dt, out):
+    """Readings on the clock of the sensor's stream (n,) → true values on the machine's clock (n,)."""
     on_time = p[b + AT.clock_skew] == 0.0 and p[b + AT.clock_offset] == 0.0
     for k in range(len(measured)):
         y = measured[k]
@@ -45,7 +45,7 @@ def believed(p, b, measured, dt, out):
 
 @inlined
 def _between(values, at):
-    """Linear interpolation; NaN outside and beside what is missing."""
+    """Linear interpolation; NaN outside and beside missing samples."""
     k = math.floor(at)
     part = at - k
     if part < 1e-9:

@@ -1,8 +1,8 @@
-"""Where a position axis starts: where it is, and the set-points on their way through its dead time; compiled.
+"""Start state of a position axis: its position, and the setpoints in its dead time; compiled.
 
-During the dead time the lag is turned round: ``u_k = (x_k − a·x_{k−1})/(1 − a)``, ``a = e^(−dt/T)``, with the measured x. That
-is the most probable past under a prior as wide as the range of the axis, beside which the noise of its sensor is nothing.
-Without a dead time ``x_k = run_k + δx·a^k``, and δx is found by least squares under the same prior. What is wrong dies out.
+During the dead time the lag is inverted: ``u_k = (x_k − a·x_{k−1})/(1 − a)``, ``a = e^(−dt/T)``, with the measured x. That
+is the most probable past under a prior as wide as the range of the axis, against which the sensor noise is negligible.
+Without a dead time ``x_k = run_k + δx·a^k``, and δx is found by least squares under the same prior. Errors of it decay.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from sysid.effects.compiled import inlined, loop
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import HIGH, LOW
 
-#: After so many time constants nothing is left of where the lag stood.
+#: After this number of time constants the initial state of the lag has decayed.
 FADED = 4.0
-#: The prior weighs as much as this many samples: noise over range, squared.
+#: Weight of the prior in samples: noise over range, squared.
 PRIOR = 1e-6
 
 
 @inlined
 def _between(measured, at, last):
-    """The measured motion at sample ``at`` ≥ 0, by a straight line; NaN beside what is missing."""
+    """The measured motion at sample ``at`` ≥ 0 by linear interpolation; NaN beside missing samples."""
     k = math.floor(at)
     part = at - k
     if k + 1 >= last or part < 1e-9:
@@ -33,9 +33,9 @@ def _between(measured, at, last):
 
 
 @loop
-def start_servo(p, rig, i, begun, command, measured, first, last, dt):
-    """Correct the state ``begun`` (size,) of a position axis; the first sample stands behind a step of the chain."""
-    b, low, high = i * AXIS_WIDTH, rig.axes[i, LOW], rig.axes[i, HIGH]
+def start_servo(p, arrays, i, start, command, measured, first, last, dt):
+    """Correct the state ``start`` (size,) of a position axis; the first sample is the result of a step of the chain."""
+    b, low, high = i * AXIS_WIDTH, arrays.axes[i, LOW], arrays.axes[i, HIGH]
     lag, delay = p[b + AT.first_order_lag], p[b + AT.input_delay]
     kept = math.exp(-dt / lag) if lag > 1e-6 else 0.0
     cells = math.ceil(delay / dt - 1e-9)
@@ -49,21 +49,21 @@ def start_servo(p, rig, i, begun, command, measured, first, last, dt):
             if not np.isnan(measured[k]):
                 top += share * (measured[k] - x)
                 bottom += share * share
-        begun[STATE.first_order_lag] = min(max(command[first] + top / bottom, low), high)
+        start[STATE.first_order_lag] = min(max(command[first] + top / bottom, low), high)
         return
-    at, size = STATE.input_delay, len(begun) - STATE.input_delay
-    input_delay.fill(command[first], p, b + AT.input_delay, begun, at, size, dt)
-    wanted, known = command[first], False
+    at, size = STATE.input_delay, len(start) - STATE.input_delay
+    input_delay.fill(command[first], p, b + AT.input_delay, start, at, size, dt)
+    setpoint, known = command[first], False
     for back in range(cells, 0, -1):
         acts = first + delay / dt - back  # the sample that the step with this set-point leads to
         if acts >= first:
             x = _between(measured, acts, last)
             before = _between(measured, acts - 1.0, last) if acts - 1.0 >= first else x
             if not (np.isnan(x) or np.isnan(before)):
-                wanted = min(max((x - kept * before) / (1.0 - kept), low), high)
-                if not known:  # where it stands it was held
+                setpoint = min(max((x - kept * before) / (1.0 - kept), low), high)
+                if not known:  # before the measurement it was held there
                     known = True
-                    begun[STATE.first_order_lag] = min(max(before, low), high)
+                    start[STATE.first_order_lag] = min(max(before, low), high)
                     for older in range(back, cells + 1):
-                        input_delay.put(wanted, begun, at, size, older)
-        input_delay.put(wanted, begun, at, size, back)
+                        input_delay.put(setpoint, start, at, size, older)
+        input_delay.put(setpoint, start, at, size, back)

@@ -11,15 +11,15 @@ from sysid.plant.pose import SCRATCH, pose
 
 
 @kernel
-def tip(p, rig, joints, out):
-    """Joints where their sensors are (n, A) → end effector (n, 3), NaN where any joint is missing.
+def tip(p, arrays, joints, out):
+    """Joints at their sensors (n, A) → end effector (n, 3), NaN where any joint is missing.
 
-    Where the structure sags, the load is that of the pose before it sags.
+    The sag of the structure follows from the load of the pose without sag.
     """
     count = joints.shape[1]
     s = np.full((count, STATE.input_delay), np.nan)
     q, load, none = np.empty(count), np.empty(count), np.zeros(count)
-    scratch = np.empty((len(rig.links), SCRATCH))
+    scratch = np.empty((len(arrays.links), SCRATCH))
     soft = False
     for i in range(count):
         soft |= p[i * AXIS_WIDTH + AT.joint_compliance_structure] != 0.0
@@ -32,8 +32,8 @@ def tip(p, rig, joints, out):
             continue
         for i in range(count):
             q[i] = chain.structure_stage(joints[k, i], p, i * AXIS_WIDTH, s[i], 0, none[i])
-        pose(q, p, rig.links, rig.base, scratch, out[k], load)
+        pose(q, p, arrays.links, arrays.base, scratch, out[k], load)
         if soft:
             for i in range(count):
                 q[i] = chain.structure_stage(joints[k, i], p, i * AXIS_WIDTH, s[i], 0, load[i])
-            pose(q, p, rig.links, rig.base, scratch, out[k], load)
+            pose(q, p, arrays.links, arrays.base, scratch, out[k], load)

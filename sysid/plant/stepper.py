@@ -1,8 +1,8 @@
-"""The compiled chain one step at a time, for many lanes at once: what environments and the PyBullet world advance.
+"""The compiled chain one step at a time, for many lanes at once: for environments and the PyBullet world.
 
-Same step functions as :func:`sysid.plant.free_run`; only the loop over time is the caller's. After ``reset`` the state is
-that of sample 0; a step with the command of sample k leads to sample k + 1. A position axis is at a sample where the
-command of *that* sample wants it, so the step to sample k + 1 takes its command k + 1 (:func:`step_commands`).
+Same step functions as :func:`sysid.plant.free_run`; the caller runs the loop over time. After ``reset`` the state is that of
+sample 0; a step with the command of sample k leads to sample k + 1. The position of a position axis at a sample follows from
+the command of *that* sample, so the step to sample k + 1 takes its command k + 1 (:func:`step_commands`).
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from sysid.plant.machine_run import advance, enter, observe
 from sysid.plant.model import WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH, loads
-from sysid.plant.residual import check_step, memory_of
-from sysid.plant.rollout import MachineState, Starts, run_steps, starts, true_run
+from sysid.plant.residual import check_step, new_memory
+from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Lanes that one core steps faster than a second core can be woken for.
+#: Up to this number of lanes one core is faster than two.
 _SERIAL_LANES = 512
 
 
-#: The load that makes a joint sag changes with the sag: a twentieth of it, in each round.
-_SAG_ROUNDS = 10
+#: Fixed-point iterations of the sag, whose load depends on the sag; the error falls by a factor of about 20 in each.
+_SAG_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class LaneState:
 
     Args:
         drive: what the commands move, cylinder [m] or joint [rad or m], (lanes, axes).
-        joints: as the joint sensors would read them, (lanes, axes).
-        structure: where the joints of the structure stand, behind play and offset of the sensors, (lanes, axes).
+        joints: as the joint sensors read them, (lanes, axes).
+        structure: joints of the structure, behind backlash and offset of the sensors, (lanes, axes).
         ee, tool: in the frame they are measured in, (lanes, 3) [m].
     """
 
@@ -59,11 +59,11 @@ class LaneState:
 
 
 class Stepper:
-    """A plant as a state machine over ``lanes`` that know nothing of each other.
+    """A plant that is advanced step by step in independent ``lanes``.
 
     Args:
-        rate_hz: steps a second.
-        lanes: how many run side by side.
+        rate_hz: steps per second.
+        lanes: number of independent copies.
         thetas: parameter vectors, (lanes, N), where the lanes differ (sampled plants); else all are ``plant``.
 
     Raises:
@@ -86,7 +86,7 @@ class Stepper:
         self._load = np.zeros((lanes, axes))
         self._swing = np.full((lanes, gripper_sway.MEMORY), np.nan)
         self._out = LaneState(*(np.full((lanes, n), np.nan) for n in (axes, axes, axes, 3, 3)))
-        self._left = None if model.nets is None else np.tile(memory_of(model.nets), (lanes, 1, 1))
+        self._left = None if model.nets is None else np.tile(new_memory(model.nets), (lanes, 1, 1))
         self._ready = np.zeros(lanes, dtype=np.bool_)
 
     def reset(
@@ -100,74 +100,74 @@ class Stepper:
         which: npt.ArrayLike | None = None,
         seconds: float = 0.0,
     ) -> LaneState:
-        """Put lanes at rest and return the state of all of them.
+        """Put lanes at rest and return the state of all lanes.
 
-        All arrays may have one row for all lanes, or a row a lane that is reset.
+        All arrays may have one row for all lanes, or one row for each lane that is reset.
 
         Args:
-            joints: as the sensors would read them, (axes,) or (rows, axes) [rad or m].
-            drive: position of what the command moves; else in the middle of its play, through the linkage.
+            joints: as the sensors read them, (axes,) or (rows, axes) [rad or m].
+            drive: position of the drives; else from the joints through the linkage, in the middle of the backlash.
             speed: of force axes at the start [m/s or rad/s]; else zero.
-            commands: held since long before; else zero. A position axis was commanded to where it is.
-            swing: place (x, y) and speed (x, y) of the tool, (4,) or (rows, 4); else it hangs at rest.
+            commands: held for a long time before; else zero. The command of a position axis is its position.
+            swing: position (x, y) and speed (x, y) of the tool, (4,) or (rows, 4); else it hangs at rest.
             which: indices of the lanes to reset, or a mask; else all.
-            seconds: for how long the machine has been warming up.
+            seconds: time for which the machine has been warming up.
 
         Raises:
             SettingsError: a shape does not fit, or a joint cannot be turned into a cylinder position.
         """
         lanes = np.arange(self.lanes) if which is None else np.arange(self.lanes)[np.asarray(which)]
-        rows, n, rig = len(lanes), self.axes, self.model.rig
+        rows, n, arrays = len(lanes), self.axes, self.model.arrays
         read = self._rows("joints", joints, rows, n)
-        straight = self._straight(read, self.thetas[lanes])
+        straight = self._joints_without_sag(read, self.thetas[lanes])
         begin = self._drive_of(straight) if drive is None else self._rows("drive", drive, rows, n)
-        begin = np.clip(begin, rig.axes[:, LOW], rig.axes[:, HIGH])
+        begin = np.clip(begin, arrays.axes[:, LOW], arrays.axes[:, HIGH])
         command = self._rows("commands", 0.0 if commands is None else commands, rows, n)
-        command = np.where(rig.axes[:, KIND] == POSITION, begin, command)
+        command = np.where(arrays.axes[:, KIND] == POSITION, begin, command)
         start = self._rows("speed", 0.0 if speed is None else speed, rows, n)
         hanging = np.full((rows, gripper_sway.MEMORY), np.nan)
         if swing is not None:
             hanging[:, :4] = self._rows("swing", swing, rows, 4)
         for row, lane in enumerate(lanes):
             p, s, load = self.thetas[lane], self._memory[lane], self._load[lane]
-            _begin_lane(p, rig, s, begin[row], start[row], straight[row], self.dt)
+            _begin_lane(p, arrays, s, begin[row], start[row], straight[row], self.dt)
             if self._left is not None:
-                _forget_lane(self._left[lane])
+                _reset_residuals(self._left[lane])
             load[:] = 0.0
             self._observe(int(lane), int(lane) + 1)  # the load of the place ...
-            _forget_structure(s, np.ones(n, dtype=np.bool_))
+            _restart_structure_backlash(s, np.ones(n, dtype=np.bool_))
             self._swing[lane] = hanging[row]
             self._observe(int(lane), int(lane) + 1)  # ... how it sags there ...
-            _hold_command(p, rig, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
+            _hold_command(p, arrays, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
         self._ready[lanes] = True
         return self._state()
 
     def begin(self, recording: Recording, row: int) -> LaneState:
-        """Put all lanes where the free run of ``recording`` stands at ``row``, where a stretch begins.
+        """Set all lanes to the state of the free run of ``recording`` at ``row``, where a stretch begins.
 
-        A lane of another plant gets the same places, speeds and valve openings.
+        A lane with other parameters gets the same positions, speeds and valve openings.
         """
-        rig = self.model.rig
-        begun = starts(self.model, recording)
-        before = run_steps(self.model, recording, begun, row)[1]
-        states, fresh = begin_states(begun, before, row)
+        arrays = self.model.arrays
+        starts = start_states(self.model, recording)
+        before = run_steps(self.model, recording, starts, row)[1]
+        states, fresh = begin_states(starts, before, row)
         for lane, theta in enumerate(self.thetas):
             self._load[lane], left = before.load, None
             if self._left is not None:
                 left = self._left[lane]
                 left[:] = before.networks
             _enter_lane(
-                theta, rig, self._memory[lane], self._load[lane], states, fresh, begun.commands[row], row, self.dt,
+                theta, arrays, self._memory[lane], self._load[lane], states, fresh, starts.commands[row], row, self.dt,
                 self.model.nets, left,
             )  # fmt: skip
         self._swing[:] = np.nan
         self._observe(0, self.lanes)  # the load of the place ...
         for lane in range(self.lanes):
-            _forget_structure(self._memory[lane], fresh)
+            _restart_structure_backlash(self._memory[lane], fresh)
         if self.model.has_tool(self.model.theta, recording) and not np.isnan(self._out.ee[0]).any():
             rest = slice(row, None)
             tip = true_run(self.model, recording)[2]
-            tool = self.model.believed_point(self.model.theta[None], recording, "tool")[0]
+            tool = self.model.true_point(self.model.theta[None], recording, "tool")[0]
             self._swing[:] = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
         self._observe(0, self.lanes)  # ... and how it sags there
         self._ready[:] = True
@@ -187,17 +187,9 @@ class Stepper:
         def stretch(worker: int) -> None:
             first, last = worker * self.lanes // workers, (worker + 1) * self.lanes // workers
             _advance_lanes(
-                first,
-                last,
-                self.thetas,
-                self.model.rig,
-                self._memory,
-                self._load,
-                command,
-                self.dt,
-                self.model.nets,
+                first, last, self.thetas, self.model.arrays, self._memory, self._load, command, self.dt, self.model.nets,
                 self._left,
-            )
+            )  # fmt: skip
             self._observe(first, last)
 
         workers = min(WORKERS, 1 + self.lanes // _SERIAL_LANES)
@@ -205,24 +197,24 @@ class Stepper:
         return self._state()
 
     def state(self) -> dict[str, Array]:
-        """All that the next steps depend on, and what the last one returned; rows are lanes."""
+        """The complete state, and the result of the last step; rows are lanes."""
         kept = {name: getattr(self, f"_{name}").copy() for name in ("memory", "load", "swing", "ready")}
         if self._left is not None:
             kept["left"] = self._left.copy()
         return kept | {f"out.{item.name}": getattr(self._out, item.name).copy() for item in fields(LaneState)}
 
     def restore(self, state: Mapping[str, Array]) -> LaneState:
-        """Go on exactly where :meth:`state` was taken, of this plant at this rate; returns the state of all lanes.
+        """Restore a :meth:`state` of this plant at this rate exactly; returns the state of all lanes.
 
         Raises:
-            SettingsError: it is of another number of lanes, or of another plant.
+            SettingsError: the state is of another number of lanes, or of another plant.
         """
-        own = self.state()
-        for name, values in own.items():
+        stage_net = self.state()
+        for name, values in stage_net.items():
             found = np.shape(state.get(name, ()))
             if found != values.shape:
                 raise SettingsError("stepper", f"a state with {name} of shape {found}", f"{values.shape}")
-        for name in own:
+        for name in stage_net:
             holder, _, item = name.rpartition(".")
             place: Array = getattr(self._out, item) if holder else getattr(self, f"_{name}")
             place[:] = state[name]
@@ -230,28 +222,28 @@ class Stepper:
 
     @property
     def swing(self) -> Array:
-        """Place (x, y) and speed (x, y) of the tool of each lane, (lanes, 4); NaN where it hangs on nothing."""
+        """Position (x, y) and speed (x, y) of the tool of each lane, (lanes, 4); NaN where no tool hangs."""
         return self._swing[:, :4].copy()
 
     def _observe(self, first: int, last: int) -> None:
-        """What the state of lanes ``first … last`` looks like."""
+        """Compute the outputs of lanes ``first … last`` from their states."""
         out = self._out
         _observe_lanes(
-            first, last, self.thetas, self.model.rig, self._memory, self._load, self._swing, self.dt, out.drive, out.joints,
+            first, last, self.thetas, self.model.arrays, self._memory, self._load, self._swing, self.dt, out.drive, out.joints,
             out.structure, out.ee, out.tool, self.model.nets, self._left,
         )  # fmt: skip
 
-    def _straight(self, joints: Array, thetas: Array) -> Array:
-        """Joints before they sag, from those that the sensors read, (rows, axes)."""
+    def _joints_without_sag(self, joints: Array, thetas: Array) -> Array:
+        """Joints without sag from those that the sensors read, (rows, axes)."""
         at = np.arange(self.axes) * AXIS_WIDTH
         compliance, offset = thetas[:, at + AT.joint_compliance_drive], thetas[:, at + AT.joint_offset]
         if not self.model.posed or not compliance.any():
             return joints
-        rig, load = self.model.rig, np.zeros(joints.shape)
-        for _ in range(_SAG_ROUNDS):
+        arrays, load = self.model.arrays, np.zeros(joints.shape)
+        for _ in range(_SAG_ITERATIONS):
             straight = joints + compliance * np.nan_to_num(load)
             for row, theta in enumerate(thetas):
-                loads(theta, rig.links, rig.base, straight[row : row + 1] + offset[row], load[row : row + 1])
+                loads(theta, arrays.links, arrays.base, straight[row : row + 1] + offset[row], load[row : row + 1])
         return joints + compliance * np.nan_to_num(load)
 
     def _state(self) -> LaneState:
@@ -264,7 +256,7 @@ class Stepper:
             if axis.drives != "cylinder":
                 continue
             if axis.name not in self.plant.linkages:
-                found = "no linkage: a joint value does not say where the cylinder is"
+                found = "no linkage: the cylinder position does not follow from the joint"
                 raise SettingsError(f"axis {axis.name}", found, "geometry in machine.toml, a fitted network, or `drive`")
             drive[:, i] = self.plant.linkages[axis.name].displacement(joints[:, i])
         return drive
@@ -312,45 +304,45 @@ def swing_start(plant: Plant, ee: Array, tool: Array, rate_hz: float) -> Array:
     return start
 
 
-def begin_states(begun: Starts, before: MachineState, row: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """State (A, size) of the axes at ``row``, NaN where they have no command, and which of them begin there (A,)."""
-    states = before.memory.reshape(len(begun.edges), -1).copy()
+def begin_states(starts: StartStates, before: MachineState, row: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """State (A, size) of the axes at ``row``, NaN without a command, and a mask of those that begin there (A,)."""
+    states = before.memory.reshape(len(starts.edges), -1).copy()
     fresh = np.zeros(len(states), dtype=np.bool_)
-    for i, edges in enumerate(begun.edges):
+    for i, edges in enumerate(starts.edges):
         here = np.flatnonzero((edges[:, 0] <= row) & (row < edges[:, 1]))
         if not len(here):
             states[i] = np.nan
         elif edges[here[0], 0] == row:
-            states[i], fresh[i] = begun.states[i, here[0]], True
+            states[i], fresh[i] = starts.states[i, here[0]], True
     return states, fresh
 
 
 @kernel
-def _begin_lane(p, rig, s, drive, speed, joint, dt):
-    """Put the axes in place, in the memory ``s`` (A · size,) of a lane."""
-    size = len(s) // len(rig.axes)
-    for i in range(len(rig.axes)):
+def _begin_lane(p, arrays, s, drive, speed, joint, dt):
+    """Initial positions and speeds of the axes, into the memory ``s`` (A · size,) of a lane."""
+    size = len(s) // len(arrays.axes)
+    for i in range(len(arrays.axes)):
         axis_loop.begin(s, i * size, size, drive[i], speed[i], joint[i], p, i * AXIS_WIDTH, 0, dt)
 
 
 @kernel
-def _hold_command(p, rig, s, load, command, seconds, dt):
-    """Fill the memory ``s`` of a lane as if the command had been held for long under its ``load``, warm for ``seconds``."""
-    size = len(s) // len(rig.axes)
-    for i in range(len(rig.axes)):
+def _hold_command(p, arrays, s, load, command, seconds, dt):
+    """Fill the memory ``s`` of a lane for a command held for a long time under its ``load``, after ``seconds`` of warm-up."""
+    size = len(s) // len(arrays.axes)
+    for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
         warm = math.exp(-seconds / p[b + AT.temperature_drift + 1])
         s[m + STATE.temperature_drift] = warm
-        if rig.axes[i, KIND] != FORCE:
-            chain.ask(command[i], p, s, m, size, rig.axes, i, load[i], dt)
+        if arrays.axes[i, KIND] != FORCE:
+            chain.demand(command[i], p, s, m, size, arrays.axes, i, load[i], dt)
         s[m + STATE.temperature_drift] = warm
 
 
 @kernel
-def _enter_lane(p, rig, s, load, states, fresh, command, row, dt, nets, t):
-    """Put a lane into ``states`` (A, size) of a plant that may differ from its own: what is kept of parameters is made anew."""
-    size = len(s) // len(rig.axes)
-    for i in range(len(rig.axes)):
+def _enter_lane(p, arrays, s, load, states, fresh, command, row, dt, nets, t):
+    """Set a lane to ``states`` (A, size) of a plant with other parameters; what depends on parameters is computed again."""
+    size = len(s) // len(arrays.axes)
+    for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
         state = states[i]
         state[STATE.first_order_lag + 1] = np.nan
@@ -360,14 +352,14 @@ def _enter_lane(p, rig, s, load, states, fresh, command, row, dt, nets, t):
         state[STATE.temperature_drift + 1] = np.nan
         input_delay.retime(p, b + AT.input_delay, state, STATE.input_delay, dt)
         if fresh[i]:
-            enter(p, rig, i, s, size, load, state, command[i], dt, nets, t)
+            enter(p, arrays, i, s, size, load, state, command[i], dt, nets, t)
         else:
             for k in range(size):
                 s[m + k] = state[k]
 
 
 @kernel
-def _forget_structure(s, fresh):
+def _restart_structure_backlash(s, fresh):
     size = len(s) // len(fresh)
     for i in range(len(fresh)):
         if fresh[i]:
@@ -375,24 +367,24 @@ def _forget_structure(s, fresh):
 
 
 @kernel
-def _forget_lane(t):
+def _reset_residuals(t):
     for r in range(len(t)):
-        residual.forget(t[r])
+        residual.reset_memory(t[r])
 
 
 @kernel
-def _advance_lanes(first, last, thetas, rig, memory, load, command, dt, nets, left):
-    wanted = np.empty(len(rig.axes))
+def _advance_lanes(first, last, thetas, arrays, memory, load, command, dt, nets, left):
+    demands = np.empty(len(arrays.axes))
     for lane in range(first, last):
         t = None if nets is None else left[lane]
-        advance(thetas[lane], rig, memory[lane], load[lane], wanted, command[lane], dt, nets, t)
+        advance(thetas[lane], arrays, memory[lane], load[lane], demands, command[lane], dt, nets, t)
 
 
 @kernel
-def _observe_lanes(first, last, thetas, rig, memory, load, swing, dt, drive, joints, structure, ee, tool, nets, left):
-    scratch = np.empty((len(rig.links), SCRATCH))
+def _observe_lanes(first, last, thetas, arrays, memory, load, swing, dt, drive, joints, structure, ee, tool, nets, left):
+    scratch = np.empty((len(arrays.links), SCRATCH))
     for lane in range(first, last):
         p = thetas[lane]
         t = None if nets is None else left[lane]
-        observe(p, rig, memory[lane], load[lane], scratch, drive[lane], joints[lane], structure[lane], ee[lane], nets, t)
-        gripper_sway.step(ee[lane, 0], ee[lane, 1], ee[lane, 2], p, rig.tool, swing[lane], 0, dt, tool[lane])
+        observe(p, arrays, memory[lane], load[lane], scratch, drive[lane], joints[lane], structure[lane], ee[lane], nets, t)
+        gripper_sway.step(ee[lane, 0], ee[lane, 1], ee[lane, 2], p, arrays.tool, swing[lane], 0, dt, tool[lane])

@@ -1,4 +1,4 @@
-"""The tool below the boom tip over whole recordings, and from where its swing starts; compiled."""
+"""The tool below the end effector over whole recordings, and the start state of its swing; compiled."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from sysid.effects import gripper_sway
 from sysid.effects.compiled import inlined, kernel, loop
 
-#: The start of a swing is estimated from so many of its periods, or from this long [s] where that is longer.
-PERIODS, LEAST = 2.0, 3.0
-#: Runs of that stretch at most, the first ones of a single period; a correction [standard deviations of the noise] that needs
-#: no other one.
-ROUNDS, COARSE, EXACT = 7, 2, 0.3
-#: Prior: the tool hangs still; standard deviations of its deflection [lengths], and of a constant error of tip and tool [m].
-DEFLECTION, BESIDE = 0.3, 0.005
-#: No deflection starts larger than this [lengths].
+#: The start of a swing is estimated from this number of periods, or from this time [s] where that is longer.
+PERIODS, MIN_SECONDS = 2.0, 3.0
+#: Most runs of that stretch, the first ones of a single period; a correction [standard deviations of the noise] that ends the
+#: iteration.
+ROUNDS, COARSE, TOLERANCE = 7, 2, 0.3
+#: Prior: the tool is at rest; standard deviations of its deflection [lengths], and of a constant error of tip and tool [m].
+DEFLECTION_SD, OFFSET_SD = 0.3, 0.005
+#: Largest deflection at the start [lengths].
 LARGEST = 0.9
 
 
 @kernel
 def swing(p, at, pivot, measured, dt, out):
-    """Boom tip (n, 3) → tool (n, 3). After a gap in the tip the swing restarts from the first measured samples."""
-    s, now, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
+    """End effector (n, 3) → tool (n, 3). After a gap in the end effector the swing starts again from the measured tool."""
+    s, best, trial = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
     normal = np.empty((2, 3, 4))
-    columns, wide = np.empty((4, _longest(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
+    columns, work = np.empty((4, _most_samples(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
     begun = False
     for k in range(len(pivot)):
         if np.isnan(pivot[k, 0]):
@@ -36,31 +36,33 @@ def swing(p, at, pivot, measured, dt, out):
             continue
         if not begun:
             begun = True
-            _find(p, at, pivot, measured, k, _end(p, at, pivot, k, dt), dt, s, now, tried, normal, columns, wide, out)
-            _copy(s, now)
+            _find_start(
+                p, at, pivot, measured, k, _last_sample(p, at, pivot, k, dt), dt, s, best, trial, normal, columns, work, out
+            )
+            _copy(s, best)
         gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
 
 
 @kernel
 def start(p, at, pivot, measured, dt, found):
-    """State before the first sample into ``found`` (MEMORY,) from which the swing below ``pivot`` (n, 3) fits ``measured``."""
-    s, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
+    """State ``found`` (MEMORY,) before the first sample with which the swing below ``pivot`` (n, 3) fits ``measured`` best."""
+    s, trial = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
     normal, out = np.empty((2, 3, 4)), np.empty((len(pivot), 3))
-    columns, wide = np.empty((4, _longest(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
-    _find(p, at, pivot, measured, 0, _end(p, at, pivot, 0, dt), dt, s, found, tried, normal, columns, wide, out)
+    columns, work = np.empty((4, _most_samples(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
+    _find_start(p, at, pivot, measured, 0, _last_sample(p, at, pivot, 0, dt), dt, s, found, trial, normal, columns, work, out)
 
 
 @loop
-def _longest(p, at, dt, rows):
-    """So many of ``rows`` samples the start is estimated from at most."""
+def _most_samples(p, at, dt, rows):
+    """Most samples, of ``rows``, from which the start is estimated."""
     period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / gripper_sway.GRAVITY)
-    return min(rows, max(5, math.ceil(max(LEAST, PERIODS * period) / dt)))
+    return min(rows, max(5, math.ceil(max(MIN_SECONDS, PERIODS * period) / dt)))
 
 
 @loop
-def _end(p, at, pivot, first, dt):
-    """Last+1 sample that the start is estimated from."""
-    last, end = first, first + _longest(p, at, dt, len(pivot) - first)
+def _last_sample(p, at, pivot, first, dt):
+    """Last+1 sample from which the start is estimated."""
+    last, end = first, first + _most_samples(p, at, dt, len(pivot) - first)
     while last < end and not np.isnan(pivot[last, 0]):
         last += 1
     return last
@@ -73,8 +75,8 @@ def _copy(into, values):
 
 
 @loop
-def _hang(pivot, first, last, dt, state):
-    """The tool hangs still below a pivot that moves as in its first samples, and has not reached the first of them yet."""
+def _rest_state(pivot, first, last, dt, state):
+    """State of a tool at rest below a pivot that moves as in its first samples, one step before the first of them."""
     ahead = min(first + 2, last - 1)
     for c in range(3):
         speed = (pivot[ahead, c] - pivot[first, c]) / ((ahead - first) * dt) if ahead > first else 0.0
@@ -86,77 +88,79 @@ def _hang(pivot, first, last, dt, state):
 
 
 @loop
-def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, columns, wide, out):
-    """Gauss-Newton steps towards the most probable start, into ``now``; where those of a linear pendulum fail, exact ones."""
+def _find_start(p, at, pivot, measured, first, last, dt, s, best, trial, normal, columns, work, out):
+    """Most probable start, into ``best``, by Gauss-Newton with the derivatives of a linear pendulum, else numerical ones."""
     length = p[at]
-    _hang(pivot, first, last, dt, now)
+    _rest_state(pivot, first, last, dt, best)
     if length < 1e-3:
         return
     rate = math.sqrt(gripper_sway.GRAVITY / length)
-    least = np.inf
-    _copy(tried, now)
-    for turn in range(ROUNDS):
-        # Near enough by a period of it, then by all of it.
-        end = last if turn >= COARSE else min(last, first + math.ceil(2.0 * math.pi / rate / dt))
-        if turn == COARSE:
-            least = np.inf
-        _copy(s, tried)
+    lowest = np.inf
+    _copy(trial, best)
+    for iteration in range(ROUNDS):
+        # First one period, then the whole stretch.
+        end = last if iteration >= COARSE else min(last, first + math.ceil(2.0 * math.pi / rate / dt))
+        if iteration == COARSE:
+            lowest = np.inf
+        _copy(s, trial)
         for k in range(first, end):
             gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
-        cost, count = _normal(p, at, measured, out, first, end, dt, normal)
-        if count == 0 and turn < COARSE:
+        cost, count = _normal_equations(p, at, measured, out, first, end, dt, normal)
+        if count == 0 and iteration < COARSE:
             continue
         if count == 0:
             return
-        if turn >= COARSE and not cost < least:
-            _find_wide(p, at, pivot, measured, first, last, dt, least / count, s, now, tried, normal, columns, wide, out)
+        if iteration >= COARSE and not cost < lowest:
+            _find_start_numerically(
+                p, at, pivot, measured, first, last, dt, lowest / count, s, best, trial, normal, columns, work, out
+            )
             return
-        least, moved = cost, 0.0
-        _copy(now, tried)
+        lowest, moved = cost, 0.0
+        _copy(best, trial)
         for c in range(2):
-            away, speed = now[c] - now[4 + c], now[2 + c] - now[7 + c]
-            by_place, by_speed = _solved(normal[c], cost / count, away, speed, length, rate)
-            tried[c] = now[4 + c] + min(max(away + by_place, -LARGEST * length), LARGEST * length)
-            tried[2 + c] = now[2 + c] + by_speed
+            away, speed = best[c] - best[4 + c], best[2 + c] - best[7 + c]
+            by_place, by_speed = _solve_direction(normal[c], cost / count, away, speed, length, rate)
+            trial[c] = best[4 + c] + min(max(away + by_place, -LARGEST * length), LARGEST * length)
+            trial[2 + c] = best[2 + c] + by_speed
             moved = max(moved, abs(by_place), abs(by_speed) / rate)
-        if turn >= COARSE and moved < EXACT * math.sqrt(cost / count):
-            _copy(now, tried)
+        if iteration >= COARSE and moved < TOLERANCE * math.sqrt(cost / count):
+            _copy(best, trial)
             return
 
 
 @loop
-def _find_wide(p, at, pivot, measured, first, last, dt, variance, s, now, tried, normal, columns, wide, out):
-    """The same for a swing so wide that its period depends on its width: derivatives are differences of runs."""
+def _find_start_numerically(p, at, pivot, measured, first, last, dt, variance, s, best, trial, normal, columns, work, out):
+    """The same for a swing so large that its period depends on its amplitude: derivatives are differences of runs."""
     rate = math.sqrt(gripper_sway.GRAVITY / p[at])
-    step, least = wide[5], np.inf
-    _copy(tried, now)
+    step, lowest = work[5], np.inf
+    _copy(trial, best)
     for _ in range(ROUNDS):
-        _copy(s, tried)
+        _copy(s, trial)
         for k in range(first, last):
             gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
-        cost, count = _normal(p, at, measured, out, first, last, dt, normal)
-        if cost < least:
-            least, variance = cost, cost / count
-            _copy(now, tried)
-            _differences(p, at, pivot, first, last, dt, s, now, out, wide[6], columns)
-            _wide_step(p[at], rate, measured, out, first, last, variance, now, columns, wide)
+        cost, count = _normal_equations(p, at, measured, out, first, last, dt, normal)
+        if cost < lowest:
+            lowest, variance = cost, cost / count
+            _copy(best, trial)
+            _differences(p, at, pivot, first, last, dt, s, best, out, work[6], columns)
+            _numerical_step(p[at], rate, measured, out, first, last, variance, best, columns, work)
         else:
             for j in range(4):
                 step[j] *= 0.5
         moved = 0.0
         for j in range(4):
-            tried[j] = now[j] + step[j]
+            trial[j] = best[j] + step[j]
             moved = max(moved, abs(step[j]) / (1.0 if j < 2 else rate))
-        if moved < EXACT * math.sqrt(variance):
+        if moved < TOLERANCE * math.sqrt(variance):
             return
 
 
 @loop
-def _differences(p, at, pivot, first, last, dt, s, now, out, moved, columns):
-    """Derivatives of the run ``out`` by the places and speeds of ``now``, into ``columns`` (4, n, 2)."""
+def _differences(p, at, pivot, first, last, dt, s, best, out, moved, columns):
+    """Derivatives of the run ``out`` by the places and speeds of ``best``, into ``columns`` (4, n, 2)."""
     for j in range(4):
         small = 1e-4 * p[at] if j < 2 else 1e-4 * math.sqrt(gripper_sway.GRAVITY * p[at])
-        _copy(s, now)
+        _copy(s, best)
         s[j] += small
         for k in range(first, last):
             gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, moved)
@@ -165,9 +169,9 @@ def _differences(p, at, pivot, first, last, dt, s, now, out, moved, columns):
 
 
 @loop
-def _wide_step(length, rate, measured, out, first, last, variance, now, columns, wide):
-    """Gauss-Newton step by ``columns`` into row 5 of ``wide``: with the prior, a constant error eliminated by direction."""
-    a, means, step = wide, wide[4], wide[5]
+def _numerical_step(length, rate, measured, out, first, last, variance, best, columns, work):
+    """Gauss-Newton step by ``columns`` into row 5 of ``work``: with the prior, a constant error eliminated by direction."""
+    a, means, step = work, work[4], work[5]
     for i in range(4):
         for j in range(5):
             a[i, j] = 0.0
@@ -189,8 +193,8 @@ def _wide_step(length, rate, measured, out, first, last, variance, now, columns,
             for j in range(5):
                 a[i, j] -= means[i] * means[j] / max(count, 1)
     for j in range(4):
-        prior = DEFLECTION * length * (1.0 if j < 2 else rate)
-        beside = now[j] - now[4 + j] if j < 2 else now[j] - now[5 + j]
+        prior = DEFLECTION_SD * length * (1.0 if j < 2 else rate)
+        beside = best[j] - best[4 + j] if j < 2 else best[j] - best[5 + j]
         a[j, j] += variance / (prior * prior)
         a[j, 4] -= variance * beside / (prior * prior)
     for i in range(4):  # positive definite: no pivots are needed
@@ -206,10 +210,10 @@ def _wide_step(length, rate, measured, out, first, last, variance, now, columns,
 
 
 @loop
-def _normal(p, at, measured, out, first, last, dt, normal):
-    """Normal equations (2, 3, 4) of what is left; its squares, without a constant, and how many there are.
+def _normal_equations(p, at, measured, out, first, last, dt, normal):
+    """Normal equations (2, 3, 4) of the residuals; returns their sum of squares about the mean, and their number.
 
-    What is left is a constant and what a change of the start does, which dies out as a free swing:
+    The residuals are a constant and the response to a change of the start, which decays as a free swing:
     ``e^(−ζωt)(δx·cos ωt + (δv + ζω·δx)/ω·sin ωt)``.
     """
     rate = math.sqrt(gripper_sway.GRAVITY / p[at])
@@ -248,15 +252,15 @@ def _normal(p, at, measured, out, first, last, dt, normal):
 
 
 @loop
-def _solved(a, variance, place, speed, length, rate):
+def _solve_direction(a, variance, place, speed, length, rate):
     """Correction of place and speed of one direction, by its normal equations (3, 4) and the prior."""
-    wide, fast = DEFLECTION * length, DEFLECTION * length * rate
+    wide, fast = DEFLECTION_SD * length, DEFLECTION_SD * length * rate
     a00, a01, a02, b0 = a[0, 0] + variance / (wide * wide), a[0, 1], a[0, 2], a[0, 3] - variance * place / (wide * wide)
     a11, a12, b1 = a[1, 1] + variance / (fast * fast), a[1, 2], a[1, 3] - variance * speed / (fast * fast)
-    a22, b2 = a[2, 2] + variance / (BESIDE * BESIDE), a[2, 3]
+    a22, b2 = a[2, 2] + variance / (OFFSET_SD * OFFSET_SD), a[2, 3]
     if not a22 > 0.0:
         return 0.0, 0.0
-    # Without the constant: what it takes from the others.
+    # Eliminate the constant.
     a00 -= a02 * a02 / a22
     a01 -= a02 * a12 / a22
     a11 -= a12 * a12 / a22

@@ -1,4 +1,4 @@
-"""How well the parameters of a plant are known, and plants drawn from that: randomisation learned from data, not guessed."""
+"""Joint distribution of the parameters of a plant, and plants drawn from it (domain randomisation from data)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sysid.plant.layout import side_of
 Array = npt.NDArray[np.float64]
 Side = Literal["drive", "structure"] | None
 
-#: A draw outside of its bounds is repeated this often before it is put on them.
+#: A draw outside its bounds is repeated this often before it is clipped to them.
 REPEATS = 100
 
 
@@ -32,7 +32,7 @@ class PlantNumber:
 
     @property
     def key(self) -> tuple[str, str, str | None]:
-        """The instance that it belongs to."""
+        """Key of its instance."""
         return self.effect, self.target, side_of(effect_named(self.effect), self.side)
 
 
@@ -41,7 +41,7 @@ class Uncertainty:
     """Joint normal distribution of some parameters around the values that the plant has.
 
     Args:
-        places: (k,) what they are.
+        places: the parameters, (k,).
         covariance: (k, k), in the squared units of the parameters.
 
     Raises:
@@ -66,7 +66,7 @@ class Uncertainty:
             raise SettingsError(where, "a matrix with negative variances", "a covariance")
 
     def joined(self, other: Uncertainty) -> Uncertainty:
-        """Both, independent of each other; what ``other`` says of the same instance of an effect replaces this."""
+        """Both, as independent; for the same instance of an effect ``other`` replaces this."""
         kept = self.without({place.key for place in other.places})
         a, b = len(kept.places), len(other.places)
         covariance = np.zeros((a + b, a + b))
@@ -74,12 +74,12 @@ class Uncertainty:
         return Uncertainty((*kept.places, *other.places), covariance)
 
     def without(self, keys: set[tuple[str, str, str | None]]) -> Uncertainty:
-        """What remains when instances of effects are gone."""
+        """The distribution without the parameters of these instances of effects."""
         rows = [k for k, place in enumerate(self.places) if place.key not in keys]
         return Uncertainty(tuple(self.places[k] for k in rows), self.covariance[np.ix_(rows, rows)])
 
     def draw(self, values: Array, bounds: Sequence[tuple[float, float]], count: int, seed: int) -> Array:
-        """``count`` draws around ``values`` (k,), (count, k): normal, cut at ``bounds``."""
+        """``count`` draws around ``values`` (k,), (count, k): normal, truncated at ``bounds``."""
         rng = np.random.default_rng(seed)
         scale = np.sqrt(np.diag(self.covariance))
         unit = np.where(scale > 0.0, scale, 1.0)
@@ -95,7 +95,7 @@ class Uncertainty:
         return np.asarray(np.clip(drawn, low, high))
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """As JSON."""
         return {"places": [vars(place) for place in self.places], "covariance": self.covariance.tolist()}
 
 

@@ -1,12 +1,12 @@
-"""Where a velocity axis starts: its position, and what its valve did before the first sample; compiled.
+"""Start state of a velocity axis: its position, and the opening of its valve before the first sample; compiled.
 
-A valve that was open moves the axis during the dead time and while the lag fades, and so shifts all that follows:
+A valve that was open moves the axis during the dead time and while the lag decays, which shifts the whole run:
 ``x(t) = run(t) + δx + g·δv·τ(1 − e^(−t/τ)) + Σ g·δw_j·(S(t − a_j) − S(t − b_j))``, ``S(t) = t − τ(1 − e^(−t/τ))`` for t > 0.
-Position x [m or rad], opening v of the valve and openings w_j on their way through the dead time, from a_j to b_j, are
-estimated together by penalised least squares (Tarantola, Inverse Problem Theory, 2005, ch. 3). The prior: openings are normal
-about the first command, held, with a standard deviation of one; the position may be any.
+Position x [m or rad], opening v of the valve and openings w_j in the dead time, from a_j to b_j, are estimated together by
+penalised least squares (Tarantola, Inverse Problem Theory, 2005, ch. 3). Prior: openings are normal about the first command
+with a standard deviation of one; the position is free.
 
-The formula is exact for a linear valve without friction. Where more than the noise was corrected, another run checks it.
+The formula is exact for a linear valve without friction. A correction larger than the noise is checked by another run.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import middle_and_spread, shift
 from sysid.plant.machine_arrays import CYLINDER, GAIN, HIGH, LOW
 
-#: The position is that of so many seconds behind the transient.
-LEVEL = 1.0
-#: A lag has faded after so many time constants; it is waited for no longer than this [s].
+#: The position is estimated from this time [s] behind the transient.
+LEVEL_SECONDS = 1.0
+#: A lag has decayed after this number of time constants, and counts as decayed after this time [s].
 FADED, LONGEST_FADE = 4.0, 2.0
-#: The dead time holds openings of this length [s], longer ones where there would be more than ``PIECES``.
+#: The dead time is divided into openings of this length [s], longer ones where there would be more than ``PIECES``.
 PIECE, PIECES = 0.05, 8
-#: Samples are taken together in bins of this length [s]; later than the dead time, of this share of the time since then.
+#: Samples are averaged in bins of this length [s]; after the dead time, of this share of the time since its end.
 BIN, WIDER = 0.025, 0.125
-#: Runs of the first seconds at most; a correction [standard deviations of the noise] that needs no other one.
-ROUNDS, EXACT = 6, 0.1
-#: Further away [standard deviations of the noise] than this is a spike.
+#: Most runs of the first seconds; a correction [standard deviations of the noise] that ends the iteration.
+ROUNDS, TOLERANCE = 6, 0.1
+#: A difference above this [standard deviations of the noise] is an outlier.
 SPIKE = 8.0
-#: Least noise [share of the way of an open valve in a step]: the prior weighs a little where the measurement has none.
-QUIET = 1e-3
+#: Least noise [share of the travel of an open valve in a step], so that the prior has a weight where the measurement has none.
+MIN_NOISE = 1e-3
 
 UNKNOWNS = 2 + PIECES
 #: Rows of the work space behind the square matrix: what is estimated, the same before the last correction, right-hand side,
 #: influences, limits of the pieces.
-VALUES, KEPT, RIGHT, COLUMN, EDGES, ROWS = range(UNKNOWNS, UNKNOWNS + 6)
+VALUES, PREVIOUS, RIGHT, COLUMN, EDGES, ROWS = range(UNKNOWNS, UNKNOWNS + 6)
 
 
 @inlined
-def _way(t, slow):
+def _travel(t, slow):
     """Integral of a valve that opens at 0 with the time constant ``slow``, S(t)."""
     if t <= 0.0:
         return 0.0
@@ -61,16 +61,16 @@ def _piece(back, cells, pieces):
 
 
 @loop
-def _fill(p, b, begun, dt, work, cells, pieces):
-    """The estimated openings into the state ``begun``."""
+def _fill(p, b, start, dt, work, cells, pieces):
+    """The estimated openings into the state ``start``."""
     valve = work[VALUES, 1]
-    begun[STATE.command_rate_limit] = valve
-    begun[STATE.first_order_lag] = valve
+    start[STATE.command_rate_limit] = valve
+    start[STATE.first_order_lag] = valve
     if cells:
-        at, size = STATE.input_delay, len(begun) - STATE.input_delay
-        input_delay.fill(work[VALUES, 1 + pieces], p, b + AT.input_delay, begun, at, size, dt)
+        at, size = STATE.input_delay, len(start) - STATE.input_delay
+        input_delay.fill(work[VALUES, 1 + pieces], p, b + AT.input_delay, start, at, size, dt)
         for back in range(1, cells + 1):
-            input_delay.put(work[VALUES, 2 + _piece(back, cells, pieces)], begun, at, size, back)
+            input_delay.put(work[VALUES, 2 + _piece(back, cells, pieces)], start, at, size, back)
 
 
 @loop
@@ -86,20 +86,20 @@ def _edges(delay, dt, work, cells, pieces):
 
 @loop
 def _influence(t, gain, slow, work, pieces):
-    """How far the axis is at time t [s] if each unknown is larger by one, into the work space."""
+    """Derivative of the position at time t [s] by each unknown, into the work space."""
     work[COLUMN, 0] = 1.0
-    work[COLUMN, 1] = gain * (t - _way(t, slow))
+    work[COLUMN, 1] = gain * (t - _travel(t, slow))
     if pieces:
-        after = _way(t - work[EDGES, 0], slow)
+        after = _travel(t - work[EDGES, 0], slow)
         for j in range(pieces):
             before = after
-            after = _way(t - work[EDGES, j + 1], slow)
+            after = _travel(t - work[EDGES, j + 1], slow)
             work[COLUMN, 2 + j] = gain * (before - after)
 
 
 @loop
-def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, whole):
-    """Add the differences measured − said, in bins, to the right-hand side; to the matrix as well where ``whole``.
+def _compare(measured, simulated, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, whole):
+    """Add the differences measured − simulated, in bins, to the right-hand side; to the matrix as well where ``whole``.
 
     Returns the sum of their squares about their mean.
     """
@@ -112,7 +112,7 @@ def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, 
         n, total, when = 0, 0.0, 0.0
         for j in range(k, end):
             if not np.isnan(measured[j]):
-                away = measured[j] - said[j]
+                away = measured[j] - simulated[j]
                 if abs(away - middle) <= bound:
                     n += 1
                     total += away
@@ -161,25 +161,25 @@ def _solve(work, count):
 
 
 @inlined
-def _move_to(begun, x, low, high):
+def _move_to(start, x, low, high):
     """The axis at ``x``, its joint as far behind the drive as before."""
     x = min(max(x, low), high)
-    begun[STATE.backlash_drive] += x - begun[STATE.position]
-    begun[STATE.position] = x
+    start[STATE.backlash_drive] += x - start[STATE.position]
+    start[STATE.position] = x
 
 
 @loop
-def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, own):
-    """Correct the state ``begun`` (size,) of a velocity axis.
+def start_valve(p, arrays, i, s, start, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, net):
+    """Correct the state ``start`` (size,) of a velocity axis.
 
     Args:
-        calm: samples behind the transient that the position is estimated from.
+        calm: samples behind the transient from which the position is estimated.
         s, out, behind, scratch, work: used inside.
     """
     b, m = i * AXIS_WIDTH, np.int64(0)
-    low, high = rig.axes[i, LOW], rig.axes[i, HIGH]
-    said = out if rig.axes[i, CYLINDER] != 0.0 else behind
-    gain = rig.axes[i, GAIN] * p[b + AT.gain_error] * share[first]
+    low, high = arrays.axes[i, LOW], arrays.axes[i, HIGH]
+    simulated = out if arrays.axes[i, CYLINDER] != 0.0 else behind
+    gain = arrays.axes[i, GAIN] * p[b + AT.gain_error] * share[first]
     slow, delay = p[b + AT.first_order_lag], p[b + AT.input_delay]
     if p[b + AT.command_rate_limit] < command_rate_limit.ABSENT:
         slow += 0.5 / p[b + AT.command_rate_limit]
@@ -187,52 +187,54 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
     pieces = min(PIECES, math.ceil(delay / PIECE), cells)
     count = 1 if cells == 0 and slow < 1e-6 else 2 + pieces
     near = min(last, first + math.ceil((delay + min(FADED * slow, LONGEST_FADE)) / dt) + calm)
-    work[VALUES, 0] = begun[STATE.position]
+    work[VALUES, 0] = start[STATE.position]
     held = 0.0
     if count > 1:
-        held = chain.opening(command[first], p, b, begun, m)
+        held = chain.opening(command[first], p, b, start, m)
         for j in range(1, count):
             work[VALUES, j] = held
         _edges(delay, dt, work, cells, pieces)
     middle, bound, noise = 0.0, 0.0, 0.0
     least, final = np.inf, count == 1
-    for turn in range(ROUNDS):
+    for iteration in range(ROUNDS):
         if count > 1:
-            _fill(p, b, begun, dt, work, cells, pieces)
+            _fill(p, b, start, dt, work, cells, pieces)
         for k in range(len(s)):
-            s[k] = begun[k]
-        run(p, rig, i, s, command, load, share, first, near, dt, out, behind, own)
-        if turn == 0:
-            middle, noise = middle_and_spread(measured, said, first, near, calm, scratch)
+            s[k] = start[k]
+        run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
+        if iteration == 0:
+            middle, noise = middle_and_spread(measured, simulated, first, near, calm, scratch)
             if np.isnan(middle):
                 return
             bound = SPIKE * noise + 2.0 * gain * (slow + delay)
-            noise = max(noise, QUIET * gain * dt)
-        if final or turn == ROUNDS - 1:
-            _move_to(begun, begun[STATE.position] + shift(measured, said, first, near, calm, middle, bound), low, high)
+            noise = max(noise, MIN_NOISE * gain * dt)
+        if final or iteration == ROUNDS - 1:
+            _move_to(start, start[STATE.position] + shift(measured, simulated, first, near, calm, middle, bound), low, high)
             return
         for row in range(count):
             work[RIGHT, row] = noise * noise * (held - work[VALUES, row]) if row else 0.0
             for column in range(row + 1):
-                if turn == 0:
+                if iteration == 0:
                     work[row, column] = noise * noise if row == column and row else 0.0
-        cost = _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, turn == 0)
-        if cost > least + noise * noise:  # the valve is bent too much: back to what fitted better
+        cost = _compare(
+            measured, simulated, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, iteration == 0
+        )
+        if cost > least + noise * noise:  # the valve is too nonlinear: back to the better fit
             final = True
             for j in range(1, count):
-                work[VALUES, j] = work[KEPT, j]
+                work[VALUES, j] = work[PREVIOUS, j]
             continue
         least = min(cost, least)
-        if turn == 0:
+        if iteration == 0:
             _factor(work, count)
         _solve(work, count)
-        _move_to(begun, begun[STATE.position] + work[RIGHT, 0], low, high)
+        _move_to(start, start[STATE.position] + work[RIGHT, 0], low, high)
         changed = 0.0
         for j in range(1, count):
-            work[KEPT, j] = work[VALUES, j]
+            work[PREVIOUS, j] = work[VALUES, j]
             work[VALUES, j] += work[RIGHT, j]
             changed += abs(work[RIGHT, j]) * gain * (slow if j == 1 else delay / pieces)
         middle = 0.0
-        if changed <= EXACT * noise:
+        if changed <= TOLERANCE * noise:
             break
-    _fill(p, b, begun, dt, work, cells, pieces)
+    _fill(p, b, start, dt, work, cells, pieces)

@@ -76,8 +76,8 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
     model = compile_plant(plant)
     if not model.posed:
         raise SettingsError(f"plant of {plant.machine.name}", "its machine has no URDF", "urdf = … and tip = … in machine.toml")
-    theta, links = model.theta, model.rig.links
-    base = model.rig.base + AT.base_misalignment
+    theta, links = model.theta, model.arrays.links
+    base = model.arrays.base + AT.base_misalignment
     turn = Rotation.from_rotvec(theta[base + 3 : base + 6]).as_matrix()
     rows = []
     shift = np.zeros(3)

@@ -85,5 +85,5 @@ def joint_limits(plant: Plant) -> tuple[Array, Array]:
 def tips(model: Model, joints: Array) -> Array:
     """Measured end effectors of the plant at rest at measured joints, (n, A) → (n, 3) [m]."""
     out = np.empty((len(joints), 3))
-    resting_tips(model.theta, model.rig, np.ascontiguousarray(joints, dtype=np.float64), out)
+    resting_tips(model.theta, model.arrays, np.ascontiguousarray(joints, dtype=np.float64), out)
     return out

@@ -59,8 +59,8 @@ def test_tip_is_where_the_built_machine_carries_it(recipe: BenchRecipe) -> None:
     tips = np.array([tip_position(*q, geometry.height, geometry.boom + 0.002, geometry.stick - 0.0015) for q in true])
     assert run.truth.ee[::50] == pytest.approx(tips, abs=1e-12)
     times = run.capture.clock.to_machine(run.capture.time) - recipe.capture.latency
-    standing = run.truth.at(times, run.truth.ee) @ turn_about((0.005, -0.004, 0.0)).T + [0.004, -0.003, 0.002]
-    assert seen_tip(run) == pytest.approx(standing, abs=1e-5)
+    standing_error = run.truth.at(times, run.truth.ee) @ turn_about((0.005, -0.004, 0.0)).T + [0.004, -0.003, 0.002]
+    assert seen_tip(run) == pytest.approx(standing_error, abs=1e-5)
     assert np.abs(seen_tip(run) - seen_tip(plain)).max() > 0.005
 
 

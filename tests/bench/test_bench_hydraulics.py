@@ -21,7 +21,7 @@ from sysid.bench.recipe import GripperSettings, StrokeSettings
 from sysid.bench.recipe_file import check_recipe
 from sysid.bench.rigid_body import bodies_of, energy
 from sysid.bench.seal import seal_step
-from sysid.bench.spool import PLAYS, edges, spool_motion, with_friction
+from sysid.bench.spool import PLAY_OPERATORS, edges, spool_motion, with_hysteresis
 from sysid.errors import SettingsError
 
 Array = npt.NDArray[np.float64]
@@ -80,12 +80,12 @@ def test_cold_oil_is_thick_and_thins_as_it_warms() -> None:
 
 def test_friction_of_the_spool_is_a_rate_independent_loop() -> None:
     swing = 0.3 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4001))
-    plays = np.zeros(PLAYS)
-    felt = np.array([with_friction(u, plays, 0.06) for u in swing])
+    plays = np.zeros(PLAY_OPERATORS)
+    felt = np.array([with_hysteresis(u, plays, 0.06) for u in swing])
     width = abs(np.interp(0.0, swing[3001:4001], felt[3001:4001]) + np.interp(0.0, -swing[2501:3501], -felt[2501:3501]))
     # Mean half width of plays evenly spaced up to 0.06 is 0.018.
-    assert width == pytest.approx(2.0 * 0.5 * 0.06 * (PLAYS + 1) / (2 * PLAYS), rel=0.02)
-    assert with_friction(0.123, np.zeros(PLAYS), 0.0) == 0.123
+    assert width == pytest.approx(2.0 * 0.5 * 0.06 * (PLAY_OPERATORS + 1) / (2 * PLAY_OPERATORS), rel=0.02)
+    assert with_hysteresis(0.123, np.zeros(PLAY_OPERATORS), 0.0) == 0.123
 
 
 def test_spool_is_of_second_order() -> None:

@@ -63,14 +63,14 @@ def test_irregular_drive_moves_as_its_share_says(recipe: BenchRecipe) -> None:
 def test_flight_follows_its_path_by_commands_that_jump_the_overlap(recipe: BenchRecipe) -> None:
     truth = run(recipe, FLIGHT)
     # The paths are the first thing that is drawn.
-    wanted = draw_flight(recipe, FLIGHT.seconds, np.random.default_rng(5))
+    setpoint = draw_flight(recipe, FLIGHT.seconds, np.random.default_rng(5))
     every = truth.drive[::10]
     for i, name in enumerate(AXES):
         drive = drive_of(recipe.axis(name))
-        assert wanted[i, 0] == pytest.approx(position_of(recipe.axis(name).park, drive))
-        error = every[:, i] - wanted[i, : len(every)]
+        assert setpoint[i, 0] == pytest.approx(position_of(recipe.axis(name).park, drive))
+        error = every[:, i] - setpoint[i, : len(every)]
         assert np.sqrt(np.mean(error**2)) < 0.03 * (drive.high - drive.low), name
-        assert np.ptp(wanted[i]) > 0.2 * (drive.high - drive.low), name
+        assert np.ptp(setpoint[i]) > 0.2 * (drive.high - drive.low), name
         given = truth.command[::10, i]
         valve = recipe.axis(name).valve
         assert not np.any((given > 0.0) & (given < 0.85 * valve.deadband_positive)), name

@@ -29,10 +29,10 @@ def shoulder(**features: float) -> ServoArm:
 
 
 def test_neutral_servo_is_where_it_was_told_to_be() -> None:
-    _, wanted, joints = run_servo_arm(ARM, TAKE)
-    assert joints[1:] == pytest.approx(wanted[:-1], abs=1e-12)
+    _, setpoint, joints = run_servo_arm(ARM, TAKE)
+    assert joints[1:] == pytest.approx(setpoint[:-1], abs=1e-12)
     low, high = SHOULDER.limits
-    assert low < wanted[:, 0].min() < wanted[:, 0].max() < high
+    assert low < setpoint[:, 0].min() < setpoint[:, 0].max() < high
 
 
 def test_servo_features_one_by_one() -> None:
@@ -44,8 +44,8 @@ def test_servo_features_one_by_one() -> None:
     lagging = run_servo_arm(shoulder(time_constant=0.1), TAKE)[2]
     area = np.sum((exact - lagging)[:, 0]) * (time[1] - time[0])
     assert area == pytest.approx(0.1 * (lagging[-1, 0] - lagging[0, 0]), abs=2e-3)
-    standing = run_servo_arm(shoulder(standing_error=0.004), TAKE)[2]
-    assert np.abs(standing - exact)[:, 0].max() == pytest.approx(0.004, rel=1e-6)
+    standing_error = run_servo_arm(shoulder(standing_error=0.004), TAKE)[2]
+    assert np.abs(standing_error - exact)[:, 0].max() == pytest.approx(0.004, rel=1e-6)
     loose = run_servo_arm(shoulder(backlash=0.01), TAKE)[2]
     assert np.ptp((loose - exact)[:, 0]) == pytest.approx(0.01, rel=1e-6)
     soft = run_servo_arm(shoulder(compliance=2e-3), TAKE)[2]

@@ -130,15 +130,15 @@ def test_a_line_that_nobody_reads_loses_whole_frames(tmp_path: Path) -> None:
         while not line.open:
             line.receive()
         sent = 0
-        heard = []
+        received_frames = []
         for burst in (3000, 1, 1, 20, 3000, 1):
             line.send([CanFrame(0x100, False, (sent + k).to_bytes(8, "big")) for k in range(burst)])
             sent += burst
-            heard.append(take())
+            received_frames.append(take())
     finally:
         os.close(other)
         line.close()
-    *whole, rest = b"".join(heard).split(b"\r")
+    *whole, rest = b"".join(received_frames).split(b"\r")
     frames = [parse_line(one) for one in whole]
     assert rest == b""
     assert all(frame is not None and len(frame.data) == 8 for frame in frames)
@@ -212,7 +212,7 @@ def test_the_database_holds_the_messages_of_the_logged_bus() -> None:
 @pytest.mark.parametrize("line", ["dead_man", "dead_man 1 1", "drop WIRES 3", "launch", "stuck SLEW_SENSOR x", "quit now"])
 def test_the_control_pipe_takes_nothing_else(bus: LiveBus, line: str) -> None:
     with pytest.raises((ValueError, KeyError, TypeError)):
-        Switches().obey(line, bus)
+        Switches().apply(line, bus)
 
 
 def test_a_database_that_is_none(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from sysid.bench import AXES, BenchRecipe, load_recipe
 from sysid.bench.crane import link_poses, tip_position
-from sysid.bench.cylinder import against_stops, drive_of, joint_of, position_of
-from sysid.bench.drivetrain import follow_with_play
+from sysid.bench.cylinder import drive_of, joint_of, position_of, within_stops
+from sysid.bench.drivetrain import follow_with_backlash
 from sysid.machine import load_machine
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
@@ -38,7 +38,7 @@ def test_parked_pose_lies_inside_every_stroke(recipe: BenchRecipe) -> None:
 
 @given(st.floats(-2.0, 2.0), st.floats(-1.0, 0.0), st.floats(0.1, 1.0))
 def test_end_stops_hold(position: float, low: float, high: float) -> None:
-    held = against_stops(position, low, high)
+    held = within_stops(position, low, high)
     assert low <= held <= high
     assert held == position or position < low or position > high
 
@@ -48,7 +48,7 @@ def test_play_never_exceeds_its_width_and_holds_inside_it(path: list[float], wid
     structure = 0.0
     for drive in path:
         before = structure
-        structure = follow_with_play(structure, drive, width)
+        structure = follow_with_backlash(structure, drive, width)
         assert abs(drive - structure) <= 0.5 * width + 1e-12
         if abs(drive - before) <= 0.5 * width:
             assert structure == before, "the structure stands still while the drive crosses the play"
@@ -58,7 +58,7 @@ def test_play_lags_a_slow_swing_by_its_width() -> None:
     drive = np.sin(np.linspace(0.0, 6.0 * np.pi, 3000))
     structure = np.zeros_like(drive)
     for k in range(1, len(drive)):
-        structure[k] = follow_with_play(structure[k - 1], drive[k], 0.2)
+        structure[k] = follow_with_backlash(structure[k - 1], drive[k], 0.2)
     settled = structure[1000:]
     assert np.ptp(settled) == pytest.approx(2.0 - 0.2, abs=1e-4)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from sysid.bench import BenchRecipe, RecordingSettings, simulate
-from sysid.bench.elastic_joint import flex_step
+from sysid.bench.drivetrain import flex_step
 from sysid.bench.hydraulic_recipe import MassSettings
 from sysid.bench.machine import run_machine
 from sysid.bench.recipe import GripperSettings

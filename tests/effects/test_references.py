@@ -18,15 +18,19 @@ from weight import slopes
 
 from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE
-from sysid.machine import KnownEffect, TriangleLinkage, machine_from_files
+from sysid.machine import KnownEffect, Machine, TriangleLinkage, machine_from_files
 from sysid.plant import compile_plant, nominal_plant, swing
-from sysid.plant.gravity import measured_joints
 from sysid.plant.model import measured_point
 from sysid.testing import EffectPlace, places_of, plant_run, probe_machine, probe_recording
 
 Array = npt.NDArray[np.float64]
 DT = 0.01
 RECORDING = probe_recording(4.0, seed=3)
+
+
+def measured_joints(recording: Recording, machine: Machine) -> Array:
+    """All joints (n, A)."""
+    return np.column_stack([recording.values(f"{name}.joint") for name in machine.axis_names])
 
 
 def place(effect: str, target: str, side: str | None = None) -> EffectPlace:

@@ -57,7 +57,7 @@ def test_frame_and_marker_are_found_from_a_few_poses(parts: tuple[ModuleType, Mo
 @pytest.mark.slow
 def test_calibrated_geometry_predicts_poses_of_other_peoples_arms(parts: tuple[ModuleType, ModuleType], measured: Path) -> None:
     for arm, registered, calibrated in zip(parts[0].ARMS, (4.5, 16.0), (3.2, 6.0), strict=True):
-        result: dict[str, Any] = parts[0].judged(arm, measured / "tiago_mocap", quick=True)["models"]
+        result: dict[str, Any] = parts[0].evaluated(arm, measured / "tiago_mocap", quick=True)["models"]
         assert result["geometry calibrated (structured)"]["distance_median"] < calibrated
         assert result["published geometry, frame and marker fitted"]["distance_median"] < registered
         learned = [found["distance_median"] for name, found in result.items() if "geometry" not in name]
@@ -66,7 +66,7 @@ def test_calibrated_geometry_predicts_poses_of_other_peoples_arms(parts: tuple[M
 
 @pytest.mark.slow
 def test_servos_are_predicted_in_free_runs(parts: tuple[ModuleType, ModuleType], measured: Path) -> None:
-    for item in parts[1].judged(measured, quick=True):
+    for item in parts[1].evaluated(measured, quick=True):
         assert min(item["rmse"].values()) < 0.6 * item["rmse"]["as told"] or item["servo"] == "SO-101"
         assert all(np.isfinite(value) for value in item["rmse"].values())
 

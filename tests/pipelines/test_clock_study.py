@@ -20,16 +20,16 @@ def study() -> Iterator[dict[str, ModuleType]]:
 
     sys.path.insert(0, PIPELINES)
     try:
-        yield {name: importlib.import_module(name) for name in ("clock_study", "clock_room", "clock_peers", "clock_picture")}
+        yield {name: importlib.import_module(name) for name in ("clock_study", "clock_simulation", "clock_peers")}
     finally:
         sys.path.remove(PIPELINES)
 
 
 @pytest.mark.parametrize("kind", ["plain", "gaps", "jitter", "outliers"])
 def test_the_truth_of_a_simulated_recording_is_its_truth(study: dict[str, ModuleType], kind: str) -> None:
-    made = study["clock_room"].room(120.0, 0.5, kind, 1, noise=0.0)
+    made = study["clock_simulation"].simulated(120.0, 0.5, kind, 1, noise=0.0)
     machine, other = (
-        next(c for c in made.clocked.channels if (c.domain, c.signal) == (d, "slew.joint")) for d in ("machine", "mocap")
+        next(c for c in made.clocks.channels if (c.domain, c.signal) == (d, "slew.joint")) for d in ("machine", "mocap")
     )
     at = (machine.stamps - machine.stamps[0]) * 1e-9
     known = ~np.isnan(other.values) & (made.machine_s < at[-1])
@@ -42,7 +42,7 @@ def test_the_truth_of_a_simulated_recording_is_its_truth(study: dict[str, Module
 
 
 def test_a_reset_is_in_the_stamps_or_in_the_motion(study: dict[str, ModuleType]) -> None:
-    pieces = {study["clock_room"].room(30.0, 1.0, "reset", seed).pieces for seed in range(12)}
+    pieces = {study["clock_simulation"].simulated(30.0, 1.0, "reset", seed).pieces for seed in range(12)}
     assert pieces == {1, 2}
 
 
@@ -77,10 +77,10 @@ def test_the_picture_has_a_line_a_motion_and_mishap(study: dict[str, ModuleType]
     rows = [
         {"seconds": t, "hertz": h, "kind": k, "end_ms": 1.0 / t, "skew_ppm": 300.0 / t}
         for t in (30.0, 120.0)
-        for h in (0.5, 1.0)
+        for h in study["clock_study"].MOTIONS
         for k in ("plain", "gaps")
     ]
-    text = study["clock_picture"].picture(rows, (30.0, 120.0), (0.5, 1.0), {30.0: "30 s", 120.0: "2 min"})
-    assert text.count("<polyline") == 8 + 2  # and what the colours mean
-    assert text.count('class="dashed"') == 4
+    text = study["clock_study"].curves(rows)
+    assert text.count("<polyline") == 16 + 4  # and the legend
+    assert text.count('class="dashed"') == 8
     assert "nan" not in text

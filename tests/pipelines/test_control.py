@@ -26,13 +26,13 @@ def changed(one: tuple[AxisTuning, ...], other: tuple[AxisTuning, ...]) -> set[s
 
 
 def test_each_row_has_one_thing_more(pipeline: Callable[[str], ModuleType]) -> None:
-    course = plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
-    rows = pipeline("control").stages(course, tune(crane_plant()))
+    task = plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
+    rows = pipeline("control").stages(task, tune(crane_plant()))
     steps = [changed(one[1], other[1]) for one, other in itertools.pairwise(rows)]
     assert steps[0] <= {"up", "down", "exponent", "positive", "negative", "limit", "creep"}
     assert steps[1:6] == [{"proportional"}, {"feed"}, {"backlash"}, {"integral"}, set()]
-    assert rows[5][1] == course.tuning
-    assert [row[2] for row in rows] == [0.0] * 6 + [course.dead_time, 0.0]
+    assert rows[5][1] == task.tuning
+    assert [row[2] for row in rows] == [0.0] * 6 + [task.dead_time, 0.0]
 
 
 def test_the_page_shows_the_figures_after_the_first_second(pipeline: Callable[[str], ModuleType]) -> None:

@@ -20,7 +20,7 @@ import pytest
 from sysid.effects import CATALOGUE
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("cases", "judge", "kinds", "limits", "machines", "make", "page", "runner", "score", "seed")
+MODULES = ("cases", "evaluate", "kinds", "limits", "machines", "make", "page", "runner", "score", "seed")
 #: Of the lists in these tests; every other one has the same balance.
 SEED = 11
 
@@ -136,9 +136,9 @@ def test_every_kind_changes_its_machine_and_is_a_machine(hidden: dict[str, Modul
     for kind in (*hidden["kinds"].KNOWN, *hidden["kinds"].UNKNOWN):
         known = overlaid(machines.visible_tables(kind.family, kind.variants[0]), kind.known)
         visible = machines.recorded(known, kind.excitation, 1.0, 0.0, 5)
-        owner = machines.parsed(visible, "owner")
+        owner = hidden["limits"].parsed(visible, "owner")
         for magnitude in (0.1 * kind.most, kind.most):
-            assert machines.parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner
+            assert hidden["limits"].parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner
 
 
 # ---- Limits and files ---------------------------------------------------------------------------------------------------
@@ -250,21 +250,21 @@ def effect(name: str, target: str, width: float = 0.021, **more: Any) -> dict[st
 
 
 def test_right_wrong_missed_and_aliases(hidden: dict[str, ModuleType]) -> None:
-    judge = hidden["judge"].judge
+    evaluate = hidden["evaluate"].evaluate
     sealed = sealed_case(hidden, "single", ("backlash", "slew"))
-    right = judge(sealed, answer(effect("backlash", "slew")))
+    right = evaluate(sealed, answer(effect("backlash", "slew")))
     assert right.exact
     assert right.errors == {"backlash(slew).width": pytest.approx(0.05)}
     assert right.covered == {"backlash(slew).width": True}
     assert right.closed == pytest.approx(0.8 / 0.9), "the signal at its floor does not count"
-    elsewhere = judge(sealed, answer(effect("backlash", "boom")))
+    elsewhere = evaluate(sealed, answer(effect("backlash", "boom")))
     assert (elsewhere.wrong, elsewhere.missed) == ((("backlash", "boom"),), (("backlash", "slew"),))
-    both = judge(sealed, answer(effect("backlash", "slew"), effect("stiction", "slew")))
+    both = evaluate(sealed, answer(effect("backlash", "slew"), effect("stiction", "slew")))
     assert both.wrong == (("stiction", "slew"),)
     assert not both.exact
-    alias = judge(sealed, answer(effect("joint_offset", "slew", aliases=[{"name": "backlash", "target": "slew"}])))
+    alias = evaluate(sealed, answer(effect("joint_offset", "slew", aliases=[{"name": "backlash", "target": "slew"}])))
     assert alias.exact
-    silent = judge(sealed, answer(verdict="ambiguous"))
+    silent = evaluate(sealed, answer(verdict="ambiguous"))
     assert (silent.wrong, silent.missed, silent.closed) == ((), (("backlash", "slew"),), None)
 
 
@@ -272,31 +272,31 @@ def test_what_its_own_name_does_not_explain_is_told(hidden: dict[str, ModuleType
     """Of 0.0003 that the owner's plant leaves anyway, 0.0009 with the effect, and 0.0006 with its name put in."""
     error = {"nothing_hidden": {"a": 3e-4, "b": 0.0}, "before": {"a": 9e-4, "b": 1e-4}, "after": {"a": 6e-4, "b": 0.0}}
     sealed = {**sealed_case(hidden, "single", ("backlash", "slew")), "model_error": error}
-    told = hidden["judge"].judge(sealed, answer())
+    told = hidden["evaluate"].evaluate(sealed, answer())
     assert told.explained == pytest.approx(1.0 - 27.0 / 72.0)
-    exact = hidden["judge"].judge({**sealed, "model_error": {}}, answer())
+    exact = hidden["evaluate"].evaluate({**sealed, "model_error": {}}, answer())
     assert exact.explained == 1.0
     values = hidden["score"].scored(
-        [told, exact, hidden["judge"].judge({**sealed, "model_error": {**error, "after": error["before"]}}, answer())]
+        [told, exact, hidden["evaluate"].evaluate({**sealed, "model_error": {**error, "after": error["before"]}}, answer())]
     )["rates"]["single_described_right"]
     assert values["cases"] == 2
 
 
 def test_rates_over_cases(hidden: dict[str, ModuleType]) -> None:
-    judge, scored = hidden["judge"].judge, hidden["score"].scored
+    evaluate, scored = hidden["evaluate"].evaluate, hidden["score"].scored
     single, none = sealed_case(hidden, "single", ("backlash", "slew")), sealed_case(hidden, "none")
     below = sealed_case(hidden, "single", ("backlash", "slew"), factor=1.0)
     two = sealed_case(hidden, "double", ("backlash", "slew"), ("backlash", "boom"))
     unknown = sealed_case(hidden, "unknown")
     cases = [
-        judge(single, answer(effect("backlash", "slew"))),
-        judge(single, answer(verdict="ambiguous")),
-        judge(single, {"failure": "not answered"}),
-        judge(below, answer(verdict="no_gap")),
-        judge(none, answer(effect("stiction", "boom"))),
-        judge(none, answer(verdict="no_gap")),
-        judge(two, answer(effect("backlash", "slew"), effect("backlash", "boom", 0.03))),
-        judge(unknown, answer(verdict="unnamed")),
+        evaluate(single, answer(effect("backlash", "slew"))),
+        evaluate(single, answer(verdict="ambiguous")),
+        evaluate(single, {"failure": "not answered"}),
+        evaluate(below, answer(verdict="no_gap")),
+        evaluate(none, answer(effect("stiction", "boom"))),
+        evaluate(none, answer(verdict="no_gap")),
+        evaluate(two, answer(effect("backlash", "slew"), effect("backlash", "boom", 0.03))),
+        evaluate(unknown, answer(verdict="unnamed")),
     ]
     found = scored(cases)
     values = {key: (rate["hits"], rate["cases"]) for key, rate in found["rates"].items()}
@@ -329,9 +329,9 @@ def test_wilson_interval(hidden: dict[str, ModuleType]) -> None:
 
 def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     sealed = sealed_case(hidden, "single", ("backlash", "slew"))
-    judged = [hidden["judge"].judge(sealed, answer(effect("stiction", "slew")))]
+    evaluated = [hidden["evaluate"].evaluate(sealed, answer(effect("stiction", "slew")))]
     seed = hidden["seed"].seed_of_commit("0000000bcd" + 30 * "0")
-    result = json.loads(json.dumps(pipeline.result_of("quick", seed, judged, 60, "make hidden-effects"), allow_nan=False))
+    result = json.loads(json.dumps(pipeline.result_of("quick", seed, evaluated, 60, "make hidden-effects"), allow_nan=False))
     assert result["rates"]["wrong_name"]["value"] == 1.0
     agreed = "commit tier cases rates parameter_error closed_min seconds confusion command seed versions machine date"
     assert set(agreed.split()) <= set(result)
@@ -348,23 +348,23 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], pip
 
 def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     """What was evaluated comes back as it was; a case that is another one by now does not."""
-    judge = hidden["judge"].judge
+    evaluate = hidden["evaluate"].evaluate
     specs = [hidden["cases"].case(group, 0, SEED) for group in ("none", "single")]
     sealed = [{"spec": spec.to_json(), "hidden": [], "effects": []} for spec in specs]
-    judged = [judge(sealed[0], answer()), judge(sealed[1], {"failure": "took more than 180 s"})]
+    evaluated = [evaluate(sealed[0], answer()), evaluate(sealed[1], {"failure": "took more than 180 s"})]
     path = tmp_path / "result.json"
     path.write_text(
-        json.dumps(pipeline.result_of("full", hidden["seed"].Seed(SEED), judged, 660, "a command"), allow_nan=False), "utf-8"
+        json.dumps(pipeline.result_of("full", hidden["seed"].Seed(SEED), evaluated, 660, "a command"), allow_nan=False), "utf-8"
     )
-    found = pipeline.judged_in(path, specs)
+    found = pipeline.evaluated_in(path, specs)
     assert list(found) == [spec.name for spec in specs]
-    assert found["none-000"] == judged[0]
+    assert found["none-000"] == evaluated[0]
     assert found["single-000"].failure == "took more than 180 s"
     assert math.isnan(found["single-000"].seconds)
     changed = [replace(specs[0], seed=1), specs[1]]
-    assert list(pipeline.judged_in(path, changed)) == ["single-000"]
-    assert pipeline.judged_in(tmp_path / "none.json", specs) == {}
-    assert [case.failure for case in pipeline.judged(specs, tmp_path, found)] == [None, "took more than 180 s"]
+    assert list(pipeline.evaluated_in(path, changed)) == ["single-000"]
+    assert pipeline.evaluated_in(tmp_path / "none.json", specs) == {}
+    assert [case.failure for case in pipeline.evaluated(specs, tmp_path, found)] == [None, "took more than 180 s"]
 
 
 def test_an_answer_without_its_truth_is_not_judged(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
@@ -373,11 +373,11 @@ def test_an_answer_without_its_truth_is_not_judged(hidden: dict[str, ModuleType]
     (tmp_path / "answers").mkdir()
     answer = tmp_path / "answers" / f"{spec.name}.json"
     answer.write_text(json.dumps({"failure": "not made: no such machine"}))
-    (judged,) = pipeline.judged([spec], tmp_path, {})
-    assert judged.failure == "not made: no such machine"
+    (evaluated,) = pipeline.evaluated([spec], tmp_path, {})
+    assert evaluated.failure == "not made: no such machine"
     answer.write_text(json.dumps({"answer": {"effects": []}, "seconds": 1.0}))
     with pytest.raises(FileNotFoundError, match=f"{spec.name} has an answer, but no truth"):
-        pipeline.judged([spec], tmp_path, {})
+        pipeline.evaluated([spec], tmp_path, {})
 
 
 def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, ModuleType]) -> None:

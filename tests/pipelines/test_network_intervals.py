@@ -41,6 +41,6 @@ def test_one_model_is_judged_again(counted: tuple[ModuleType, dict]) -> None:  #
 
     module, models = counted
     machine = load_machine(ROOT / "datasets" / "autolog" / "machine.toml")
-    again = module.judged(machine, ForwardRecipe(model="structured", residual=False), 0)
+    again = module.evaluated(machine, ForwardRecipe(model="structured", residual=False), 0)
     assert again["like"]["flagged"] == pytest.approx(models["structured"][0]["like"]["flagged"], abs=5e-3)
     assert again["like"]["held"]["0.95"]["all"] > 0.9

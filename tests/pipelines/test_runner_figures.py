@@ -18,7 +18,7 @@ def runner(pipeline: Callable[[str], ModuleType]) -> Any:
     return pipeline("runner")
 
 
-def flown(
+def record(
     runner: Any, stops_after: float, speed: float = 0.1, outcome: dict[str, Any] | None = None, drift: float = 0.0
 ) -> Any:
     """A machine that moves along x at ``speed`` [m/s]; its valves are shut ``stops_after`` seconds after a fault at 1 s."""
@@ -29,11 +29,11 @@ def flown(
     truth |= {f"{axis}.passed": 0.3 * open_ * (axis == "slew") for axis in AXES}
     lines = [("track", BEGIN, ""), ("fault", BEGIN + 10**9, "NaN"), ("verdict", BEGIN + 1_012_000_000, "not_finite hold x")]
     ended = {"ended": "stopped", "state": "ready", "why": "x"} if outcome is None else outcome
-    return runner.Flown(lines, ended, truth, {}, BEGIN + 10**9)
+    return runner.RunRecord(lines, ended, truth, {}, BEGIN + 10**9)
 
 
 def test_a_stop_is_measured_at_the_valves(runner: Any) -> None:
-    row = runner.judged("NaN", flown(runner, 0.25))
+    row = runner.evaluated("NaN", record(runner, 0.25))
     assert row["reaction_ms"] == pytest.approx(12.0)
     assert row["neutral_ms"] == pytest.approx(250.0, abs=10.0)
     assert row["peak_motion_m"] == pytest.approx(0.026, abs=0.002)
@@ -41,12 +41,12 @@ def test_a_stop_is_measured_at_the_valves(runner: Any) -> None:
 
 
 def test_a_clamp_is_no_notice_of_a_fault(runner: Any) -> None:
-    run = flown(runner, 0.25)
+    run = record(runner, 0.25)
     run.lines.insert(2, ("verdict", BEGIN + 1_007_000_000, "acceleration clamp acceleration of slew: 13.3, limit 1.9"))
-    assert runner.judged("NaN", run)["reaction_ms"] == pytest.approx(12.0)
-    goes_on = flown(runner, 5.0, outcome={"ended": "time", "state": "ready"})
+    assert runner.evaluated("NaN", run)["reaction_ms"] == pytest.approx(12.0)
+    goes_on = record(runner, 5.0, outcome={"ended": "time", "state": "ready"})
     goes_on.lines[-1] = ("verdict", BEGIN + 1_007_000_000, "acceleration clamp acceleration of slew: 13.3, limit 1.9")
-    row = runner.judged("1 frame dropped", goes_on)
+    row = runner.evaluated("1 frame dropped", goes_on)
     assert (row["reaction_ms"], row["state"]) == (None, "goes on")
 
 
@@ -59,11 +59,11 @@ def test_a_clamp_is_no_notice_of_a_fault(runner: Any) -> None:
     ],
 )
 def test_what_is_not_as_it_should_be(runner: Any, run: dict[str, Any], why: str) -> None:
-    assert not runner.judged("NaN", flown(runner, **run))["ok"], why
+    assert not runner.evaluated("NaN", record(runner, **run))["ok"], why
 
 
 def test_the_machines_own_time_out_counts_where_the_runner_is_dead(runner: Any) -> None:
-    row = runner.judged("kill -9 of the runner", flown(runner, 0.1, outcome={}))
+    row = runner.evaluated("kill -9 of the runner", record(runner, 0.1, outcome={}))
     assert row["state"] == "machine's own time-out"
     assert row["reaction_ms"] == row["neutral_ms"] == pytest.approx(100.0, abs=10.0)
     assert row["ok"]
@@ -71,22 +71,22 @@ def test_the_machines_own_time_out_counts_where_the_runner_is_dead(runner: Any) 
 
 def test_a_refusal_has_to_be_wanted_and_nothing_may_have_moved(runner: Any) -> None:
     refused = {"ended": "refused", "state": "refused", "why": "another database"}
-    assert runner.judged("wrong DBC", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
-    assert not runner.judged("NaN", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
-    assert not runner.judged("wrong DBC", flown(runner, 0.0, outcome=refused))["ok"]
+    assert runner.evaluated("wrong DBC", record(runner, 0.0, speed=0.0, outcome=refused))["ok"]
+    assert not runner.evaluated("NaN", record(runner, 0.0, speed=0.0, outcome=refused))["ok"]
+    assert not runner.evaluated("wrong DBC", record(runner, 0.0, outcome=refused))["ok"]
 
 
 def test_a_run_that_ended_before_its_fault_proves_nothing(runner: Any) -> None:
-    early = flown(runner, 0.25)
+    early = record(runner, 0.25)
     early.fault_ns = 0
-    row = runner.judged("NaN", early)
+    row = runner.evaluated("NaN", early)
     assert (row["state"], row["ok"]) == ("ended before the fault", False)
 
 
 def test_a_machine_that_was_killed_leaves_no_motion_after(runner: Any) -> None:
-    run = flown(runner, 0.25, outcome={"ended": "stopped", "state": "fault"})
+    run = record(runner, 0.25, outcome={"ended": "stopped", "state": "fault"})
     run.truth = {name: values[:100] for name, values in run.truth.items()}
-    row = runner.judged("kill -9 of the machine", run)
+    row = runner.evaluated("kill -9 of the machine", run)
     assert row["ok"]
     assert row["neutral_ms"] is None
 
@@ -106,6 +106,6 @@ def test_a_machine_that_was_killed_leaves_no_motion_after(runner: Any) -> None:
 def test_a_commissioning_finds_slowly_what_is_wrong_and_nothing_else(
     runner: Any, run: dict[str, Any], name: str, *, ok: bool
 ) -> None:
-    row = runner.found_in(name, flown(runner, **run))
+    row = runner.commissioning_row(name, record(runner, **run))
     assert row["ok"] is ok
     assert row["moved_for_s"] == pytest.approx(run["stops_after"], abs=0.02)

@@ -18,7 +18,7 @@ from sysid.machine import Machine
 from sysid.networks.cell import REACH, state_size
 from sysid.plant import Plant, compile_plant, free_run, plant_from_files
 from sysid.plant.force import force_inputs
-from sysid.plant.residual import STATES, Place, Residual, inputs_of, look, memory_of, nets_of
+from sysid.plant.residual import STATES, Residual, ResidualStage, input_names, new_memory, residual_arrays, update
 from sysid.plant.stepper import Stepper, held_commands, step_commands
 
 Array = npt.NDArray[np.float64]
@@ -26,10 +26,12 @@ ARM = loaded_arm()
 BARE = nominal(*LOADS, machine=ARM)
 
 
-def network(machine: Machine, stage: Place, target: str, bound: float, interval: float = 0.05, seed: int = 0) -> Residual:
+def network(
+    machine: Machine, stage: ResidualStage, target: str, bound: float, interval: float = 0.05, seed: int = 0
+) -> Residual:
     """Random weights: it says something all the time."""
     rng, units = np.random.default_rng([seed, len(target)]), 8
-    count, axes = len(inputs_of(machine, target)), len(machine.axis_names)
+    count, axes = len(input_names(machine, target)), len(machine.axis_names)
     scale = np.array([1.0] * axes + [20.0, 30.0, 0.02, 1.0, 1.0])
     if stage != "command":
         scale[:axes] = 0.0
@@ -106,11 +108,11 @@ finite = st.floats(-1e6, 1e6)
 @settings(max_examples=60)
 @given(st.integers(0, 9), st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=30))
 def test_it_never_says_more_than_its_bound(seed: int, seen: list[tuple[float, float, float]]) -> None:
-    nets = nets_of(ARM, [network(ARM, "command", "boom", 0.2, seed=seed)])
+    nets = residual_arrays(ARM, [network(ARM, "command", "boom", 0.2, seed=seed)])
     assert nets is not None
-    memory = memory_of(nets)[0]
+    memory = new_memory(nets)[0]
     for command, position, load in seen:
-        said = look(nets, 0, memory, np.full(3, command), position, load, 0.05)
+        said = update(nets, 0, memory, np.full(3, command), position, load, 0.05)
         assert abs(said) <= 0.2
 
 
@@ -119,16 +121,16 @@ def test_it_is_an_lstm_behind_a_bound() -> None:
     import torch
 
     item = network(ARM, "command", "boom", 0.2)
-    nets = nets_of(ARM, [item])
+    nets = residual_arrays(ARM, [item])
     assert nets is not None
-    memory, rng = memory_of(nets)[0], np.random.default_rng(0)
+    memory, rng = new_memory(nets)[0], np.random.default_rng(0)
     samples = 101
     commands, position, load = (
         rng.uniform(-1, 1, (samples, 3)),
         np.cumsum(rng.normal(0, 1e-3, samples)),
         rng.normal(30, 5, samples),
     )
-    said = np.array([look(nets, 0, memory, commands[k], position[k], load[k], 0.01) for k in range(samples)])
+    said = np.array([update(nets, 0, memory, commands[k], position[k], load[k], 0.01) for k in range(samples)])
     at = np.arange(0, samples, 5)
     speed = np.concatenate([[0.0], np.diff(position[at]) / 0.05])
     turn = 2.0 * np.pi * position[at] / item.period

@@ -291,7 +291,7 @@ def test_without_a_linkage_joints_and_tip_are_unknown() -> None:
     plant = nominal_plant(machine_from_files({**files, "machine.toml": text}, "probe"))
     stepper = Stepper(plant, RATE_HZ)
     with pytest.raises(
-        SettingsError, match=r"axis boom: no linkage: a joint value does not say where the cylinder is; expected"
+        SettingsError, match=r"axis boom: no linkage: the cylinder position does not follow from the joint; expected"
     ):
         stepper.reset(REST)
     state = stepper.reset(REST, drive=[0.1, 0.05, 0.0, 0.3])

@@ -1,4 +1,4 @@
-"""Runs a machine in PyBullet for one recording, without noise; every feature is a setting of PyBullet's own.
+"""Runs a machine in PyBullet for one recording, without noise; every feature is a setting of PyBullet.
 
 | feature | setting |
 | --- | --- |
@@ -44,7 +44,7 @@ class World:
 
 
 def run_bullet(tables: Tables, take: Take) -> pd.DataFrame:
-    """``time`` and the machine's signals on the controller's grid, as they really are."""
+    """``time`` and the true signals of the machine on the controller's grid."""
     ticks, before, substeps = counts(tables, take)
     client = connect(window=False)
     try:
@@ -109,14 +109,14 @@ def _lever(world: World, tables: Tables, take: Take, ticks: int, before: int, su
         torque = tracking_force(tables, wanted[tick], speeds[tick], position, velocity)
         rows[tick] = torque, position
         for _ in range(substeps):
-            # A torque is forgotten after a step.
+            # A torque acts for one step only.
             push(body, 0, mode, force=torque - tables["load"])
             step()
     return rows, ["lever.command", "lever.joint"]
 
 
 def _lever_urdf(tables: Tables) -> str:
-    """Inertia about the axis as in the tables; the mass is in it at the distance that the unbalance asks for."""
+    """Inertia about the axis as in the tables, mass of the unbalance included."""
     unbalance = tables.get("unbalance", 0.0)
     about = "0 -1 0" if unbalance else "0 0 1"
     mass = 1.0

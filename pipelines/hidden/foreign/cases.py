@@ -1,13 +1,12 @@
-"""The list of foreign cases: 200 machines that MuJoCo or PyBullet runs, drawn from the seed like those of the own bench."""
+"""The list of 200 cases of MuJoCo and PyBullet, drawn from the seed like those of `sysid.bench`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hidden.cases import GROUPS, CaseSpec, Group, Hidden, Tier, apart, in_order, turned
+from hidden.cases import GROUPS, CaseSpec, Group, Hidden, Tier, cases_by_group, kinds_of
 from hidden.foreign.kinds import KNOWN, UNKNOWN
 from hidden.foreign.machines import VARIANTS, Family
-from hidden.kinds import Kind
 
 #: Cases of each group by tier; a tier holds the cases of the ones below it.
 COUNTS: dict[Tier, dict[Group, int]] = {
@@ -22,23 +21,19 @@ FAMILIES: tuple[Family, ...] = (
     "mujoco_crane", "mujoco_arm", "mujoco_crane", "mujoco_slide", "bullet_arm", "mujoco_crane", "bullet_lever",
 )  # fmt: skip
 NOISES = (1.0, 0.5, 2.0, 1.0)
-#: What is recorded: every program, an operator alone, every program with recordings that begin in motion, three short ones.
+#: Excitations: every program, an operator only, every program with recordings that begin in motion, three short recordings.
 EXCITATIONS = ("rich", "moving", "rich", "operator", "moving", "rich", "rich", "moving", "rich", "poor")
 
 
 def cases_of(tier: Tier, seed: int, only: Group | None = None) -> list[CaseSpec]:
     """The cases of a tier, of one group if that is given."""
-    found: list[CaseSpec] = []
-    for group, count in COUNTS[tier].items():
-        if only in (None, group):
-            found += [case(group, number, seed) for number in range(count)]
-    return found
+    return cases_by_group(COUNTS[tier], case, seed, only)
 
 
 def case(group: Group, number: int, seed: int) -> CaseSpec:
     """Case ``number`` of a group in the calibration with this seed."""
     draw = np.random.default_rng([seed, 7, GROUPS.index(group), number])
-    kinds = _kinds(group, number, seed, draw)
+    kinds = kinds_of(group, number, seed, draw, KNOWN, UNKNOWN, "mujoco_crane")
     shared = sorted(set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds)))
     factors = [FACTORS[number % 3] if group == "single" else SEVERAL[(number + 3 * k) % 4] for k in range(len(kinds))]
     return CaseSpec(
@@ -52,18 +47,3 @@ def case(group: Group, number: int, seed: int) -> CaseSpec:
         0.0,
         int(draw.integers(1, 2**31 - 10_000)),
     )
-
-
-def _kinds(group: Group, number: int, seed: int, draw: np.random.Generator) -> tuple[Kind, ...]:
-    if group == "none":
-        return ()
-    if group == "unknown":
-        return (in_order(UNKNOWN, seed)[number % len(UNKNOWN)],)
-    if group == "single":
-        return (turned(KNOWN, number, seed),)
-    several = [kind for kind in KNOWN if kind.family == "mujoco_crane"]
-    count = {"double": 2, "triple": 3}[group]
-    while True:
-        chosen = [several[k] for k in draw.choice(len(several), count, replace=False)]
-        if apart(chosen):
-            return tuple(chosen)

@@ -1,4 +1,4 @@
-"""What the owner of a machine writes down: ``machine.toml`` with the effects that he knows, and a URDF as drawn."""
+"""The owner's description of a machine: ``machine.toml`` with the known effects, and a URDF as drawn."""
 
 from __future__ import annotations
 

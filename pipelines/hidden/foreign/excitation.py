@@ -1,6 +1,6 @@
-"""What is asked of a machine while it is recorded: an operator's joystick, steps, and sums of sines.
+"""Excitation of the machines: an operator's joystick, steps, and sums of sines.
 
-An operator looks where an axis is before a stroke and lets go of the lever in time; what he does otherwise is drawn beforehand.
+An operator chooses the direction of a stroke by the position of the axis and stops before the end; the rest is random.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What a case hides in a machine of a foreign simulator, what that is to be called, and what has no name.
+"""Kinds of hidden effects in the foreign simulators, with their names in the catalogue, and features without a name.
 
-Magnitudes grow from zero. What a plant calls a dead-band is dry friction here, its ringing a spring in the drive, its backlash
-a rotor that is tied loosely: the simulator's equation, and not the plant's, is what the case hides.
+Magnitude zero is no effect. The simulator's equation is hidden, not the plant's: a dead-band is dry friction here, an
+oscillation a spring in the drive, backlash a rotor that is tied loosely.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RINGING, STIFFEST = 0.06, 0.02
 STIFF_SPRING = 1e-4
 #: Deflection at which stiff bristles slide [m].
 BRISTLES = 2e-5
-#: Friction that holds a link in its play [N·m].
+#: Friction that holds a link inside its backlash [N·m].
 HELD = 2.0
 
 
@@ -156,7 +156,7 @@ def _pushed_kinds(family: Family, axis: str) -> list[Kind]:
         kind("load_bias", _machine(load=lambda t, m, d: d * m), 0.5 * size),
     ]
     if family == "mujoco_slide":
-        # A dip beside sliding friction that is known.
+        # Stribeck friction in addition to known Coulomb friction.
         dip = _machine(lugre=lambda t, m, d: (m / BRISTLES, 0.02 * m, m, 0.01))
         found.append(kind("stribeck_friction", dip, 0.5 * size, (1, 3)))
     return found

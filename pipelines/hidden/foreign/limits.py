@@ -1,8 +1,8 @@
-"""The detection limit: the magnitude at which the owner's plant, in a free run, is one noise floor further off than without it.
+"""The detection limit: the magnitude at which the error of the owner's plant in a free run rises by one noise floor.
 
-What sensors show of the machine with and without the effect is simulated, and the owner's plant is driven by the same commands;
-the noise is added by its standard deviation. What shows but makes no difference to anybody is not counted. A force axis is
-compared by its force at measured motion instead.
+The machine is simulated with and without the effect, and the owner's plant is driven by the same commands; the noise is added
+by its standard deviation. Magnitudes without practical significance are excluded. A force axis is compared by its force at
+measured motion.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ Scores = dict[str, float]
 
 #: So many noise floors further off.
 FURTHER = 1.0
-#: Recordings that are looked at.
+#: Number of recordings.
 LOOKS = 2
-#: Magnitudes below which an effect makes no difference to anybody, though it may show: a limit is no less. Delays and lags [s],
-#: dead-bands [command], the others relative; of an effect that is not listed whatever shows counts.
+#: Least detection limits: smaller magnitudes have no practical significance. Delays and lags [s],
+#: dead-bands [command], the others relative; other effects have no least limit.
 PRACTICAL = {
     "input_delay": 0.005, "first_order_lag": 0.005, "gain_error": 0.01, "asymmetric_gain": 0.01, "flow_saturation": 0.01,
     "valve_deadband": 0.004, "sensor_scale": 0.002, "viscous_friction": 0.01, "inertia_error": 0.01,
 }  # fmt: skip
-#: Least share of the residual without noise that counts as a floor, should noise change the residual by less.
+#: Least noise floor as a share of the residual without noise.
 LEAST = 0.05
-#: The search stops where it is this close [1].
+#: Tolerance of the search (logarithm of the magnitude).
 CLOSE = 0.1
 
 
@@ -64,7 +64,7 @@ def limit_of(kind: Kind, direction: int, known: Tables, scores: Callable[[Tables
 
 
 def scores_of(kind: Kind, known: Tables, owner: Owner, noise: float, recordings: Sequence[Take]) -> Callable[[Tables], Scores]:
-    """What :func:`limit_of` needs for a machine, its owner, and the recordings of a case that begin at rest."""
+    """``scores`` of :func:`limit_of` for a machine, its owner, and the recordings of a case that begin at rest."""
     takes = recordings[:LOOKS]
     spread = noise_of(known, noise)
     if known["family"] in FORCE_AXIS:
@@ -87,7 +87,7 @@ def scores_of(kind: Kind, known: Tables, owner: Owner, noise: float, recordings:
 
 
 def _force_scores(known: Tables, owner: Owner, takes: Sequence[Take], spread: dict[str, float]) -> Callable[[Tables], Scores]:
-    """Force at measured motion: what the machine needs beside what the owner's plant says, filtered as the plant does."""
+    """Residual of the owner's plant for the force at measured motion, filtered as in the plant."""
     model = compile_plant(owner.plant(known))
     axis = model.machine.axes[0]
     force, place = f"{axis.name}.command", f"{axis.name}.joint"

@@ -1,4 +1,4 @@
-"""The machines that other people's simulators run, as their owners know them: tables of numbers, a few variants of each family.
+"""The machines of the foreign simulators as their owners describe them: tables of numbers, variants of each family.
 
 MuJoCo (Todorov, Erez, Tassa, IROS 2012): a crane, a servo arm, a slide pushed by a force. PyBullet (Coumans and Bai): a servo
 arm, and a lever turned by a torque. The equations of motion, frictions, delays, filters, limits and contacts are the

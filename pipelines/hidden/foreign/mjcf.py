@@ -70,7 +70,7 @@ def text(*values: float) -> str:
 
 def _crane(tables: Tables, parts: dict[str, Element]) -> None:
     build, links = tables["build"], tables["links"]
-    # The base lies where it lies: translation, then rotation vector.
+    # Pose of the base: translation, then rotation vector.
     angle = math.hypot(*build["rotation"])
     turned = [value / angle for value in build["rotation"]] if angle else [1.0, 0.0, 0.0]
     parent = add(parts["worldbody"], "body", name="base", pos=text(*build["translation"]), axisangle=text(*turned, angle))
@@ -137,7 +137,7 @@ def _crane_axis(tables: Tables, name: str, place: tuple[float, ...], parent: Ele
 
 
 def _tie(name: str, axis: Tables, parts: dict[str, Element]) -> None:
-    """What turns with the rotor: the joint through a play, a spring, or a gear that is not even."""
+    """Connection of the joint with its rotor: backlash, a spring, or an uneven gear."""
     if "uneven" in axis:
         slope, bend = axis["uneven"]
         add(

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def run_mujoco(tables: Tables, take: Take) -> pd.DataFrame:
-    """``time`` and the machine's signals on the controller's grid, as they really are; sensors are not yet in it."""
+    """``time`` and the true signals of the machine on the controller's grid, without sensors."""
     mujoco.set_mju_user_warning(_warned)
     model = mujoco.MjModel.from_xml_string(mjcf(tables))
     data = mujoco.MjData(model)
@@ -36,7 +36,7 @@ def run_mujoco(tables: Tables, take: Take) -> pd.DataFrame:
 
 
 def _warned(text: str) -> None:
-    """MuJoCo would write a warning into a file where it was started; they are counted in the data as well."""
+    """Suppress MuJoCo's warning file; warnings are counted in the data."""
 
 
 def _crane(
@@ -57,7 +57,7 @@ def _crane(
     _hang(model, data, take.swing)
     commanded = levers(take.program, take.seed, ticks / tables["rate"], axes)
     gains = np.array([axis["gain"] for axis in axes.values()])
-    # Passive motors, which have no control, stand among the drives.
+    # The actuators include passive motors without a control.
     driven = [k for k in range(model.nactuator) if model.actuator_ctrlnum[k]]
     owners = [list(axes).index(model.actuator(k).name.rpartition("_")[0]) for k in driven]
     places = [model.site(name).id for name in ("ee", "tool")]

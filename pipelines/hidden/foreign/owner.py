@@ -1,12 +1,11 @@
-"""What the owner of a machine knows of it: gain, dead time, lag and friction, as an engineer fits them to his tests."""
+"""The owner's fitted plant of a machine: gain, dead time, lag and friction, fitted to tests."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from hidden.foreign.excitation import Program, Take
 from hidden.foreign.machines import FORCE_AXIS, Tables
 from hidden.foreign.mjcf import mjcf
 from hidden.foreign.simulate import quantised, simulate
+from hidden.make import kept
 from sysid.datasets import Recording
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Plant, nominal_plant
@@ -27,13 +27,13 @@ Array = npt.NDArray[np.float64]
 #: The owner's tests: programs and their length [s].
 TESTS: tuple[tuple[Program, int], ...] = (("steps", 101), ("operator", 102), ("fourier", 103))
 LENGTH = 60.0
-#: Dead times to begin a fit with, beside the rated one [s].
+#: Starting values of the dead time, in addition to the rated one [s].
 DELAYS = (0.0, 0.003, 0.006, 0.012)
 
 
 @dataclass(frozen=True)
 class Owner:
-    """What stands in the owner's ``machine.toml``: ``gains`` of velocity axes, and the effects that he knows."""
+    """Contents of the owner's ``machine.toml``: ``gains`` of velocity axes, and the known effects."""
 
     gains: dict[str, float]
     effects: tuple[KnownEffect, ...]
@@ -45,17 +45,14 @@ class Owner:
 def kept_owner(tables: Tables, folder: Path) -> Owner:
     """The owner of a machine; fitted once for each machine."""
     machine = mjcf(tables) if tables["family"].startswith("mujoco") else ""
-    path = folder / f"{sha256((machine + repr(sorted(tables.items()))).encode()).hexdigest()[:16]}.json"
-    if path.exists():
-        kept = json.loads(path.read_text("utf-8"))
-        return Owner(kept["gains"], tuple(KnownEffect(**each) for each in kept["effects"]))
-    owner = owner_of(tables)
-    told = [{"name": e.name, "target": e.target, "parameters": dict(e.parameters)} for e in owner.effects]
-    folder.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps({"gains": owner.gains, "effects": told}), "utf-8")
-    beside.replace(path)
-    return owner
+
+    def fitted() -> dict[str, Any]:
+        owner = owner_of(tables)
+        effects = [{"name": e.name, "target": e.target, "parameters": dict(e.parameters)} for e in owner.effects]
+        return {"gains": owner.gains, "effects": effects}
+
+    found = kept(folder, machine + repr(sorted(tables.items())), fitted)
+    return Owner(found["gains"], tuple(KnownEffect(**each) for each in found["effects"]))
 
 
 def owner_of(tables: Tables) -> Owner:
@@ -141,7 +138,7 @@ def best_fit(plant: Plant, unknowns: Sequence[Unknown], tests: Sequence[Recordin
 
 
 def _pushed(tables: Tables) -> Owner:
-    """Inertia and friction of a force axis stand in its data sheet."""
+    """Inertia and friction of a force axis are in its data sheet."""
     axis = FORCE_AXIS[tables["family"]]
     known = [KnownEffect("viscous_friction", axis, {"coefficient": tables["viscous"]})]
     if tables["coulomb"] > 0.0:

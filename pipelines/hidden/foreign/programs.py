@@ -1,4 +1,4 @@
-"""Programs on the controller's grid, for every simulator: what a machine is asked for, and when a recording begins."""
+"""Setpoints on the controller's grid for both simulators, and the begin of a recording."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from hidden.foreign.machines import Tables
 
 Array = npt.NDArray[np.float64]
 
-#: A machine that has stood still did so for this long before the recording, and stands on for a while in it [s].
-STANDING, REST = 2.0, 0.5
+#: Rest before a recording that begins at rest, and at its beginning [s].
+REST_BEFORE, REST = 2.0, 0.5
 #: Position controller of a force axis: as a share of the inertia, stiffness [1/s²] and damping [1/s].
-FOLLOWS, DAMPS = 300.0, 25.0
-#: The path that a force axis follows is rounded over this long, so that its force does not jump [s].
+STIFFNESS, DAMPING = 300.0, 25.0
+#: The path of a force axis is smoothed over this time, so that its force does not jump [s].
 SMOOTH = 0.3
 
 
 def counts(tables: Tables, take: Take) -> tuple[int, int, int]:
     """Cycles of the controller in all, those before the recording, and steps of the simulator in a cycle."""
-    before = round((take.lead or STANDING) * tables["rate"])
+    before = round((take.lead or REST_BEFORE) * tables["rate"])
     return before + round(take.seconds * tables["rate"]), before, round(1.0 / (tables["rate"] * tables["step"]))
 
 
 def arm_paths(tables: Tables, take: Take, ticks: int, before: int) -> Array:
-    """Set positions (ticks, axes); a machine that has stood still holds its first one before."""
+    """Setpoints (ticks, axes); a machine at rest holds the first one before the recording."""
     time = np.arange(ticks) / tables["rate"]
     if take.lead == 0.0:
         time = np.maximum(time - before / tables["rate"] - REST, 0.0)
@@ -35,7 +35,7 @@ def arm_paths(tables: Tables, take: Take, ticks: int, before: int) -> Array:
 
 
 def force_path(tables: Tables, take: Take, ticks: int, before: int) -> tuple[Array, Array]:
-    """What the controller of a force axis follows, (ticks,), and its speed."""
+    """Setpoints of the controller of a force axis, (ticks,), and their speed."""
     cycle = 1.0 / tables["rate"]
     time = np.arange(ticks) * cycle
     if take.lead == 0.0:
@@ -47,6 +47,6 @@ def force_path(tables: Tables, take: Take, ticks: int, before: int) -> tuple[Arr
 
 
 def tracking_force(tables: Tables, wanted: float, speed: float, position: float, velocity: float) -> float:
-    """Force or torque of the axis' position controller, tuned to the inertia that its owner knows."""
+    """Force or torque of the position controller of an axis, tuned to the known inertia."""
     known = tables.get("tuned", tables["inertia"])
-    return float(known * (FOLLOWS * (wanted - position) + DAMPS * (speed - velocity)))
+    return float(known * (STIFFNESS * (wanted - position) + DAMPING * (speed - velocity)))

@@ -1,4 +1,4 @@
-"""Recordings of a case as a site hands them over: CSV logs with canonical names, noise and steps of sensors in them."""
+"""Recordings of a case: CSV logs with canonical names, with noise and quantisation of the sensors."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ PROGRAMS: dict[str, tuple[Program, ...]] = {
     "poor": ("operator",) * 3,
 }
 LENGTHS, PUSHED = (40.0, 60.0), (15.0, 20.0)
-#: Recordings that begin in motion where a case is of that kind, the held-out one among them; for how long it has lasted [s],
-#: and how far a hanging tool has swung before [rad].
+#: Recordings that begin in motion in cases of that kind, the held-out one included; duration of the motion before [s], and
+#: initial deflection of a hanging tool [rad].
 MOVING, LEAD, SWING = (1, 3, 5), (2.0, 6.0), 0.3
 
 
@@ -41,7 +41,7 @@ def takes_of(tables: Tables, excitation: str, seed: int) -> list[Take]:
 
 
 def write_logs(tables: Tables, takes: Sequence[Take], noise: float, seed: int, folder: Path) -> None:
-    """``folder/<recording>/<stream>.csv``: what the controller logs; in a stream of its own what a camera sees of points."""
+    """``folder/<recording>/<stream>.csv``: the controller's log, and the points in a separate stream of the camera."""
     spread = noise_of(tables, noise)
     for k, take in enumerate(takes):
         table = simulate(tables, take)

@@ -1,4 +1,4 @@
-"""One recording of a machine by the simulator that its family names, as perfect sensors, or those of the machine, show it."""
+"""One recording of a machine by the simulator of its family, with the sensors of the machine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def simulate(tables: Tables, take: Take) -> pd.DataFrame:
 
 
 def through(tables: Tables, signal: str, values: np.ndarray) -> np.ndarray:
-    """What the sensor of a signal shows; a step is the last thing to happen, after noise."""
+    """Readings of a sensor without quantisation, which follows after the noise."""
     sensor = tables["sensors"].get(signal, {})
     return np.asarray(sensor.get("scale", 1.0) * values + sensor.get("bias", 0.0))
 

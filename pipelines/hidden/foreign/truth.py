@@ -22,14 +22,14 @@ from sysid.datasets import Recording
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, free_run, nominal_plant
 
-#: Effects whose equation in the simulator is another one than the plant's.
+#: Effects whose equation in the simulator differs from the plant's.
 FITTED = ("first_order_lag", "valve_deadband", "backlash", "oil_compressibility", "input_delay", "command_rate_limit")
-#: Recordings that a fit sees, and whose gap is told.
+#: Number of recordings for a fit and its error.
 SEEN = 3
 
 
 def truths(kind: Kind, known: Tables, real: Tables, owner: Owner, takes: Sequence[Take]) -> list[dict[str, Any]]:
-    """Every effect of a kind: ``name``, ``target``, ``parameters``, whether they are ``exact``, and the ``side`` of a play."""
+    """Effects of a kind: ``name``, ``target``, ``parameters``, whether they are ``exact``, and the ``side`` of a backlash."""
     found = []
     for name, target in kind.named:
         exact = name not in FITTED
@@ -45,7 +45,7 @@ def truths(kind: Kind, known: Tables, real: Tables, owner: Owner, takes: Sequenc
 
 
 def numbers(name: str, target: str, known: Tables, real: Tables, owner: Owner) -> dict[str, Any]:
-    """The machine's own numbers; of an effect that is fitted, where the fit begins."""
+    """Settings of the machine; for a fitted effect the start of the fit."""
     if target.partition(".")[2] == "joint" and name.startswith("sensor_"):
         sensor = real["sensors"][target]
         key, source = {
@@ -68,7 +68,7 @@ def numbers(name: str, target: str, known: Tables, real: Tables, owner: Owner) -
     known_effects = {(effect.name, effect.target): effect.parameters for effect in owner.effects}
 
     def shifted(effect: str, key: str, setting: str) -> dict[str, float]:
-        """As the owner fitted it, and what came on top."""
+        """The owner's fitted value plus the change of the setting."""
         return {key: float(known_effects[effect, target][key]) + axis[setting] - before[setting]}  # type: ignore[arg-type]
 
     values = {
@@ -96,7 +96,7 @@ def _pushed(name: str, known: Tables, real: Tables) -> dict[str, float]:
         "viscous_friction": lambda: {"coefficient": real["viscous"]},
         "inertia_error": lambda: {"ratio": real["inertia"] / known["inertia"]},
         "load_bias": lambda: {"force": real["load"]},
-        # Beside the Coulomb friction that the owner knows.
+        # In addition to the known Coulomb friction.
         "stribeck_friction": lambda: {
             "static_force": real["lugre"][2],
             "coulomb_force": real["lugre"][1],
@@ -109,7 +109,7 @@ def _pushed(name: str, known: Tables, real: Tables) -> dict[str, float]:
 def fitted(
     name: str, target: str, guess: dict[str, Any], real: Tables, owner: Owner, takes: Sequence[Take]
 ) -> dict[str, float]:
-    """The plant's formula where it comes closest to the machine; everything else as the owner knows it."""
+    """Best fit of the plant's formula to the machine; other effects as in the owner's plant."""
     about = [effect for effect in owner.effects if effect.target == target and effect.name != name]
     plant = nominal_plant(one_axis(real, target, owner.gains.get(target, 1.0)))
     for effect in about:
@@ -122,7 +122,7 @@ def fitted(
 def model_error(
     known: Tables, real: Tables, owner: Owner, effects: Sequence[dict[str, Any]], takes: Sequence[Take]
 ) -> dict[str, dict[str, float]]:
-    """RMSE by signal of free runs without noise: the owner's plant with nothing hidden, with what is hidden, with its names."""
+    """RMSE by signal of noise-free free runs: without hidden effects, with them, and with them in the plant as well."""
     plant = owner.plant(known)
     named = plant
     for effect in effects:

@@ -225,7 +225,7 @@ class SimulatorAdapter:
         """Command → driven signal, (lanes, n, 1)."""
         driven = self.machine.axis(axis).driven
         simulated = self._signals(thetas, recording, (driven,))[:, :, 0]
-        measured = self._model.believed(thetas, recording, driven)[0]
+        measured = self._model.true_signal(thetas, recording, driven)[0]
         load = self._model.load(thetas, recording)[self._model.axis_index(axis)]
         stretches = self._stretches(recording)
         out = apply_output_effects(self._model, thetas, simulated, measured, load, axis, stretches, recording.rate_hz)

@@ -35,7 +35,7 @@ def input_effects_of_axis(
     for row in range(len(stretches)):
         begin(s, m, size, 0.0, 0.0, np.nan, p, i * AXIS_WIDTH, stretches[row, 0], dt)
         for k in range(stretches[row, 0], stretches[row, 1]):
-            out[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
+            out[k] = chain.demand(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -58,7 +58,7 @@ def apply_input_effects(
     The load is that at the measured joints. Where the demanded flow of all velocity axes exceeds the pump limit, all of
     them are slowed by the same factor. Lanes without any effect get the command itself, bit by bit.
     """
-    place = model.rig.machine + AT.pump_flow_limit
+    place = model.arrays.machine + AT.pump_flow_limit
     limit = thetas[:, place, None]
     if (limit >= layout.neutral_vector(model.axes)[place]).all():
         return {axis: _axis_input_effects(model, thetas, recording, axis, stretches) for axis in axes}
@@ -77,7 +77,7 @@ def _axis_input_effects(model: Model, thetas: Array, recording: Recording, axis:
     neutral = layout.neutral_vector(model.axes)[places]
     out = np.repeat(command[None], len(thetas), axis=0)
     for k in np.flatnonzero((thetas[:, places] != neutral).any(axis=1)):
-        input_effects_of_axis(thetas[k], model.rig, i, command, load, stretches, dt, layout.axis_memory(dt), out[k])
+        input_effects_of_axis(thetas[k], model.arrays, i, command, load, stretches, dt, layout.axis_memory(dt), out[k])
     return out
 
 

@@ -111,7 +111,7 @@ def _predict(
 
         def lane(k: int) -> None:
             axis_run.drive_axis(
-                lanes[k], model.rig, i, commands[k], measured, load, share, segments, dt, model.window(recording),
+                lanes[k], model.arrays, i, commands[k], measured, load, share, segments, dt, model.window(recording),
                 round(SETTLE_WINDOW / dt), size, True, position[k], out[k], None,
             )  # fmt: skip
 

@@ -262,7 +262,7 @@ class Planner:
 
     def _model(self, theta: Array) -> Model:
         """The plant at other values, without its networks."""
-        return Model(self.model.machine, theta, self.model.rig, self.model.linked, self.model.streams)
+        return Model(self.model.machine, theta, self.model.arrays, self.model.linked, self.model.streams)
 
     # -- result ----------------------------------------------------------------------------------------------------
 

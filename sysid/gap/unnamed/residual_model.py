@@ -28,12 +28,12 @@ from sysid.gap.unnamed.residual_series import gain_p_value
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs, hold_of
-from sysid.plant.residual import PLACES, WARNING, Residual, inputs_of
+from sysid.plant.residual import STAGES, WARNING, Residual, input_names
 from sysid.progress import Progress, part, silent
 
 Array = npt.NDArray[np.float64]
 
-#: Columns of the inputs (:func:`sysid.plant.residual.inputs_of`), from the end.
+#: Columns of the inputs (:func:`sysid.plant.residual.input_names`), from the end.
 POSITION, SPEED = -5, -4
 #: Time between two evaluations of the network [s]: short against a stroke, long against a sample.
 INTERVAL, FORCE_INTERVAL = 0.05, 0.02
@@ -96,8 +96,8 @@ def fit_residual_models(
     by_stage = {(item.stage, item.target): item for item in outcome.unnamed}
     for k, item in enumerate(by_stage.values()):
         (stage,) = [s for s in stages if (s.problem.stage, s.problem.target) == (item.stage, item.target)]
-        if item.stage not in PLACES:
-            text = f"the {stage.label} cannot hold one: only {', '.join(PLACES)} stages can"
+        if item.stage not in STAGES:
+            text = f"the {stage.label} cannot hold one: only {', '.join(STAGES)} stages can"
             found.append(
                 ResidualModelResult(item.stage, item.target, "", float("nan"), float("nan"), float("nan"), False, text)
             )
@@ -142,7 +142,7 @@ def _fit_stage(
         "select": [r.name for r in split.select],
         "seed": case.seed,
         "epochs": trained.epochs,
-        "inputs": [n for n, s in zip(inputs_of(plain.machine, target), trained.weights["scale"], strict=True) if s != 0.0],
+        "inputs": [n for n, s in zip(input_names(plain.machine, target), trained.weights["scale"], strict=True) if s != 0.0],
     }
     item = Residual(name, target, bound, interval, **trained.weights, origin=origin, period=period)  # type: ignore[arg-type]
     extended = plain.with_residual(item)
@@ -183,7 +183,7 @@ def _residual_recording(
     i, rate = model.axis_index(axis.name), recording.rate_hz
     interval = _interval(problem.stage, rate)
     stride = round(interval * rate)
-    commands, speed = model.in_steps(recording, i), None
+    commands, speed = model.commands_by_step(recording, i), None
     load = gravity_load(model.machine, recording)[:, i]
     if not all(len(model.held(recording, name)[1]) for name in model.machine.axis_names):
         load = np.zeros(len(recording))  # the pose of a free run is unknown; a constant zero disables the input

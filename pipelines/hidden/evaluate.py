@@ -1,4 +1,4 @@
-"""Evaluates one answer against what was sealed: right names and places, parameters, intervals, what closed."""
+"""Evaluates one answer against the truth: names and targets, parameters, intervals, closed gap."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ DUE = 3.0
 CLOSABLE = 1.5
 #: Parameters that are known to fewer digits than others: their error has a bound of its own.
 COARSE = (("gripper_sway", "damping_ratio"), ("stiction", "release"))
-#: A hidden thing is described by its name where the name's best fit takes away this share of what it does.
+#: A name describes a hidden effect where its best fit explains this share of it.
 DESCRIBED = 0.5
 
 
 @dataclass(frozen=True)
-class Judgement:
+class CaseResult:
     """One case.
 
     Args:
@@ -65,12 +65,12 @@ class Judgement:
         return self.factor >= DUE * 0.99
 
     def to_json(self) -> dict[str, Any]:
-        """Without infinity and not-a-number, which JSON lacks: nothing hidden has no factor, no answer took no time."""
+        """Infinity and NaN (no hidden effect, no answer) become None."""
         values = {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
         return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
 
     @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Judgement:
+    def from_json(cls, values: Mapping[str, Any]) -> CaseResult:
         """What :meth:`to_json` wrote."""
         given = {each.name: values[each.name] for each in fields(cls)}
         given |= {key: tuple((name, target) for name, target in given[key]) for key in ("hidden", "named", "wrong", "missed")}
@@ -80,7 +80,7 @@ class Judgement:
         return cls(**(given | {"spec": CaseSpec.from_json(given["spec"])}))
 
 
-def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> Judgement:
+def evaluate(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> CaseResult:
     """Compare an answer with the truth.
 
     Args:
@@ -90,7 +90,7 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     hidden = tuple((e["name"], e["target"]) for each in sealed["hidden"] for e in each["effects"])
     factor = min((each["factor"] for each in sealed["hidden"]), default=math.inf)
     if "failure" in answered:
-        return Judgement(
+        return CaseResult(
             spec, hidden, (), factor, "failure", (), hidden, {}, {}, None, False, math.nan, failure=answered["failure"]
         )
     answer = answered["answer"]
@@ -98,12 +98,12 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
     named = tuple((e["name"], e["target"]) for e in effects)
     truths = {(e["name"], e["target"]): e for e in sealed["effects"]}
-    judged = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
+    evaluated = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
     compared = {
-        name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in judged & truths.keys()
+        name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in evaluated & truths.keys()
     }
     found = {_meant(e, hidden) for e in effects}
-    return Judgement(
+    return CaseResult(
         spec=spec,
         hidden=hidden,
         named=named,
@@ -147,7 +147,7 @@ def _compare(name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any]) ->
 
 
 def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) -> float | None:
-    """Flow that fluctuates and what the plant's formulas cannot do stay with the true plant as well: they are not closable."""
+    """Flow disturbance and model error remain with the true plant as well: they are not closable."""
     least = {signal: max(floor, reach.get(signal, 0.0)) for signal, floor in gap["noise_floor"].items()}
     shares = [
         (before - gap["after"][signal]) / (before - least[signal])
@@ -158,7 +158,7 @@ def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) 
 
 
 def _explained(error: Mapping[str, Mapping[str, float]]) -> float:
-    """Of the signals that what is hidden moves, the one that its names explain worst; what they leave is no fault of a search.
+    """Least share, over the affected signals, of the hidden effects that the best fit of their names explains.
 
     Squares are compared: RMSE of noise-free runs with nothing hidden, before and after the best fit of the names.
     """

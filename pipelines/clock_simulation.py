@@ -1,4 +1,4 @@
-"""A small simulated recording for the study of clocks: joint motion, two devices that see it, and what goes wrong with them."""
+"""Simulated recordings for the study of clocks: joint motion, two devices that measure it, and their faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KINDS = ("plain", "gaps", "jitter", "outliers", "reset")
 
 
 @dataclass(frozen=True)
-class Room:
+class SimulatedRecording:
     """A recording and the truth about its clock.
 
     Args:
@@ -37,7 +37,7 @@ class Room:
         pieces: how many the stream has, once stamps that were set back have been carried on.
     """
 
-    clocked: RecordingClocks
+    clocks: RecordingClocks
     stream_s: Array
     machine_s: Array
     skew_ppm: float
@@ -59,7 +59,9 @@ def linkage(x: Array) -> Array:
     return np.asarray(-1.7 * np.arctan(0.4 * x) + 0.3)
 
 
-def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | None = None, noise: float = NOISE) -> Room:
+def simulated(
+    seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | None = None, noise: float = NOISE
+) -> SimulatedRecording:
     """One recording: ``t_machine = t_true``, the other device's clock ``t·(1 + skew) + offset = t_true`` until it is set."""
     rng = np.random.default_rng([seed, round(10 * seconds), round(10 * hertz), KINDS.index(kind)])
     skew = 1e-6 * (rng.uniform(-100.0, 100.0) if skew_ppm is None else skew_ppm)
@@ -86,7 +88,7 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
         stamps = stream + 2e-3 * rng.uniform(-1.0, 1.0, len(stream))
     elif kind == "outliers":
         for name in y:
-            y[name] = _mistaken(truth, y[name], rng)
+            y[name] = _outliers(truth, y[name], rng)
     channels = [
         Channel(name, "log.mcap", "machine", _stamps(machine_stamps, EPOCH), values, primary=name == "boom.cylinder")
         for name, values in x.items()
@@ -95,11 +97,11 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
     carried_on = found.stamps
     rows, _ = in_order(carried_on, "mocap.csv")
     channels += [Channel(name, "mocap.csv", "mocap", carried_on[rows], values[rows]) for name, values in y.items()]
-    clocked = RecordingClocks("log", "motion", tuple(channels))
+    clocks = RecordingClocks("log", "motion", tuple(channels))
     times = (carried_on[rows] - OTHER) * 1e-9
     truth = truth + (stamps - stream) * (1.0 + skew)  # of the stamps: when the frames were taken, jitter hides
     parts = 2 if kind == "reset" and not found.rows else 1
-    return Room(clocked, times, truth[rows], 1e6 * skew, reset_s, reset_by, parts)
+    return SimulatedRecording(clocks, times, truth[rows], 1e6 * skew, reset_s, reset_by, parts)
 
 
 def _stamps(seconds: Array, origin: int) -> npt.NDArray[np.int64]:
@@ -107,7 +109,7 @@ def _stamps(seconds: Array, origin: int) -> npt.NDArray[np.int64]:
 
 
 def _set(stream: Array, truth: Array, seconds: float, rng: np.random.Generator) -> tuple[Array, Array, float, float]:
-    """The clock is set back, set forward, or goes on evenly although no frame was taken for a while."""
+    """The clock is set back, set forward, or continues evenly although frames are missing."""
     row = int(rng.uniform(0.3, 0.7) * len(stream))
     size = float(rng.uniform(0.1, 3.0))
     how = rng.integers(3)
@@ -122,15 +124,15 @@ def _set(stream: Array, truth: Array, seconds: float, rng: np.random.Generator) 
 
 
 def _gaps(times: Array, values: Array, count: float, rng: np.random.Generator) -> Array:
-    """NaN for 0.1 to 3 s, so many times in the mean."""
+    """NaN for 0.1 to 3 s, ``count`` times on average."""
     result = values.copy()
     for start in rng.uniform(times[0], times[-1], rng.poisson(count)):
         result[(times > start) & (times < start + rng.uniform(0.1, 3.0))] = np.nan
     return result
 
 
-def _mistaken(times: Array, values: Array, rng: np.random.Generator) -> Array:
-    """One frame in 200 anywhere, and twice a minute a marker taken for another one for 0.1 to 1 s."""
+def _outliers(times: Array, values: Array, rng: np.random.Generator) -> Array:
+    """Outliers in one frame of 200, and twice a minute a confused marker for 0.1 to 1 s."""
     result = values.copy()
     wrong = rng.random(len(values)) < 0.005
     result[wrong] += rng.uniform(-3.0, 3.0, np.count_nonzero(wrong))
