@@ -20,7 +20,7 @@ def tables(result: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
             "500 training poses, errors of x / y / z on 1000 test poses [mm]; mean of five seeds (worst seed).",
-            *(_variants(result["variants"], reach) for reach in RANGES),
+            _variants(result["variants"]),
             "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
             _asked(result["variants"]),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
@@ -35,15 +35,19 @@ def tables(result: Mapping[str, Any]) -> str:
     )
 
 
-def _variants(rows: Sequence[Row], reach: str) -> str:
-    lines = [f"| {TITLES[reach]} | max | 95 % | mean |", "| --- | --- | --- | --- |"]
-    for row in rows:
-        if row["range"] == reach and row["asked"] == "joints":
-            cells = " | ".join(_three(row[key]) for key in ("p95", "mean"))
-            model = row["model"]
-            name = model if model in NO_NETWORKS else f"256-128: {model}"
-            lines.append(f"| {name} | {_three(row['max'])} ({_three(row['max_worst'])}) | {cells} |")
-    lines.append(f"| *the paper, its own crane and poses* | {_three(PAPER_MAX.values())} | – | – |")
+def _variants(rows: Sequence[Row]) -> str:
+    lines = [f"| | {' | '.join(f'{TITLES[reach]}: max | mean' for reach in RANGES)} |", "| --- |" + " --- |" * 2 * len(RANGES)]
+    own = [row for row in rows if row["asked"] == "joints"]
+    for model in dict.fromkeys(row["model"] for row in own):
+        cells = [
+            f"{_three(row['max'])} ({_three(row['max_worst'])}) | {_three(row['mean'])}"
+            for reach in RANGES
+            for row in own
+            if (row["range"], row["model"]) == (reach, model)
+        ]
+        lines.append(f"| {model if model in NO_NETWORKS else f'256-128: {model}'} | {' | '.join(cells)} |")
+    paper = " | ".join([_three(PAPER_MAX.values()), "–"] * len(RANGES))
+    lines.append(f"| *the paper, its own crane and poses* | {paper} |")
     return "\n".join(lines)
 
 
@@ -61,9 +65,9 @@ def _asked(rows: Sequence[Row]) -> str:
 
 
 def _actuators(rows: Sequence[Row]) -> str:
-    head = ["RMSE, motion", "95 %, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
+    head = ["RMSE, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
     lines = [f"| | | {' | '.join(head)} |", "| --- | --- |" + " ---: |" * len(head)]
-    keys = ("motion_rmse", "motion_p95", "motion_max", "sensors", "stroke_rmse", "stroke_max")
+    keys = ("motion_rmse", "motion_max", "sensors", "stroke_rmse", "stroke_max")
     for axis in AXES:
         for direction in DIRECTIONS:
             own = [r for r in rows if (r["axis"], r["direction"], r["rows"]) == (axis, direction, SIZES[-1])]
