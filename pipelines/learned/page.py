@@ -21,7 +21,7 @@ def tables(result: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
             "500 training poses, errors of x / y / z on 1000 test poses [mm]; mean of five seeds (worst seed).",
-            *(_variants(result["variants"], reach) for reach in RANGES),
+            _variants(result["variants"]),
             "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
             _by_inputs(result["variants"]),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
@@ -36,16 +36,19 @@ def tables(result: Mapping[str, Any]) -> str:
     )
 
 
-def _variants(rows: Sequence[Row], reach: str) -> str:
-    lines = []
-    for row in rows:
-        if row["range"] == reach and row["asked"] == "joints":
-            model = row["model"]
-            name = model if model in NO_NETWORKS else f"256-128: {model}"
-            largest = f"{_three(row['max'])} ({_three(row['max_worst'])})"
-            lines.append((name, largest, *(_three(row[key]) for key in ("p95", "mean"))))
-    lines.append(("*the paper, its own crane and poses*", _three(PAPER_MAX.values()), "–", "–"))
-    return markdown((TITLES[reach], "max", "95 %", "mean"), lines, "llll")
+def _variants(rows: Sequence[Row]) -> str:
+    head = [text for reach in RANGES for text in (f"{TITLES[reach]}: max", "mean")]
+    own, lines = [row for row in rows if row["asked"] == "joints"], []
+    for model in dict.fromkeys(row["model"] for row in own):
+        found = {row["range"]: row for row in own if row["model"] == model}
+        cells = [
+            cell
+            for row in (found[reach] for reach in RANGES)
+            for cell in (f"{_three(row['max'])} ({_three(row['max_worst'])})", _three(row["mean"]))
+        ]
+        lines.append((model if model in NO_NETWORKS else f"256-128: {model}", *cells))
+    lines.append(("*the paper, its own crane and poses*", *[_three(PAPER_MAX.values()), "–"] * len(RANGES)))
+    return markdown(("", *head), lines, "l" * (len(head) + 1))
 
 
 def _by_inputs(rows: Sequence[Row]) -> str:
@@ -62,8 +65,8 @@ def _by_inputs(rows: Sequence[Row]) -> str:
 
 
 def _actuators(rows: Sequence[Row]) -> str:
-    head = ["RMSE, motion", "95 %, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
-    keys = ("motion_rmse", "motion_p95", "motion_max", "sensors", "stroke_rmse", "stroke_max")
+    head = ["RMSE, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
+    keys = ("motion_rmse", "motion_max", "sensors", "stroke_rmse", "stroke_max")
     lines = [
         (f"{axis} {direction.replace('_', ' ')}", ACTUATOR.get(row["model"], row["model"]), *(_mm(row[key]) for key in keys))
         for axis in AXES

@@ -27,7 +27,6 @@ class CylinderController:
     Args:
         plant: its linkages map joint setpoints to cylinder positions; its effects tune the controller.
         tuning: of each axis; default: :func:`sysid.control.tune`.
-        rate_hz: calls per second; default: the machine's.
         preview: time from the end of a step to that of its setpoint [s]; zero: the setpoint is for the next sample.
 
     Raises:
@@ -40,7 +39,6 @@ class CylinderController:
         tuning: Sequence[AxisTuning] | None = None,
         *,
         copies: int = 1,
-        rate_hz: float | None = None,
         preview: float = 0.0,
     ) -> None:
         where = f"cylinder controller of {plant.machine.name}"
@@ -50,7 +48,7 @@ class CylinderController:
             raise SettingsError(where, f"preview = {preview} s", f"0 to {MAX_PREVIEW:g} s")
         self.plant, self.copies, self.preview = plant, copies, preview
         self.tuning = tuple(tuning) if tuning is not None else tune(plant)
-        self.dt = 1.0 / (rate_hz or plant.machine.rate_hz)
+        self.dt = 1.0 / plant.machine.rate_hz
         axes = len(plant.machine.axes)
         if len(self.tuning) != axes:
             raise SettingsError(where, f"tuning of {len(self.tuning)} axes", f"{axes}")

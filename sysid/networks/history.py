@@ -120,14 +120,7 @@ def fit_history(
         for k, direction in enumerate(DIRECTIONS):
             done = 0.3 + 0.7 * (2 * number + k) / (2 * len(static))
             own = part(progress or silent, done, done + 0.35 / len(static))
-            title = f"{axis} {direction} with history"
-            corrections[direction] = _correction(
-                dataset,
-                network,
-                direction,
-                recipe,
-                lambda share, _, own=own, title=title: own(share, title),  # type: ignore[misc]
-            )
+            corrections[direction] = _correction(dataset, network, direction, recipe, own)
         found[axis] = HistoryNetwork(network, **corrections)
     return found
 
@@ -163,7 +156,10 @@ def _correction(
         piece=SEQUENCE,
         warm=WARM_UP,
     )
-    trained = train_recurrent(fit, select, bound, empty.interval, False, own, recipe.seed, progress)
+    title = f"{static.axis} {direction} with history"
+    trained = train_recurrent(
+        fit, select, bound, empty.interval, False, own, recipe.seed, lambda done, _: progress(done, title)
+    )
     weights = dict(trained.weights)
     if not trained.loss < MAX_LOSS_RATIO:
         weights |= {"w": np.zeros_like(weights["w"]), "w0": np.zeros(1)}

@@ -74,15 +74,15 @@ class StructuredForward(ForwardModel):
 
     def predict(self, q: npt.ArrayLike) -> Array:
         values = self._checked(q)
-        rest = self._rest(values)
-        return np.asarray(self.structure.predict(values) + (rest[0] if len(rest) == 1 else rest.mean(axis=0)))
+        residuals = self._residuals(values)
+        return np.asarray(self.structure.predict(values) + (residuals[0] if len(residuals) == 1 else residuals.mean(axis=0)))
 
     def spread(self, q: npt.ArrayLike) -> Array:
         """Standard deviation of the prediction from the parameter covariance and the ensemble, (n, 3) [m]."""
         values = self._checked(q)
-        return np.asarray(np.hypot(self.structure.spread(values), self._rest(values).std(axis=0)))
+        return np.asarray(np.hypot(self.structure.spread(values), self._residuals(values).std(axis=0)))
 
-    def _rest(self, q: Array) -> Array:
+    def _residuals(self, q: Array) -> Array:
         if not self.members:
             return np.zeros((1, len(q), 3))
         inputs = to_features(q, self.revolute, "sincos")
@@ -106,7 +106,7 @@ def fit_structured(
     q_select, tip_select = select.values[:, :count], select.values[:, count:]
     structure = fit_chain(q, tip, revolute) if recipe.forward.model == "chain" else _calibrated(dataset, q, tip)
     residual, select_residual = tip - structure.predict(q), tip_select - structure.predict(q_select)
-    members, learning_curves, bound = _rest(
+    members, learning_curves, bound = _residual_networks(
         recipe, (q, residual), (q_select, select_residual), revolute, joints, progress, checkpoints
     )
     return StructuredForward(
@@ -136,7 +136,7 @@ def _calibrated(dataset: Dataset, q: Array, tip: Array) -> Calibration:
     return calibrate(Geometry(kinematics), q, tip, joint_noise, tip_noise)
 
 
-def _rest(
+def _residual_networks(
     recipe: NetworkRecipe,
     fit: tuple[Array, Array],
     select: tuple[Array, Array],

@@ -19,6 +19,8 @@ Ranges = Mapping[str, tuple[float, float]]
 
 #: A spike is an error beyond this many robust standard deviations (1.4826 × median absolute deviation).
 SPIKE_SIGMAS = 6.0
+#: Largest number of spikes of an output.
+MAX_SPIKES = 10
 #: Spikes closer together than this are one [s].
 SPIKE_APART_S = 0.5
 #: Causes are searched within this time [s], and within this share of a range from its ends.
@@ -76,6 +78,12 @@ def profile(errors: Array, against: Array, variable: str, unit: str, bins: int =
     return _binned(errors[known], np.clip(np.digitize(against[known], edges) - 1, 0, bins - 1), edges, variable, unit)
 
 
+def speed_profiles(errors: Array, speed: Array, signal: str, unit: str) -> list[Profile]:
+    """Error statistics over the magnitude and the direction of the ``speed`` of ``signal``."""
+    magnitude = profile(errors, np.abs(speed), f"speed of {signal}", unit)
+    return [magnitude, direction_profile(errors, speed, f"direction of {signal}", unit)]
+
+
 def direction_profile(errors: Array, speed: Array, variable: str, unit: str) -> Profile:
     """Error statistics of negative motion, rest and positive motion."""
     known = np.isfinite(speed)
@@ -116,16 +124,14 @@ def spikes(
     ends: Ranges,
     fitted: Ranges,
     is_motion: bool,
-    most: int = 10,
 ) -> tuple[Spike, ...]:
-    """The largest spikes of ``errors`` (n,), each with the nearest cause.
+    """The :data:`MAX_SPIKES` largest spikes of ``errors`` (n,), each with the nearest cause.
 
     Args:
         rows: of the errors.
         ends: signals whose end stops and reversals are possible causes.
         fitted: inputs of the network → fitted range; outside it, it extrapolates.
         is_motion: rows are consecutive in time; else only ends of ranges are possible causes.
-        most: largest number to return.
     """
     centre = float(np.median(errors))
     sigma = 1.4826 * float(np.median(np.abs(errors - centre)))
@@ -135,7 +141,7 @@ def spikes(
     found: list[Spike] = []
     taken: list[tuple[str, float]] = []
     for position in np.argsort(size)[::-1]:
-        if size[position] < SPIKE_SIGMAS or len(found) == most:
+        if size[position] < SPIKE_SIGMAS or len(found) == MAX_SPIKES:
             break
         name, time = str(rows.recording[position]), float(rows.time[position])
         if is_motion and any(name == other and abs(time - moment) < SPIKE_APART_S for other, moment in taken):

@@ -15,12 +15,12 @@ from sysid.networks.history import HistoryNetwork
 from sysid.networks.motion import START_INTERVAL_S, MotionNetwork, motion_rows, motions, window_for
 from sysid.networks.motion_inputs import Index, MotionStretch, Speed, Window, horizon_errors, whole_run
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import SignalRows, evenly_spaced, gather, segments
+from sysid.networks.split import SignalRows, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal
-from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
+from sysid.validate.error_analysis import profile, speed_profiles, speeds, spikes
 from sysid.validate.metrics import error_metrics
-from sysid.validate.output_reports import TRACE_ROWS, actuator_output, output_report
+from sysid.validate.output_reports import actuator_output, output_report
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 
 Array = npt.NDArray[np.float64]
@@ -194,12 +194,7 @@ def _motion_report(
     speed = speeds(dataset, rows, network.driven)
     profiles = [profile(errors, rows.values[:, 0], network.command, "1")]
     if np.isfinite(speed).any():
-        profiles += [
-            profile(errors, np.abs(speed), f"speed of {network.command}", f"{unit}/s"),
-            direction_profile(errors, speed, f"direction of {network.command}", f"{unit}/s"),
-        ]
-    shown = evenly_spaced(len(rows), TRACE_ROWS)
-    inputs = {network.command: rows.values[shown, 0]}
+        profiles += speed_profiles(errors, speed, network.command, f"{unit}/s")
     return OutputReport(
         output=output_name(network.driven, horizon),
         inputs=(network.command,),
@@ -211,7 +206,7 @@ def _motion_report(
         noise_floor=None if sigma is None else float(np.sqrt(2.0) * sigma),
         profiles=tuple(profiles),
         spikes=spikes(dataset, rows, errors, {}, {network.command: network.commands}, True),
-        trace=Trace(rows.recording[shown], rows.time[shown], truth[shown], predicted[shown], inputs),
+        trace=Trace.of(rows, truth, predicted, [0]),
     )
 
 

@@ -13,22 +13,20 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind
 from sysid.networks.actuator import ActuatorNetwork
 from sysid.networks.forward import is_angle
-from sysid.networks.split import SignalRows, evenly_spaced, thin
+from sysid.networks.split import SignalRows, thin
 from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
 from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
 from sysid.validate.binning import per_second
 from sysid.validate.coverage import LEVEL, Coverage, coverage_of
-from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
+from sysid.validate.error_analysis import Profile, Ranges, profile, speed_profiles, speeds, spikes
 from sysid.validate.error_maps import ErrorMap, MapAxis, error_maps
 from sysid.validate.metrics import error_metrics
 from sysid.validate.report import OutputReport, Trace
 
 Array = npt.NDArray[np.float64]
 
-#: Largest number of rows kept for plots.
-TRACE_ROWS = 2000
 #: Largest number of rows at which the slopes for the noise floor are computed.
 SLOPE_ROWS = 500
 
@@ -81,14 +79,6 @@ def output_report(
     unit, predicted = _unit(dataset, output), item.predict(inputs) if stateful is None else stateful
     errors = predicted - truth
     profiles, maps = _profiles_and_maps(dataset, rows, errors, item.sources, kind)
-    shown = evenly_spaced(len(rows), TRACE_ROWS)
-    trace = Trace(
-        recording=rows.recording[shown],
-        time=rows.time[shown],
-        truth=truth[shown],
-        predicted=predicted[shown],
-        inputs={rows.signals[source]: rows.values[shown, source] for source in item.sources},
-    )
     return OutputReport(
         output=output,
         inputs=tuple(rows.signals[source] for source in item.sources),
@@ -100,7 +90,7 @@ def output_report(
         noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
         profiles=profiles,
         spikes=spikes(dataset, rows, errors, item.ends, item.fitted, kind == "motion"),
-        trace=trace,
+        trace=Trace.of(rows, truth, predicted, item.sources),
         maps=maps,
         coverage=_coverage(rows, inputs, truth, predicted, item),
     )
@@ -121,8 +111,7 @@ def _profiles_and_maps(
         axes.append(MapAxis(signal, unit, values))
         speed = speeds(dataset, rows, signal) if kind == "motion" else np.full(len(rows), np.nan)
         if np.isfinite(speed).any():
-            profiles.append(profile(errors, np.abs(speed), f"speed of {signal}", per_second(unit)))
-            profiles.append(direction_profile(errors, speed, f"direction of {signal}", per_second(unit)))
+            profiles += speed_profiles(errors, speed, signal, per_second(unit))
             axes.append(MapAxis(f"speed of {signal}", per_second(unit), speed, "signed"))
             moving.append((signal, axes[-1].name))
     for signal, (load_unit, load) in _loads(dataset, rows).items():

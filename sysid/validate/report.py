@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -12,12 +12,16 @@ import numpy.typing as npt
 from sysid.datasets.recording import Kind, Role
 from sysid.files import plain
 from sysid.networks.actuator import RoundTripError
+from sysid.networks.split import SignalRows, evenly_spaced
 from sysid.validate.coverage import Coverage
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
 from sysid.validate.metrics import ErrorMetrics
 
 Array = npt.NDArray[np.float64]
+
+#: Largest number of rows of a trace.
+TRACE_ROWS = 2000
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,13 @@ class Trace:
     truth: Array
     predicted: Array
     inputs: Mapping[str, Array]
+
+    @staticmethod
+    def of(rows: SignalRows, truth: Array, predicted: Array, inputs: Sequence[int]) -> Trace:
+        """At most :data:`TRACE_ROWS` of ``rows``, evenly spaced; ``inputs`` are columns."""
+        kept = evenly_spaced(len(rows), TRACE_ROWS)
+        values = {rows.signals[column]: rows.values[kept, column] for column in inputs}
+        return Trace(rows.recording[kept], rows.time[kept], truth[kept], predicted[kept], values)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.errors import SettingsError
 from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.plant import Plant
@@ -28,23 +27,20 @@ CAMERA_HZ, CAMERA = 5.0, (320, 240)
 STATE_HZ = 50.0
 
 
-def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None, speed: float = 1.0) -> int:
+def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None) -> int:
     """Step the world through the commands of a recording and show each state.
 
     Args:
         plant: its machine needs a URDF.
         path: write an ``.rrd`` file at full speed instead of opening the viewer.
-        speed: speed in the viewer relative to the machine's time.
 
     Returns:
         The number of states shown.
 
     Raises:
         StoreError: the dataset has no such recording.
-        SettingsError: PyBullet is missing, the machine has no URDF, a speed that is not positive.
+        SettingsError: PyBullet is missing, or the machine has no URDF.
     """
-    if not speed > 0.0:
-        raise SettingsError("live view", f"speed = {speed}", "a positive factor")
     source = dataset.recording(recording)
     rr = sdk()
     with World(plant, source.rate_hz) as world:
@@ -59,14 +55,14 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
                 path.parent.mkdir(parents=True, exist_ok=True)
                 stream.save(str(files.enter_context(written_whole(path))), default_blueprint=layout)
             stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
-            shown = _replay(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
+            shown = _replay(stream, world, source, dataset.units, path is None)
             stream.flush()
             stream.disconnect()
     return shown
 
 
-def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
-    """Show the run; ``pace`` is seconds of wall time per second of the machine's time, zero for full speed."""
+def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, str], real_time: bool) -> int:
+    """Show the run, in real time or at full speed; returns the number of states."""
     rr = sdk()
     machine = world.plant.machine
     kinematics = machine.kinematics()
@@ -90,9 +86,9 @@ def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, st
         if row % every:
             continue
         first = float(times[row]) if first is None else first
-        late = begin + pace * (float(times[row]) - first) - time.monotonic()
-        if pace and late > 0.0:
-            time.sleep(late)
+        early = begin + (float(times[row]) - first) - time.monotonic()
+        if real_time and early > 0.0:
+            time.sleep(early)
         stream.set_time(TIMELINE, duration=float(times[row]))
         _log_bodies(stream, world, state, links)
         _log_signals(stream, machine, source, row, state, factors)

@@ -31,6 +31,8 @@ Mode = Literal["kinematic", "dynamic"]
 
 #: Force of a drive without limit [N or N·m].
 _UNLIMITED = 1e9
+#: Direction of the camera: about the vertical, and from above [rad].
+_CAMERA = (0.7, -0.45)
 
 
 @dataclass(frozen=True)
@@ -175,22 +177,20 @@ class World:
         *,
         target: tuple[float, float, float] | None = None,
         distance: float | None = None,
-        yaw: float = 0.7,
-        pitch: float = -0.45,
     ) -> npt.NDArray[np.uint8]:
         """A camera picture, RGB (height, width, 3).
 
         Args:
             target: centre of the picture; default: halfway between base and tip.
             distance: of the camera from it [m]; default: so that the machine fits.
-            yaw, pitch: direction of the camera, about the vertical and from above [rad].
         """
         self._check_open()
         p = self._p
         ee = self._link(self._tip)[0]
         at = target if target is not None else tuple(0.5 * (self._base[0] + ee))
         away = distance if distance is not None else 1.25 * self._size
-        view = p.computeViewMatrixFromYawPitchRoll(list(at), away, float(np.degrees(yaw)), float(np.degrees(pitch)), 0.0, 2)
+        yaw, pitch = (float(np.degrees(angle)) for angle in _CAMERA)
+        view = p.computeViewMatrixFromYawPitchRoll(list(at), away, yaw, pitch, 0.0, 2)
         lens = p.computeProjectionMatrixFOV(45.0, width / height, 0.02 * away, 20.0 * away)
         pixels = p.getCameraImage(
             width, height, view, lens, renderer=p.ER_TINY_RENDERER, lightDirection=[1.0, -1.5, 3.0], shadow=0,

@@ -46,7 +46,7 @@ def test_folded_is_the_same_chain(kinematics: Kinematics) -> None:
     np.testing.assert_allclose(geometry.folded(0.0 * values).tip(q), kinematics.tip_position(q), rtol=0.0, atol=1e-12)
 
 
-def test_where_nothing_was_measured_nothing_is_said() -> None:
+def test_missing_joint_values_give_no_prediction() -> None:
     geometry = Geometry(crane())
     q = np.array([[0.1, 0.2, np.nan, 0.3], [0.1, 0.2, 0.3, 0.4]])
     np.testing.assert_array_equal(

@@ -52,7 +52,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def test_it_learns_of_the_play_in_no_time(data: Dataset, network: HistoryNetwork) -> None:
+def test_the_correction_is_active_after_few_epochs(data: Dataset, network: HistoryNetwork) -> None:
     run = data.recording("run-3")
     cylinder, joint = run.values("boom.cylinder"), run.values("boom.joint")
     assert not network.to_joint.inactive
@@ -60,7 +60,7 @@ def test_it_learns_of_the_play_in_no_time(data: Dataset, network: HistoryNetwork
 
 
 @pytest.mark.slow
-def test_it_learns_the_play_that_a_static_map_averages(data: Dataset) -> None:
+def test_it_models_the_backlash_that_a_static_map_averages(data: Dataset) -> None:
     network = fit_history(data, FULL)["boom"]
     run = data.recording("run-3")
     cylinder, joint = run.values("boom.cylinder"), run.values("boom.joint")
@@ -74,7 +74,7 @@ def test_it_learns_the_play_that_a_static_map_averages(data: Dataset) -> None:
 
 
 @pytest.mark.slow
-def test_without_play_it_is_no_worse() -> None:
+def test_without_backlash_it_is_no_worse() -> None:
     free = dataset(0.0)
     network = fit_history(free, FULL)["boom"]
     run = free.recording("run-3")
@@ -84,7 +84,7 @@ def test_without_play_it_is_no_worse() -> None:
     assert rms(network.displacement_along(joint, RATE) - cylinder) < 1.02 * still
 
 
-def test_a_memory_is_an_lstm_behind_a_bound_that_sees_plays() -> None:
+def test_a_correction_is_a_bounded_lstm_with_play_operators() -> None:
     """Against torch's own cell, and plays computed here."""
     import torch
 

@@ -232,7 +232,7 @@ def test_files_bring_back_the_same_network(network: MotionNetwork, data: Dataset
         from_files(to_files({"boom": wrong})[1], "lift-motion@1")
 
 
-def test_what_cannot_be_learned_is_said(data: Dataset) -> None:
+def test_unusable_data_and_settings_are_refused(data: Dataset) -> None:
     with pytest.raises(SettingsError, match=r"a step of 0.06 s at 30 Hz; expected whole samples, as in 0.0666667 s"):
         linear_network().free_run(replace(data.recording("run-3"), rate_hz=30.0))
     with pytest.raises(SettingsError, match=r"motion.history: \[0.1, 0.0\]; expected increasing times, from 0 on"):

@@ -120,7 +120,7 @@ def test_a_fitted_model_knows_its_intervals_and_its_data(structured: StructuredF
     assert structured.inside(q[0]).shape == (1,)
 
 
-def test_files_carry_it_and_old_ones_say_that_they_do_not(structured: StructuredForward) -> None:
+def test_files_contain_it_and_earlier_files_are_refused(structured: StructuredForward) -> None:
     q = 0.5 * (LOW + HIGH)[None]
     kind, files = to_files(structured)
     again = from_files(files, "crane-forward@1")

@@ -277,7 +277,7 @@ def without(data: Dataset, *signals: str) -> Dataset:
         ),
     ],
 )
-def test_data_that_cannot_teach_an_actuator_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_unusable_data_for_an_actuator_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ExcitationError, match=message):
         fit_actuator(broken(data), QUICK)
 
@@ -290,7 +290,7 @@ def test_data_that_cannot_teach_an_actuator_are_refused(data: Dataset, broken, m
         (lambda d: dataset((replaced(poses(), "slew.joint", 0.3),), {}), r"network forward: slew.joint is constant"),
     ],
 )
-def test_data_that_cannot_teach_the_forward_network_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_unusable_data_for_the_forward_network_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ExcitationError, match=message):
         fit_forward_network(broken(data), QUICK)
 

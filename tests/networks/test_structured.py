@@ -62,7 +62,7 @@ def test_nothing_changed_is_the_urdf() -> None:
     np.testing.assert_allclose(model.tip(q, np.zeros(len(model.priors))), model.kinematics.tip_position(q), atol=1e-14)
 
 
-def test_intervals_hold_the_geometry_and_errors_are_what_is_said() -> None:
+def test_intervals_hold_the_geometry_and_errors_have_the_stated_size() -> None:
     model, held, errors = geometry(), [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)

@@ -217,7 +217,7 @@ def test_cosine_lowers_the_rate_to_a_hundredth(monkeypatch: pytest.MonkeyPatch) 
     assert list(first) == sorted(first, reverse=True)
 
 
-def test_progress_is_the_share_of_the_work_told_from_the_calling_thread() -> None:
+def test_progress_is_the_share_of_the_work_reported_in_the_calling_thread() -> None:
     seen: list[tuple[float, str]] = []
     here = threading.get_ident()
 

@@ -43,7 +43,7 @@ def test_blocks_keep_their_distance() -> None:
             assert np.ptp(times[1]) < 0.26 * np.ptp(data.time[data.recording == name])  # one stretch of it
 
 
-def test_what_cannot_be_cut_is_said() -> None:
+def test_too_few_recordings_or_rows_are_refused() -> None:
     with pytest.raises(ExcitationError, match=r"2 recordings; expected at least 5, one a fold. Use fewer folds, or split"):
         folds(rows((100, 100)))
     with pytest.raises(SettingsError, match=r"folds: 1; expected two and more"):

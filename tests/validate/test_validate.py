@@ -143,7 +143,7 @@ def test_no_rows_of_the_role_is_an_error(data: Dataset) -> None:
 # --- the forward network
 
 
-def test_the_forward_network_is_judged_on_poses_and_on_motion(data: Dataset) -> None:
+def test_the_forward_network_is_evaluated_on_poses_and_on_motion(data: Dataset) -> None:
     kinematics = crane().kinematics()
     assert kinematics is not None
     home = kinematics.tip_position(0.5 * (LOW + HIGH)[None])[0]

@@ -11,7 +11,7 @@ from crane_data import LINKAGES, dataset, motion
 from rerun_file import curves
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.errors import SettingsError, StoreError
+from sysid.errors import StoreError
 from sysid.plant import Plant, free_run, nominal_plant
 from sysid.view.live import CAMERA_HZ, STATE_HZ, show_live
 
@@ -48,8 +48,6 @@ def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path)
 
 
 def test_mistakes(crane: tuple[Dataset, Plant], tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match=r"live view: speed = 0\.0; expected a positive factor"):
-        show_live(crane[0], "run-1", crane[1], tmp_path / "x.rrd", speed=0.0)
     with pytest.raises(StoreError, match="run-2"):
         show_live(crane[0], "run-2", crane[1], tmp_path / "x.rrd")
     assert not list(tmp_path.iterdir())

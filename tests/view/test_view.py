@@ -116,7 +116,7 @@ def test_shapes_come_from_the_urdf_and_bars_fill_in(crane: Dataset) -> None:
     assert math.hypot(*bars["boom"][0].size) == pytest.approx(0.576)
 
 
-def test_telling_maps_are_bar_charts_in_display_units(written: Written) -> None:
+def test_informative_maps_are_bar_charts_in_display_units(written: Written) -> None:
     (batch,) = written.tables["/maps/boom.cylinder/speed_error/boom.command/before"]
     values = next(batch.column(name).to_pylist() for name in batch.schema.names if name.endswith("values"))
     np.testing.assert_allclose(values[0][0]["buffer"], [1.2, 1.1, 0.0, -1.9, -2.0])
