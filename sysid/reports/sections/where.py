@@ -156,7 +156,11 @@ def sentence(most: Map, whole: StageGap, unit: str) -> str:
         largest = int(np.argmax(np.abs(most.mean)))
         factor, label = display.shown_unit(most.unit)
         at = f"{display.number(factor * most.at[largest], 2)}{display.NARROW_SPACE}{label}".rstrip()
-        at = {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(most.at[largest], at) if _ways(most) else f"at {at}"
+        at = (
+            {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(most.at[largest], at)
+            if _is_direction(most)
+            else f"at {at}"
+        )
         what = (
             "the speed error"
             if most.quantity == "speed error"
@@ -174,15 +178,13 @@ def sentence(most: Map, whole: StageGap, unit: str) -> str:
 
 def over_name(over: str) -> str:
     """``boom.command`` → ``boom command``; ``load of boom`` is unchanged."""
-    return words.signal_name(over) if "." in over and " " not in over else _spoken(over)
-
-
-def _spoken(over: str) -> str:
+    if "." in over and " " not in over:
+        return words.signal_name(over)
     head, _, signal = over.partition(" of ")
     return f"{head} of {words.signal_name(signal)}" if "." in signal else over
 
 
-def _ways(item: Map) -> bool:
+def _is_direction(item: Map) -> bool:
     return item.over.startswith("direction of ")
 
 
@@ -198,7 +200,7 @@ def _figure(item: Map) -> dict[str, Any]:
     lines = [ChartCurve(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
     if item.after:
         lines.append(ChartCurve(factor * np.array(item.after), "after", dots=True))
-    names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _ways(item) else []
+    names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _is_direction(item) else []
     rows = display.fixed(float(sum(item.count)), 0)
     return {
         "picture": Markup(chart(x, lines, (x_label, y_label), factor * item.noise_floor, names)),
