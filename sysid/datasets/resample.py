@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.in_pieces import copied, sosfiltfilt_in_place, stretches
+from sysid.datasets.chunked import copied, sosfiltfilt_in_place, stretches
 from sysid.scratch import PIECE, chosen, computed, filled, leave
 
 Array = npt.NDArray[np.float64]

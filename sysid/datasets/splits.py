@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import copied, deviation, known, stretches
+from sysid.datasets.chunked import copied, deviation, known, stretches
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.errors import InputError, SettingsError, nearest

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import median_step
+from sysid.datasets.chunked import median_step
 from sysid.datasets.resample import interpolate
 from sysid.scratch import chosen
 

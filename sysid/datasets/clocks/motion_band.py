@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import known, median_step
 from sysid.datasets.clocks.coarse import Pair, noise_of
-from sysid.datasets.in_pieces import known, median_step
 from sysid.datasets.resample import low_pass
 from sysid.scratch import chosen
 

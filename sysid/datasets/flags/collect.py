@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.chunked import copied, known, masked, median, median_step
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
-from sysid.datasets.in_pieces import copied, known, masked, median, median_step
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import copied, counted, differences, median
 from sysid.datasets.flags.flag import Array, Flag, merged
-from sysid.datasets.in_pieces import copied, counted, differences, median
 from sysid.scratch import chosen
 
 #: Stamps are uneven where the central 90 % of the intervals spread over more than this share of the median. Below it the time

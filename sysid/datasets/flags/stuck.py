@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.datasets.chunked import counted, stretches
 from sysid.datasets.flags.flag import Array, Flag, Mask, merged, with_unit
 from sysid.datasets.flags.values import sensor_step
-from sysid.datasets.in_pieces import counted, stretches
 from sysid.scratch import chosen
 
 #: A noisy sensor that repeats its value this often, and this long, is stuck [samples, s]; ten equal values of a sensor that

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.datasets.chunked import absolute, differences, masked, median, median_step
 from sysid.datasets.flags.flag import Array, Flag, merged, with_unit
-from sysid.datasets.in_pieces import absolute, differences, masked, median, median_step
 from sysid.scratch import chosen, computed, pieces
 
 #: Longest outlier [samples]; a longer one is two jumps.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import stretches
+from sysid.datasets.chunked import stretches
 
 Array = npt.NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import ReadRecording
+from sysid.datasets.chunked import absolute, copied, deviation, known, mean_square, median, stretches
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
-from sysid.datasets.in_pieces import absolute, copied, deviation, known, mean_square, median, stretches
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
 from sysid.datasets.recording import ClockRecord, Recording

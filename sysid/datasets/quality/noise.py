@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import absolute, copied, differences, known, median
+from sysid.datasets.chunked import absolute, copied, differences, known, median
 from sysid.scratch import chosen, computed
 
 Array = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import stretches
+from sysid.datasets.chunked import stretches
 from sysid.datasets.quality.coverage import Span
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, Scale, level_of, speed_of

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import absolute, copied, counted, known
+from sysid.datasets.chunked import absolute, copied, counted, known
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine

@@ -1,4 +1,4 @@
-"""Figures that are worked out in pieces are, bit for bit, those of the whole signal."""
+"""Statistics computed in chunks are bit-identical to those of the whole signal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import butter, cheby2, sosfiltfilt
 
-from sysid.datasets import in_pieces, resample
+from sysid.datasets import chunked, resample
 from sysid.datasets.quality.use import turning_points
 from sysid.scratch import PIECE
 
@@ -32,30 +32,30 @@ def with_holes(values: Array) -> Array:
 def test_figures(signal: Array) -> None:
     holes = with_holes(signal)
     there = holes[~np.isnan(holes)]
-    np.testing.assert_array_equal(in_pieces.known(holes), there)
-    assert in_pieces.known(signal) is signal
+    np.testing.assert_array_equal(chunked.known(holes), there)
+    assert chunked.known(signal) is signal
     for order in (1, 4, 8):
-        np.testing.assert_array_equal(in_pieces.differences(signal, order), np.diff(signal, order))
-    assert in_pieces.median(in_pieces.copied(signal)) == np.median(signal)
-    assert in_pieces.median_step(signal) == np.median(np.diff(signal))
-    assert in_pieces.deviation(there) == np.std(there)
-    assert in_pieces.mean_square(there) == np.mean(there**2)
-    assert in_pieces.counted(ROWS, lambda a, b: signal[a:b] > 0.5) == np.count_nonzero(signal > 0.5)
+        np.testing.assert_array_equal(chunked.differences(signal, order), np.diff(signal, order))
+    assert chunked.median(chunked.copied(signal)) == np.median(signal)
+    assert chunked.median_step(signal) == np.median(np.diff(signal))
+    assert chunked.deviation(there) == np.std(there)
+    assert chunked.mean_square(there) == np.mean(there**2)
+    assert chunked.counted(ROWS, lambda a, b: signal[a:b] > 0.5) == np.count_nonzero(signal > 0.5)
 
 
 @pytest.mark.parametrize("mask", [[], [True], [False], [True, True, False, True], [False, True, True, False], [True] * 4])
 def test_stretches(mask: list[bool]) -> None:
-    rows = {k for first, last in zip(*in_pieces.stretches(np.array(mask, bool)), strict=True) for k in range(first, last)}
+    rows = {k for first, last in zip(*chunked.stretches(np.array(mask, bool)), strict=True) for k in range(first, last)}
     assert rows == {k for k, there in enumerate(mask) if there}
 
 
 def test_filters_run_both_ways(signal: Array) -> None:
     for sections, padding in ((cheby2(6, 30.0, 0.25, output="sos"), 64), (butter(4, 0.1, output="sos"), 0)):
         own = signal.copy()
-        in_pieces.sosfiltfilt_in_place(sections, own, padding)
+        chunked.sosfiltfilt_in_place(sections, own, padding)
         np.testing.assert_array_equal(own, sosfiltfilt(sections, signal, padlen=padding))
     short = signal[:40].copy()
-    in_pieces.sosfiltfilt_in_place(sections, short, 39)
+    chunked.sosfiltfilt_in_place(sections, short, 39)
     np.testing.assert_array_equal(short, sosfiltfilt(sections, signal[:40], padlen=39))
 
 
