@@ -46,8 +46,8 @@ class KinematicEnvironment(Environment):
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
         rewards, task = np.empty(self.size), self.task
         finite = move_copies(
-            self.model.theta, self.model.arrays, self._checked(actions), self.reach.low, self.reach.high, self._now, self._count,
-            rewards, task.step_reward + task.near_reward, task.outside_reward,
+            self.model.theta, self.model.arrays, self._checked(actions), self.reach.low, self.reach.high, self._now,
+            self._count, rewards, task.step_reward + task.near_reward, task.outside_reward,
         )  # fmt: skip
         self._require_finite(finite)
         observations, truncated = self._end_of_step(self._now[:, self.slices.joints])
