@@ -81,8 +81,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
         figures = (f"{entry[side]:.3g} {unit}" for side in ("ours", "theirs"))
         spread = f"**{ratio['median']:.3g}** ({ratio['min']:.3g} to {ratio['max']:.3g})"
         lines.append((entry["work"].replace("_", " "), entry["peer"], spread, *figures))
-    ratios = markdown(("work", "beside", "ratio (lowest to highest)", "ours", "theirs"), lines, "lllll")
-    memory = markdown(("bag", "size", "messages", "read", "most memory", "for each message"), sizes, "llllll")
+    ratios = markdown(("work", "compared with", "ratio (lowest to highest)", "sysid", "other"), lines, "lllll")
+    memory = markdown(("bag", "size", "messages", "read", "peak memory", "per message"), sizes, "llllll")
     return f"{ratios}\n\n{memory}"
 
 

@@ -114,7 +114,7 @@ def test_what_an_export_does_not_state_is_asked_for(shared_data: Path, capsys: p
     assert run("ingest", "--inspect", path) == 0
     text = capsys.readouterr().out
     # Read as metres the bodies would be 175 m away.
-    assert "the recipe has to state length_unit; shown here with 'cm'" in text
+    assert "the recipe must state length_unit; shown here with 'cm'" in text
     assert 'length_unit = "cm"   # not stated in the file: check it' in text
     assert 'rotation = "XYZ"   # not stated in the file: check it' in text
 
@@ -131,7 +131,7 @@ def test_the_draft_for_a_recording_in_its_folder_is_accepted(
     draft = tmp_path / "recipe.toml"
     assert run("ingest", "--inspect", tmp_path / "logs", "--draft", draft) == 0
     shown = capsys.readouterr().out
-    assert "fields that never change or hold no number are not shown" in shown
+    assert "with constant or no numbers not shown" in shown
     text = draft.read_text("utf-8")
     assert '# fit = ["run1"]' in text
     assert "recordings.files" not in text
@@ -177,7 +177,7 @@ def test_a_file_that_cannot_be_read_is_described_by_the_reason(
 ) -> None:
     (tmp_path / "broken.mcap").write_bytes(b"nothing")
     assert run("ingest", "--inspect", tmp_path) == 0
-    assert "cannot be ingested as it is" in " ".join(capsys.readouterr().out.split())
+    assert "cannot be ingested:" in " ".join(capsys.readouterr().out.split())
     calibration = inspect_file(shared_data / "tiago_mocap/ur10_calibration.csv")
     assert "no time column" in calibration.refusal
     assert len(calibration.streams[0].fields) == 12

@@ -199,7 +199,7 @@ def test_the_axis_of_the_crane_is_found_where_the_recipe_has_it(survey: Path, ca
     add(survey, 'recording = "manual-01"\naxis = "slew"\nturning = ["column_body"]\nsense = -1')
     code, said = proposed(survey, capsys)
     assert code == 0, said
-    assert "For the recipe, if you agree (it is never applied by itself):\n\n[streams.frame]\ntranslation = [" in said
+    assert "To use it, copy these lines to the recipe:\n\n[streams.frame]\ntranslation = [" in said
     assert "open: the rotation about the axis of 'slew' (yaw)" in said
     (item,) = json.loads((survey / "frame.json").read_text())["frames"]
     assert item["moved_m"] < 3e-4

@@ -45,7 +45,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
         # One step of the valve a cycle: each value is of one cycle alone.
         said = bus.encode([(turn + 1) / 250.0] * 4, True, clock.now(end + MS))
         waits.setdefault(turn + late(turn), []).extend(CanFrame(number, True, data) for number, data in said)
-        process.heard(waits.pop(turn, []), end + MS)
+        process.received_frames(waits.pop(turn, []), end + MS)
     table = np.array(rows)
     passed = table[:, COLUMNS.index("boom.passed")]
     late_by = []

@@ -113,10 +113,10 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
     show_residual_models(Printer(None), replace(gap, carried=(item, refused)), crane)
     text = capsys.readouterr().out.replace("\u202f", " ")
     assert "bounded residual network (unnamed_residual): command of boom, held-out error 1.20 mm → 0.300 mm" in text
-    assert "no physics" in text
+    assert "no physical cause" in text
     assert "no residual network: stick: a residual network did not help" in text
     page = build_report(ReportInputs(crane, replace(gap, carried=(item,))))
-    assert "Described by a bounded residual network (unnamed_residual), learned from the recordings: it is no physics" in page
+    assert "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause" in page
     assert "Described by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
 
 
@@ -188,7 +188,7 @@ def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.C
     assert steps.store(study, proof, registry) == reference, "the same again is the same version"
     said = [_said(capsys, "--workspace", str(tmp_path / "models"), "models", *name) for name in ((), (reference,), ("arm@1",))]
     assert "plant *" in said[0]
-    assert [("unnamed_residual: a bounded network" in text, "It is no physics" in text) for text in said] == [
+    assert [("unnamed_residual: a bounded network" in text, "without a physical cause" in " ".join(text.split())) for text in said] == [
         (True, True), (True, True), (False, False),
     ]  # fmt: skip
     located = find_gap(data(ripple), plant, localise_only=True)
