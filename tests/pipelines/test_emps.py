@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 VISCOUS, COULOMB, BIAS = 203.50, 20.394, -3.165
 
 

@@ -10,7 +10,7 @@ from fault_runs import TOUCH, fault_run
 from sysid.runner.command_filter import CommandFilter
 
 Array = npt.NDArray[np.float64]
-FAST, SLOW = range(10), range(10, 1010)
+FAST, SLOW = range(5), range(5, 1005)
 
 
 def check(seed: int) -> None:
@@ -44,13 +44,13 @@ def test_nothing_leaves_the_fence_in_a_thousand_runs() -> None:
 
 
 @pytest.mark.slow
-def test_without_the_barrier_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The runs above would show it: with the barrier taken out several of the first ten leave."""
+def test_without_the_command_filter_some_runs_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The runs above would show it: without the command filter several of the first ten leave."""
 
     def through(self: CommandFilter, requested: Array, drive: Array, dead_reckonings: object) -> tuple[Array, list[object]]:
         self.sent = np.clip(np.nan_to_num(requested), -1.0, 1.0)
         return self.sent.copy(), []
 
     monkeypatch.setattr(CommandFilter, "filter", through)
-    left = sum(min(fault_run(seed)[1].values()) < -TOUCH for seed in FAST[:10])
+    left = sum(min(fault_run(seed)[1].values()) < -TOUCH for seed in range(10))
     assert left >= 2
