@@ -96,11 +96,11 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     Exit status: 0 done, 1 the computer failed (disk full, no permission), 2 a mistake of the user, 130 interrupted.
     """
     with safe_children():
-        status = _run(None if argv is None else list(argv))
+        status = run_command(None if argv is None else list(argv))
     sys.exit(status)
 
 
-def _run(argv: list[str] | None) -> int:
+def run_command(argv: list[str] | None) -> int:
     try:
         status = app.main(args=argv, prog_name="sysid", standalone_mode=False)
         if isinstance(status, int) and status:
