@@ -101,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def run_command(argv: list[str] | None) -> int:
+    """Run one command (by default that of ``sys.argv``), print errors, and return the exit status."""
     try:
         status = app.main(args=argv, prog_name="sysid", standalone_mode=False)
         if isinstance(status, int) and status:

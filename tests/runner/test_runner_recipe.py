@@ -14,8 +14,7 @@ from click.testing import CliRunner
 from crane_model import AUTOLOG, crane, crane_plant
 from crane_store import learned
 
-from sysid.cli.app import run_command
-from sysid.cli.app import app
+from sysid.cli.app import app, run_command
 from sysid.errors import SettingsError, StorageError
 from sysid.networks import to_files
 from sysid.networks.uncertainty import NetworkUncertainty
