@@ -211,7 +211,7 @@ def test_a_migration_that_was_interrupted_is_made_anew_from_its_rows(tmp_path: P
     before = state(tmp_path)
     found = Registry(tmp_path).repair()
     assert "incomplete" in found.done[0]
-    assert "1 versions, 0 of them from the files" in found.done[0]
+    assert "1 versions, 0 of them from the model files" in found.done[0]
     assert state(tmp_path) == before
     assert Registry(tmp_path).repair().done == ()
 
