@@ -18,7 +18,7 @@ from sysid.parse import parse_toml, read_text
 
 T = TypeVar("T")
 
-#: Put ``__pydantic_config__ = STRICT`` into a settings dataclass: unknown keys, NaN and infinity fail.
+#: Configuration of :class:`Strict`: unknown keys, NaN and infinity fail.
 STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sysid.config import STRICT
+from sysid.config import Strict
 
 
 @dataclass(frozen=True)
-class BodySettings:
+class BodySettings(Strict):
     """A rigid body of the capture system on ``link``; ``pivot`` is its origin in that link [m], None = centre of its markers.
 
     ``markers`` are marker positions in the link frame [m].
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     link: Literal["column", "boom", "stick", "tip", "gripper"]
@@ -24,10 +22,8 @@ class BodySettings:
 
 
 @dataclass(frozen=True)
-class SwapSettings:
+class SwapSettings(Strict):
     """Two markers of a body change places in ``recording`` from ``at`` for ``duration`` [s on the capture clock]."""
-
-    __pydantic_config__ = STRICT
 
     recording: str
     body: str
@@ -37,17 +33,15 @@ class SwapSettings:
 
 
 @dataclass(frozen=True)
-class MarkerExport:
+class MarkerExport(Strict):
     """The markers of ``body`` are exported as well in the take of ``recording``."""
-
-    __pydantic_config__ = STRICT
 
     recording: str
     body: str
 
 
 @dataclass(frozen=True)
-class CaptureSettings:
+class CaptureSettings(Strict):
     """The motion capture system.
 
     Args:
@@ -62,8 +56,6 @@ class CaptureSettings:
         export: file formats of a take; the first one is mapped by the site's recipe. C3D holds the markers alone.
         shift, tilt: error of the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
     """
-
-    __pydantic_config__ = STRICT
 
     rate: float = 60.0
     capture_rate: float = 240.0

@@ -49,15 +49,13 @@ from sysid.bench.run import simulate
 from sysid.bench.site_files import write_site_files
 from sysid.bench.truth import describe_run
 from sysid.bench.write import write
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 
 
 @dataclass(frozen=True)
-class CaseSettings:
+class CaseSettings(Strict):
     """``CASE.toml``."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str

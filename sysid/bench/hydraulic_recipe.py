@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sysid.config import STRICT
+from sysid.config import Strict
 
 
 @dataclass(frozen=True)
-class HydraulicSettings:
+class HydraulicSettings(Strict):
     """Valve and cylinder (or rotary drive) of one axis.
 
     Units are those of a cylinder; a drive that turns has m³/rad for areas, N·m for forces and rad for lengths.
@@ -32,8 +32,6 @@ class HydraulicSettings:
         bristle: elastic deflection of the seals before they slide [m].
         relief: pressure at which a chamber opens to the tank [Pa].
     """
-
-    __pydantic_config__ = STRICT
 
     area: float
     area_rod: float
@@ -55,15 +53,13 @@ class HydraulicSettings:
 
 
 @dataclass(frozen=True)
-class SupplySettings:
+class SupplySettings(Strict):
     """The pump of all axes: it holds ``pressure`` [Pa] as long as less than ``flow_limit`` [m³/s] is drawn.
 
     ``volume`` [m³] is that of the pressure line, ``droop`` [Pa] the pressure lost between no flow and the full flow.
     ``parked`` [Pa] is the pressure in the unloaded chamber of a drive that has been at rest for a long time.
     ``rated`` [Pa] is the pressure for which the valves' gains are stated; None = ``pressure``.
     """
-
-    __pydantic_config__ = STRICT
 
     pressure: float = 80e5
     rated: float | None = None
@@ -74,7 +70,7 @@ class SupplySettings:
 
 
 @dataclass(frozen=True)
-class OilSettings:
+class OilSettings(Strict):
     """The oil and its temperature ``end + (start − end)·e^(−t/warm_up)`` [°C, s].
 
     Args:
@@ -82,8 +78,6 @@ class OilSettings:
         transition: pressure drop around which an orifice goes from laminar to turbulent at ``reference`` [Pa].
         thinning: relative loss of viscosity per kelvin [1/K].
     """
-
-    __pydantic_config__ = STRICT
 
     bulk_modulus: float = 5e8
     transition: float = 2e4
@@ -95,14 +89,12 @@ class OilSettings:
 
 
 @dataclass(frozen=True)
-class MassSettings:
+class MassSettings(Strict):
     """Masses [kg], their centres along the link [m] and moments of inertia about them [kg·m²].
 
     The telescope's centre is counted from the boom tip (negative = behind it). The gripper hangs below the tip.
     ``balanced`` is the share of all weights that springs or counterweights compensate.
     """
-
-    __pydantic_config__ = STRICT
 
     column_inertia: float = 0.011
     boom: float = 4.0

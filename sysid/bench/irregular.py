@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 from sysid.bench.compiled import compiled
-from sysid.config import STRICT
+from sysid.config import Strict
 
 
 @dataclass(frozen=True)
-class IrregularSettings:
+class IrregularSettings(Strict):
     """Every share is 0 by default: a regular drive.
 
     Args:
@@ -24,8 +24,6 @@ class IrregularSettings:
         slip, slip_above: this share of the speed is lost while the opening is beyond ``slip_above`` [1, command].
         fade, fade_time: share lost by a valve held fully open, and the time constant of loss and recovery [1, s].
     """
-
-    __pydantic_config__ = STRICT
 
     uneven: float = 0.0
     pitch: float = 1.0

@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from sysid.config import STRICT
+from sysid.config import Strict
 
 #: Step of the simulation [s].
 STEP = 1e-3
 
 
 @dataclass(frozen=True)
-class ServoAxis:
+class ServoAxis(Strict):
     """One position-controlled joint of the arm; every feature is absent by default.
 
     Args:
@@ -24,8 +24,6 @@ class ServoAxis:
         compliance: sag per gravity moment [rad/(N·m)].
         eccentricity, teeth: amplitude [rad] of the error of an eccentric gear, and its periods per turn.
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     limits: tuple[float, float]
@@ -42,10 +40,8 @@ class ServoAxis:
 
 
 @dataclass(frozen=True)
-class Take:
+class Take(Strict):
     """One recording [s]."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     seed: int
@@ -53,10 +49,8 @@ class Take:
 
 
 @dataclass(frozen=True)
-class ServoArm:
+class ServoArm(Strict):
     """The arm; ``noise`` is that of every joint sensor [rad], ``rate`` of the log [Hz]."""
-
-    __pydantic_config__ = STRICT
 
     kind: Literal["servo_arm"]
     name: str
@@ -68,7 +62,7 @@ class ServoArm:
 
 
 @dataclass(frozen=True)
-class Slide:
+class Slide(Strict):
     """A carriage moved by a force; M·a = u − friction(v) − offset.
 
     Args:
@@ -79,8 +73,6 @@ class Slide:
         stiffness, damping, force_limit: of the position controller [N/m, N·s/m, N].
         stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
     """
-
-    __pydantic_config__ = STRICT
 
     kind: Literal["slide"]
     name: str

@@ -14,7 +14,7 @@ from typing import Literal
 from sysid.bench.capture_recipe import CaptureSettings
 from sysid.bench.hydraulic_recipe import HydraulicSettings, MassSettings, OilSettings, SupplySettings
 from sysid.bench.irregular import IrregularSettings
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 
 #: The axes of the crane, from the base outwards. Cylinders move the second and third, the others are driven directly.
@@ -24,7 +24,7 @@ WIRED = AXES[1:]
 
 
 @dataclass(frozen=True)
-class ValveSettings:
+class ValveSettings(Strict):
     """From the command to the speed of one drive.
 
     Args:
@@ -42,8 +42,6 @@ class ValveSettings:
         disturbance_time: its correlation time [s].
     """
 
-    __pydantic_config__ = STRICT
-
     gain: float
     delay: float = 0.0
     time_constant: float = 0.0
@@ -60,13 +58,11 @@ class ValveSettings:
 
 
 @dataclass(frozen=True)
-class CylinderSettings:
+class CylinderSettings(Strict):
     """A cylinder in a triangle with two levers that meet at the joint.
 
     ``length² = a² + b² − 2ab·cos(sense·(q + offset))``; displacement = length − ``retracted``, between 0 and ``stroke``.
     """
-
-    __pydantic_config__ = STRICT
 
     a: float
     b: float
@@ -77,7 +73,7 @@ class CylinderSettings:
 
 
 @dataclass(frozen=True)
-class AxisSettings:
+class AxisSettings(Strict):
     """One axis.
 
     Args:
@@ -88,8 +84,6 @@ class AxisSettings:
         stiffness: of the structure at the joint [N·m/rad]; it sags under its weight; ``flex_damping``: damping ratio.
         irregular: behaviour of the drive outside the catalogue (of a simple valve only).
     """
-
-    __pydantic_config__ = STRICT
 
     valve: ValveSettings
     limits: tuple[float, float]
@@ -104,10 +98,8 @@ class AxisSettings:
 
 
 @dataclass(frozen=True)
-class GeometrySettings:
+class GeometrySettings(Strict):
     """Link lengths [m]: base to boom joint (upwards), boom joint to stick joint, stick joint to boom tip at telescope zero."""
-
-    __pydantic_config__ = STRICT
 
     height: float
     boom: float
@@ -115,7 +107,7 @@ class GeometrySettings:
 
 
 @dataclass(frozen=True)
-class BuildSettings:
+class BuildSettings(Strict):
     """Deviations of the built machine from its drawing (``geometry``) and the zeros of its joints.
 
     Args:
@@ -123,22 +115,18 @@ class BuildSettings:
         joint_offset: true joint less what a perfect sensor with the stated zero shows [rad or m], by axis.
     """
 
-    __pydantic_config__ = STRICT
-
     boom: float = 0.0
     stick: float = 0.0
     joint_offset: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class SensorSettings:
+class SensorSettings(Strict):
     """A sensor that reads ``scale``·value + ``bias`` in multiples of ``quantum`` (SI).
 
     A draw wire may be mounted ``aside`` of the line it measures, ``standoff`` ahead of its drum at zero [m]: it then reads
     ``√((standoff + value)² + aside²) − √(standoff² + aside²)``.
     """
-
-    __pydantic_config__ = STRICT
 
     signal: Literal["slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint"]
     bias: float = 0.0
@@ -149,33 +137,27 @@ class SensorSettings:
 
 
 @dataclass(frozen=True)
-class GripperSettings:
+class GripperSettings(Strict):
     """A tool on two passive crossed joints below the boom tip; ``length`` 0 = rigidly at the tip."""
-
-    __pydantic_config__ = STRICT
 
     length: float = 0.0
     damping_ratio: float = 0.0
 
 
 @dataclass(frozen=True)
-class WireSettings:
+class WireSettings(Strict):
     """A draw wire: white noise [m], then the quantum of its counter [m]."""
-
-    __pydantic_config__ = STRICT
 
     noise: float = 0.0
     quantum: float = 0.0
 
 
 @dataclass(frozen=True)
-class SlewSensorSettings:
+class SlewSensorSettings(Strict):
     """An inductive angle sensor: smooth systematic error (bound), white noise, the quantum of its converter [rad].
 
     ``mount``: on the structure or on the drive, before the backlash.
     """
-
-    __pydantic_config__ = STRICT
 
     error: float = 0.0
     noise: float = 0.0
@@ -184,7 +166,7 @@ class SlewSensorSettings:
 
 
 @dataclass(frozen=True)
-class ControllerSettings:
+class ControllerSettings(Strict):
     """The machine's computer: its cycle [Hz], its clock at the start of the first recording [ns], and its log.
 
     A message is published ``publish_delay`` after its stamp and logged ``transport_delay`` later still [s];
@@ -192,8 +174,6 @@ class ControllerSettings:
     ``log``: formats, messages (``mcap``) or CAN frames (``blf``, ``asc``), which the logger stamps when they are published;
     the site's recipe maps the first one.
     """
-
-    __pydantic_config__ = STRICT
 
     rate: float = 100.0
     epoch_ns: int = 0
@@ -204,10 +184,8 @@ class ControllerSettings:
 
 
 @dataclass(frozen=True)
-class StrokeSettings:
+class StrokeSettings(Strict):
     """One stroke of ``axis``: start [s], duration [s], level [command], and its smooth edges [s]."""
-
-    __pydantic_config__ = STRICT
 
     axis: Literal["slew", "boom", "stick", "telescope"]
     start: float
@@ -217,13 +195,11 @@ class StrokeSettings:
 
 
 @dataclass(frozen=True)
-class RecordingSettings:
+class RecordingSettings(Strict):
     """One recording: ``seconds`` of a ``program`` (an operator by default), or ``poses`` poses of the calibration routine.
 
     ``strokes`` are those of the program ``script``; ``flight`` is closed-loop operation by a controller.
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     seed: int
@@ -238,7 +214,7 @@ class RecordingSettings:
 
 
 @dataclass(frozen=True)
-class OperatorSettings:
+class OperatorSettings(Strict):
     """Behaviour of the operator.
 
     Args:
@@ -248,8 +224,6 @@ class OperatorSettings:
         margin: share of the range kept clear at either end stop.
     """
 
-    __pydantic_config__ = STRICT
-
     parked: float = 3.0
     pause_every: float = 14.0
     pause: tuple[float, float] = (2.0, 3.5)
@@ -258,10 +232,8 @@ class OperatorSettings:
 
 
 @dataclass(frozen=True)
-class RoutineSettings:
+class RoutineSettings(Strict):
     """The calibration routine: waits ``settle`` after arrival, then records the machine at rest for ``hold`` [s]."""
-
-    __pydantic_config__ = STRICT
 
     settle: float = 1.0
     hold: float = 1.2
@@ -270,20 +242,16 @@ class RoutineSettings:
 
 
 @dataclass(frozen=True)
-class HiddenSettings:
+class HiddenSettings(Strict):
     """An effect of the machine (contract name and target) that its description does not contain."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     target: str
 
 
 @dataclass(frozen=True)
-class BenchRecipe:
+class BenchRecipe(Strict):
     """The whole simulated test bench and the recordings to take; read by :func:`sysid.bench.recipe_file.load_recipe`."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, inside, parse_settings, settings_text, toml_values
+from sysid.config import Strict, inside, parse_settings, settings_text, toml_values
 from sysid.errors import SettingsError, nearest
 from sysid.logs.readers import reader_named
 from sysid.machine import Machine
@@ -16,7 +16,7 @@ from sysid.signals import POINTS, split_signal
 
 
 @dataclass(frozen=True)
-class SignalMap:
+class SignalMap(Strict):
     """One field of a stream as a signal: ``SI = sign · scale · (raw − zero)/span · factor(unit) + offset``.
 
     Args:
@@ -28,8 +28,6 @@ class SignalMap:
         offset: added at the end, in SI.
         primary: False for a second source, which is used to align clocks and for checks, but is not in the dataset's tables.
     """
-
-    __pydantic_config__ = STRICT
 
     field: str
     topic: str | None = None
@@ -43,20 +41,16 @@ class SignalMap:
 
 
 @dataclass(frozen=True)
-class FramePose:
+class FramePose(Strict):
     """Surveyed pose of the capture frame in the machine's base frame; roll, pitch, yaw about fixed axes as in a URDF."""
-
-    __pydantic_config__ = STRICT
 
     translation: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     rpy: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class PointMap:
+class PointMap(Strict):
     """A rigid body, or a surveyed point ``at`` in its frame [m], or a single marker, as ``ee`` or ``tool``."""
-
-    __pydantic_config__ = STRICT
 
     body: str | None = None
     at: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
@@ -64,7 +58,7 @@ class PointMap:
 
 
 @dataclass(frozen=True)
-class Reference:
+class Reference(Strict):
     """The pose that determines the mount of each body on its link: the machine at rest with known joint values.
 
     Args:
@@ -74,15 +68,13 @@ class Reference:
             move in between); None: every recording starts with it.
     """
 
-    __pydantic_config__ = STRICT
-
     seconds: Interval
     joints: dict[str, Finite]
     recording: str | None = None
 
 
 @dataclass(frozen=True)
-class Survey:
+class Survey(Strict):
     """Recording for a proposal of the capture frame, used only by ``sysid ingest --propose-frame``.
 
     Args:
@@ -94,8 +86,6 @@ class Survey:
         seconds: from, to, on the stream's own clock counted from its first stamp; None: all of it.
     """
 
-    __pydantic_config__ = STRICT
-
     markers: dict[str, tuple[Finite, Finite, Finite]] = field(default_factory=dict)
     axis: str | None = None
     turning: tuple[str, ...] = ()
@@ -105,7 +95,7 @@ class Survey:
 
 
 @dataclass(frozen=True)
-class StreamMap:
+class StreamMap(Strict):
     """One kind of file in a recording's folder.
 
     Args:
@@ -120,8 +110,6 @@ class StreamMap:
         bodies: rigid body → URDF link.
         marker_sets: new rigid body → its markers, at least three.
     """
-
-    __pydantic_config__ = STRICT
 
     files: str
     reader: str | None = None
@@ -146,10 +134,8 @@ class StreamMap:
 
 
 @dataclass(frozen=True)
-class Recordings:
+class Recordings(Strict):
     """Globs over the sub-folders of the ingested path, or single files that are a recording each."""
-
-    __pydantic_config__ = STRICT
 
     motion: tuple[str, ...] = ("*",)
     poses: tuple[str, ...] = ()
@@ -157,15 +143,13 @@ class Recordings:
 
 
 @dataclass(frozen=True)
-class Splits:
+class Splits(Strict):
     """Recording globs; the other recordings are assigned automatically.
 
     Args:
         held_out_last: recording → share of its end that is held out; the rest is cut into blocks.
         guard_s: gap between two blocks of one recording [s].
     """
-
-    __pydantic_config__ = STRICT
 
     fit: tuple[str, ...] = ()
     select: tuple[str, ...] = ()
@@ -175,20 +159,16 @@ class Splits:
 
 
 @dataclass(frozen=True)
-class StillPhases:
+class StillPhases(Strict):
     """A static pose: every measured signal stays within ``tolerance`` of its range for ``seconds``."""
-
-    __pydantic_config__ = STRICT
 
     seconds: Positive = 0.4
     tolerance: Positive = 2e-3
 
 
 @dataclass(frozen=True)
-class IngestRecipe:
+class IngestRecipe(Strict):
     """``recipe.toml``; paths in it are relative to its folder and stay inside it."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, inside, parse_settings, settings_text, toml_values
+from sysid.config import Strict, inside, parse_settings, settings_text, toml_values
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.kinematics import Kinematics
@@ -20,7 +20,7 @@ Drives = Literal["cylinder", "joint"]
 
 
 @dataclass(frozen=True)
-class Linkage:
+class Linkage(Strict):
     """A cylinder between two levers that meet at the joint (triangle).
 
     ``length² = a² + b² − 2ab·cos(sense·(q + offset))``, ``displacement = length − retracted``.
@@ -32,8 +32,6 @@ class Linkage:
         sense: −1 for a cylinder that shortens as the joint angle rises.
     """
 
-    __pydantic_config__ = STRICT
-
     kind: Literal["triangle"]
     a: Positive
     b: Positive
@@ -43,10 +41,8 @@ class Linkage:
 
 
 @dataclass(frozen=True)
-class Axis:
+class Axis(Strict):
     """One actuated joint; ``gain`` is the speed of the driven signal at command 1.0 [m/s or rad/s]."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     actuation: Actuation
@@ -71,10 +67,8 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class KnownEffect:
+class KnownEffect(Strict):
     """An effect that the nominal simulation already contains."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     target: str
@@ -83,13 +77,11 @@ class KnownEffect:
 
 
 @dataclass(frozen=True)
-class Machine:
+class Machine(Strict):
     """A machine description, built by :func:`load_machine`.
 
     ``text`` and ``urdf_text`` are its source files, which a dataset version stores.
     """
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError
 from sysid.networks.mlp import Mlp, Rectifier
 
@@ -25,7 +25,7 @@ def require_positive(where: object, settings: object, *keys: str) -> None:
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
+class TrainingSettings(Strict):
     """How a network is trained.
 
     Args:
@@ -38,8 +38,6 @@ class TrainingSettings:
         threads: batches that are trained in parallel, one core each; 0 means every core. Results do not depend on it.
         device: ``auto`` is a GPU if there is one and it is faster. The last bits of a result depend on the device.
     """
-
-    __pydantic_config__ = STRICT
 
     learning_rate: float
     batch: int = 64

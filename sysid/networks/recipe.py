@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 from sysid.networks.member import TrainingSettings, require_positive
 from sysid.networks.mlp import Rectifier
@@ -28,7 +28,7 @@ _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, p
 
 
 @dataclass(frozen=True)
-class HistoryRecipe:
+class HistoryRecipe(Strict):
     """The correction of each static map (``[actuator] model = "history"``).
 
     Args:
@@ -37,8 +37,6 @@ class HistoryRecipe:
         plays: widths of the play operators, as shares of the fitted range; none: inputs are position and speed.
         epochs, check_every, patience: as in :class:`TrainingSettings`; one parameter update per epoch.
     """
-
-    __pydantic_config__ = STRICT
 
     interval: float = 0.05
     units: int = 16
@@ -56,7 +54,7 @@ class HistoryRecipe:
 
 
 @dataclass(frozen=True)
-class ActuatorRecipe:
+class ActuatorRecipe(Strict):
     """Both directions of every cylinder-joint map.
 
     Args:
@@ -69,8 +67,6 @@ class ActuatorRecipe:
         training: settings.
         history: settings of the correction.
     """
-
-    __pydantic_config__ = STRICT
 
     model: Literal["static", "history"] = "static"
     samples: int = 1500
@@ -86,7 +82,7 @@ class ActuatorRecipe:
 
 
 @dataclass(frozen=True)
-class ForwardRecipe:
+class ForwardRecipe(Strict):
     """Joint values → end effector.
 
     Args:
@@ -102,8 +98,6 @@ class ForwardRecipe:
         residual: whether a small network may correct the residual of the geometry; ``residual_hidden``: its layers.
     """
 
-    __pydantic_config__ = STRICT
-
     poses: int = 500
     hidden: tuple[int, ...] = (256, 128)
     features: Features = "joints"
@@ -116,7 +110,7 @@ class ForwardRecipe:
 
 
 @dataclass(frozen=True)
-class MotionRecipe:
+class MotionRecipe(Strict):
     """Command → motion of every axis, after Hwangbo et al., Science Robotics 4 (2019).
 
     Args:
@@ -132,8 +126,6 @@ class MotionRecipe:
         horizons: seconds after which free runs are evaluated, besides whole recordings.
         training: settings.
     """
-
-    __pydantic_config__ = STRICT
 
     step: float = 0.05
     history: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
@@ -160,10 +152,8 @@ class MotionRecipe:
 
 
 @dataclass(frozen=True)
-class NetworkRecipe:
+class NetworkRecipe(Strict):
     """The whole recipe; ``seed`` determines samples, initial weights and shuffle order."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1] = 1
     seed: int = 0

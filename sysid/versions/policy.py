@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from sysid.config import STRICT, load_settings
+from sysid.config import Strict, load_settings
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.registry import NETWORKS
 from sysid.registry.decision import Check
@@ -30,10 +30,8 @@ _QUANTITY = re.compile(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)\s*")
 
 
 @dataclass(frozen=True)
-class Limit:
+class Limit(Strict):
     """Upper limits of an output's figures, each with its unit (``"15 mm"``), on rows of one kind or of both."""
-
-    __pydantic_config__ = STRICT
 
     rmse: str | float | None = None
     max: str | float | None = None
@@ -49,7 +47,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class KindPolicy:
+class KindPolicy(Strict):
     """Rules for networks of one kind.
 
     Args:
@@ -59,8 +57,6 @@ class KindPolicy:
         limits: output, or pattern of outputs (``ee.*``) → its limit.
     """
 
-    __pydantic_config__ = STRICT
-
     not_worse: tuple[Figure, ...] = ("rmse", "p95")
     margin: float = 0.05
     baselines: bool = False
@@ -68,10 +64,8 @@ class KindPolicy:
 
 
 @dataclass(frozen=True)
-class PromotionPolicy:
+class PromotionPolicy(Strict):
     """The whole policy; default: RMSE and 95 % error at most 5 % larger than the champion's."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1] = 1
     actuator: KindPolicy = KindPolicy()

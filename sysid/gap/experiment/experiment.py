@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.machine import Machine
 from sysid.signals import axis_signal
 
@@ -19,17 +19,15 @@ Limits = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class EffectAt:
+class EffectAt(Strict):
     """An effect and its target."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     target: str
 
 
 @dataclass(frozen=True)
-class Purpose:
+class Purpose(Strict):
     """An open hypothesis that the recording resolves.
 
     Args:
@@ -39,8 +37,6 @@ class Purpose:
         nats: expected log-likelihood ratio of the least separated pair, with the rejected model refitted.
         needed: nats from which the hypothesis counts as resolved.
     """
-
-    __pydantic_config__ = STRICT
 
     kind: Literal["tie", "excitation"]
     text: str

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from sysid.config import STRICT, inside, load_settings
+from sysid.config import Strict, inside, load_settings
 from sysid.errors import SettingsError, nearest
 from sysid.files import plain, written_whole
 from sysid.gap.experiment.experiment import Experiment, Purpose, command_columns, outside
@@ -25,10 +25,8 @@ from sysid.names import check_file_name
 
 
 @dataclass(frozen=True)
-class _File:
+class _File(Strict):
     """The keys of the TOML file."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str
