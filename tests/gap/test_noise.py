@@ -43,11 +43,11 @@ def multisine(time: Array, seed: int, fastest: float = 1.0) -> Array:
 
 @settings(deadline=None)
 @given(st.sampled_from([20.0, 50.0, 100.0, 500.0]), st.floats(1e-5, 1e-2), st.integers(0, 100))
-def test_noise_is_told_from_motion_at_any_rate(rate_hz: float, sigma: float, seed: int) -> None:
-    """Also where a cubic over a fifth of a second, or ten samples, cannot follow the motion: within a factor of three."""
+def test_noise_is_separated_from_motion_at_any_rate(rate_hz: float, sigma: float, seed: int) -> None:
+    """Also where a cubic over a fifth of a second, or ten samples, cannot follow the motion: at most a quarter too small, and within a factor of three."""
     time = np.arange(0.0, 60.0, 1.0 / rate_hz)
     values = multisine(time, seed) + sigma * np.random.default_rng(seed).normal(size=len(time))
-    assert 0.8 * sigma < white_noise(values, rate_hz) < 3.5 * sigma
+    assert 0.75 * sigma < white_noise(values, rate_hz) < 3.5 * sigma
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0])
@@ -143,8 +143,16 @@ def test_recordings_of_real_machines(name: str, steps: dict[str, float], shared_
         values = np.concatenate([r.values(signal) for r in dataset.recordings])
         assert 0.0 < level <= PLAUSIBLE * (np.nanmax(values) - np.nanmin(values)), signal
         if signal in dataset.machine.noise:
-            assert level == pytest.approx(dataset.machine.noise[signal], rel=0.5), signal
+            assert level == pytest.approx(dataset.machine.noise[signal], rel=0.6), signal
     for signal, step in steps.items():
         assert reading_step([r.values(signal) for r in dataset.of_kind("motion")]) == pytest.approx(step, rel=1e-3)
     found = coarse_sensors(nominal_plant(unsaid.machine), dataset.recordings, levels)
     assert {item.signal for item in found} <= {s for s in levels if name == "so101"}
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0, 500.0])
+def test_the_noise_estimate_is_unbiased(rate_hz: float) -> None:
+    """The median over many recordings of white noise on a slow motion, also with few degrees of freedom a window (20 Hz)."""
+    time = np.arange(0.0, 60.0, 1.0 / rate_hz)
+    draws = [multisine(time, k) + 1e-3 * np.random.default_rng(k).normal(size=len(time)) for k in range(40)]
+    assert np.median([white_noise(values, rate_hz) for values in draws]) == pytest.approx(1e-3, rel=0.03)

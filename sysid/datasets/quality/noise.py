@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import gammaincinv
 
 from sysid.datasets.chunked import absolute, copied, differences, known, median
 from sysid.scratch import chosen, computed
@@ -74,7 +75,9 @@ def _scatter(windows: Array, degree: int) -> float:
         centred = some - some.mean(axis=1, keepdims=True)
         residual = centred - centred @ basis @ basis.T
         sums.append(np.sum(residual**2, axis=1))
-    return float(np.sqrt(np.median(np.concatenate(sums)) / (width - degree - 1)))
+    freedom = width - degree - 1
+    # The median of a sum of squares of normal errors is that of chi-squared, less than its mean ``freedom``.
+    return float(np.sqrt(np.median(np.concatenate(sums)) / (2.0 * gammaincinv(0.5 * freedom, 0.5))))
 
 
 def noise_bound(values: Array) -> float:
