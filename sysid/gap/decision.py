@@ -26,7 +26,8 @@ Given models of one stage (sets of effects) under shared variances:
    Where they accumulate, an effect confused with a larger one of its axis is not named.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
-   where errors accumulate, each name beside the others.
+   where errors accumulate, each name beside the others, and also compared with the error that the machine's other drives leave
+   on the same distance (:mod:`sysid.gap.proof`).
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.
@@ -69,6 +70,7 @@ REPLACED = "another model without it predicts as well"
 WITHOUT = "a model without it predicts as well"
 REPAIRS = "it may compensate for the formula of a similar effect"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
+ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
 
@@ -108,12 +110,12 @@ class Decision:
     exact: bool
     accumulates: bool
 
-    def without_names(self, labels: Sequence[str], lacks: str) -> Decision:
-        """The same model without names and ties of the effects ``labels``, which become near misses."""
-        named = tuple(c for c in self.named if c.label not in labels)
-        tied = tuple(tie for tie in self.tied if tie[0].label not in labels)
-        taken = [c for c in (*self.named, *(tie[0] for tie in self.tied)) if c.label in labels]
-        near = [NearMiss(c, self.model.values_of(c), self.model.deviations_of(c), lacks) for c in taken]
+    def without_names(self, lacks: Mapping[str, str]) -> Decision:
+        """The same model without names and ties of some effects, near misses now; ``lacks``: label → the failed condition."""
+        named = tuple(c for c in self.named if c.label not in lacks)
+        tied = tuple(tie for tie in self.tied if tie[0].label not in lacks)
+        taken = [c for c in (*self.named, *(tie[0] for tie in self.tied)) if c.label in lacks]
+        near = [NearMiss(c, self.model.values_of(c), self.model.deviations_of(c), lacks[c.label]) for c in taken]
         others = [m for m in self.near_misses if all(m.candidate.key != c.key for c in taken)]
         return replace(self, named=named, tied=tied, near_misses=(*near, *others))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, SHARE, Z, equivalent_change, pays
+from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, ORDINARY, SHARE, Z, equivalent_change, pays
 from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -51,8 +52,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     outcome = ProofOutcome(case.plant)
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
-    for searched in stages:
-        stage = _without_cheap_names(_with_proven_model(case, searched))
+    for stage in _without_cheap_names([_with_proven_model(case, searched) for searched in stages]):
         result = stage.found
         proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
@@ -94,23 +94,64 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     return replace(stage, result=replace(result, limits=limits))
 
 
-def _without_cheap_names(stage: Stage) -> Stage:
-    """The stage; where formulas are wrong, without names that held-out recordings excite and that are not worth their price."""
+def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
+    """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
+
+    A drive whose name is rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
+    """
+    kept = list(stages)
+    for _ in kept:
+        errors = [_formula_error(stage) for stage in kept]
+        typical = [statistics.median_low([e for e in (*errors[:k], *errors[k + 1 :]) if e] or [0.0]) for k in range(len(kept))]
+        checked = [_without_cheap_names_of(stage, error) for stage, error in zip(kept, typical, strict=True)]
+        if all(one is other for one, other in zip(kept, checked, strict=True)):
+            break
+        kept = checked
+    return kept
+
+
+def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
+    """The stage without its cheap names; ``typical``: error of the machine's other drives, as a share of the distance moved."""
     result, fitted = stage.found, stage.found.stage_fit
     if not result.named or fitted is None or fitted.decision.exact:
         return stage
-    after = held_out_score(stage, result.fit.theta)
-    lost = []
+    lost = dict[str, str]()
     for kept in result.named:
         less = fitted.dropped[kept.candidate.label].theta if fitted.decision.accumulates else stage.theta
-        if _excited(stage, less) and not pays(held_out_score(stage, less), after):
-            lost.append(kept)
+        excited = _excited(stage, less)
+        if not excited and not fitted.decision.accumulates:
+            continue
+        recordings = stage.split.held_out if excited else stage.split.seen
+        before, after = (_score(stage, theta, recordings) for theta in (less, result.fit.theta))
+        alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
+        if excited and not pays(before, after):
+            lost[kept.candidate.label] = LOST
+        elif not pays(before, max(after, alike)):
+            lost[kept.candidate.label] = ORDINARY
     if not lost:
         return stage
-    named = tuple(kept for kept in result.named if kept not in lost)
-    adjusted = (*result.adjusted, *(kept.candidate for kept in lost))
-    unsure = replace(fitted, decision=fitted.decision.without_names([kept.candidate.label for kept in lost], LOST))
+    named = tuple(kept for kept in result.named if kept.candidate.label not in lost)
+    adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
+    unsure = replace(fitted, decision=fitted.decision.without_names(lost))
     return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
+
+
+def _formula_error(stage: Stage) -> float:
+    """Error that a drive leaves beside its names, as a share of the distance it moves; zero where its formulas are right.
+
+    Drives of one machine are built alike: the error of their formulas is exchangeable between them (Gelman et al., Bayesian
+    Data Analysis, ch. 5), so that the others tell how far that of a drive may move its output.
+    """
+    if not _accumulates(stage.found):
+        return 0.0
+    theta = stage.found.fit.theta if stage.found.named else stage.theta
+    return held_out_score(stage, theta) / max(_distance(stage, stage.split.held_out), 1e-300)
+
+
+def _distance(stage: Stage, recordings: Sequence[Recording]) -> float:
+    """Distance that the predicted output moves in a recording, mean over recordings and outputs, in noise floors."""
+    moved = [np.nansum(np.abs(np.diff(stage.problem.predict(stage.theta[None], r)[0], axis=0)), axis=0) for r in recordings]
+    return float(np.mean(np.array(moved) / stage.sigma))
 
 
 def _with_intervals(case: Case, stage: Stage) -> Stage:

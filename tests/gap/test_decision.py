@@ -339,7 +339,7 @@ def test_what_is_named_is_worth_its_price_on_held_out_recordings(before: float, 
 
 
 def test_names_that_are_not_worth_their_price_become_near_misses() -> None:
-    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names([BAND.label], "something")
+    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names({BAND.label: "something"})
     assert found.named == ()
     assert found.model.candidates == (BAND,)
     assert found.near_misses[0].lacks == "something"
