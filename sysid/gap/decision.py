@@ -70,6 +70,7 @@ REPLACED = "another model without it predicts as well"
 WITHOUT = "a model without it predicts as well"
 REPAIRS = "it may compensate for the formula of a similar effect"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
+BESIDE = "it reduces the error enough only beside an effect that is not certain"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]

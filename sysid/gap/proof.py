@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, ORDINARY, SHARE, Z, equivalent_change, pays
+from sysid.gap.decision import BESIDE, EXPLAINED, LOST, NOT_EXCITED, ORDINARY, SHARE, Z, equivalent_change, pays
 from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -130,6 +130,11 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
             lost[kept.candidate.label] = ORDINARY
     if not lost:
         return stage
+    rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
+    if fitted.decision.accumulates and rest:
+        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *(fitted.dropped[k].theta for k in lost)))
+        if not all(pays(before, after, len(rest)) for after in alone):
+            lost |= dict.fromkeys(rest, BESIDE)
     named = tuple(kept for kept in result.named if kept.candidate.label not in lost)
     adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
     unsure = replace(fitted, decision=fitted.decision.without_names(lost))
