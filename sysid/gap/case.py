@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.roles.needs import check_needs
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -99,6 +100,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
     Raises:
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
+    check_needs(dataset)
     split = split_of(dataset)
     if isinstance(simulation, Plant):
         plant, own = simulation, None
@@ -109,8 +111,6 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         problems = own.problems(dataset)
     if not problems:
         raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
-    if not split.fit or not split.select or not split.held_out:
-        raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
     noise = noise_levels(dataset)
     coarse = coarse_sensors(plant, split.seen, noise)
     case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse)

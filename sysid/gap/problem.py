@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.needs import measured_together
 from sysid.effects.effect import Stage
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
@@ -209,7 +210,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     motion = (*split.seen, *split.held_out)
     problems: list[Problem] = []
     for axis in model.machine.axes:
-        if not _measured(motion, axis_signal(axis.name, "command"), axis.driven):
+        if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
             problems.append(force_problem(model, axis, motion, hold_of(split.seen, axis)))
@@ -217,22 +218,11 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
             problems.append(drive_problem(model, axis))
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
-        if axis.drives == "cylinder" and axis.name in model.linked and _measured(motion, axis.driven, joint):
+        if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):
             problems.append(joint_problem(model, axis))
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
-    if model.posed and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
+    if model.posed and measured_together((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
         problems.append(tip_problem(model))
-    if model.posed and _measured(motion, *point_signals("ee"), *point_signals("tool")):
+    if model.posed and measured_together(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))
     return problems
-
-
-def _measured(recordings: Sequence[Recording], *signals: str) -> bool:
-    """Whether some recording contains all signals simultaneously for at least fifty samples."""
-    for recording in recordings:
-        there = np.ones(len(recording), dtype=bool)
-        for name in signals:
-            there &= ~np.isnan(recording.values(name))
-        if there.sum() >= 50:
-            return True
-    return False
