@@ -33,7 +33,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
-    found = show_roles(out, dataset, location)
+    found = show_roles(out, dataset, location, needs=False)  # the verdicts have them
     show_excitation(out, verdicts, dataset)
     out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
     write_json(

@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from sysid.datasets.roles.suggest import SplitSuggestion
 
 
-def show_roles(out: Printer, dataset: Dataset, location: str) -> dict[str, Any]:
-    """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values."""
+def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = True) -> dict[str, Any]:
+    """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values.
+
+    Args:
+        needs: print the need; else only what the roles lack.
+    """
     from dataclasses import asdict
 
     from sysid.datasets.roles.lacks import role_lacks
@@ -24,7 +28,8 @@ def show_roles(out: Printer, dataset: Dataset, location: str) -> dict[str, Any]:
 
     need = unmet_need(dataset)
     if need is not None:
-        out.line(f"note: {need.text}")
+        if needs:
+            out.line(f"note: {need.text}")
         return {"needs": asdict(need), "lacks": []}
     lacks = role_lacks(dataset)
     for lack in lacks:
@@ -37,6 +42,7 @@ def show_roles(out: Printer, dataset: Dataset, location: str) -> dict[str, Any]:
 def show_suggestion(location: str, reference: str, json_file: str | None) -> None:
     """Present and suggested roles side by side, and the command or the lines of the recipe that apply the suggestion."""
     from sysid.datasets import Store
+    from sysid.datasets.roles.needs import unmet_need
     from sysid.datasets.roles.suggest import recipe_splits, suggest_split
 
     out = Printer(json_file)
@@ -49,12 +55,16 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
     _show_recordings(out, found)
     if found.named:
         out.line(f"named in the recipe, unchanged: {_some(found.named)}")
-    if not found.better:
+    need = unmet_need(dataset)
+    if need is not None and not found.better:
+        out.line(f"note: {need.text}")
+    elif not found.better:
         out.line("No other roles give the axes more motion where it is missing." if found.lacks else "No role lacks motion.")
     elif found.cut:
         out.line(f"{_some(found.cut)}: cut into a block for each role, so that each contains its motion.")
     _show_lacks(out, "with the present roles", found.present_lacks if found.better else ())
-    _show_lacks(out, "with the suggestion" if found.better else "lacking", found.lacks, record=True)
+    if need is None or found.better:
+        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.lacks, record=True)
     for test, other in found.repeats:
         out.line(
             f"{test} (test) has the same commands as {other}: its error shows repeatability, not accuracy on other motion."

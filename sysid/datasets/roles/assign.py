@@ -4,7 +4,8 @@ Each recording is given to one role as a whole, or cut into contiguous blocks. T
 
 1. the number of roles without enough recorded time for the gap workflow,
 2. the shortages of motion over axes and roles, the worst first (leximin): the number of pairs (axis, role) that lack
-   everything, then of those that lack four fifths, and so on; less than half of a role's share of the duration counts as one,
+   everything, then of those that lack two thirds, then one third; the duration of a role, if it is less than half of its
+   share, counts as one,
 3. the number of recordings that are cut, since whole recordings are more independent than parts of one,
 4. the sum of the shortages; those of the fit count three times and those of the selection twice, since an effect that the fit
    recordings do not show is not found, while one that the test recordings do not show is found without a test,
@@ -96,7 +97,7 @@ class Assignment:
         return unusable > 0.0 or worst > 0.0
 
     def best(self, present: Choice) -> Choice:
-        """The best assignment; ``present`` where no other has fewer or smaller shortages."""
+        """The best assignment; ``present`` where no other has fewer or smaller shortages, by a step at least."""
         if not self.lacks(present):
             return present
         found = self._search(present, self.allowed & ~self.cuts)
@@ -104,14 +105,15 @@ class Assignment:
             found = self._search(present if found is None else found, self.allowed, present)
         if found is None:
             return present
-        return found if self.key(found, present)[:2] < self.key(present, present)[:2] else present
+        (*worst, cuts, total), (*before, uncut, sums) = self.key(found, present)[:4], self.key(present, present)[:4]
+        return found if worst < before or (worst == before and cuts <= uncut and total < sums - 1.0 / LEVELS) else present
 
     def _search(self, start: Choice, allowed: npt.NDArray[np.bool_], present: Choice | None = None) -> Choice | None:
         """The best assignment with the ``allowed`` options; None where a recording has none."""
         if not allowed.any(axis=1).all():
             return None
         present = start if present is None else present
-        if float(np.prod(allowed.sum(axis=1).astype(float))) <= EXHAUSTIVE:
+        if float(np.log(allowed.sum(axis=1)).sum()) <= np.log(EXHAUSTIVE):
             return self._exhaustive(allowed, present)
         begin = np.where(allowed[np.arange(len(start)), start], start, np.argmax(allowed, axis=1))
         found = [self._descent(choice, allowed, present) for choice in (begin, self._spread(allowed))]

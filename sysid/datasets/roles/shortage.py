@@ -32,8 +32,8 @@ WEIGHTS: tuple[float, ...] = (1.0, 1.0, 0.8, 0.6, 0.6, 0.6, 0.6)
 ENOUGH = 0.5
 #: Totals from which a quantity counts: what moves for less is not moved, sizes have to be enough for one role at least.
 COUNTS: tuple[float, ...] = (0.5, 0.5, 2.0, 2.0, 2.0, 2.5, 2.5)
-#: Steps in which shortages are compared: a difference of less than a fifth is none.
-LEVELS = 5
+#: Steps in which shortages are compared, rounded down: one below a third is none, as the needs are round numbers.
+LEVELS = 3
 
 
 @dataclass(frozen=True)
