@@ -57,7 +57,7 @@ def draft_recipe(
     if len(recordings) < 3 and (in_folders or len(groups) == 1):
         lines += [
             "",
-            "# [splits]                  # a recording is cut into fit, selection and held-out parts; to keep it whole:",
+            "# [splits]                  # a recording is cut into fit, selection and test parts; whole (sysid gap needs all three):",
         ]
         lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
     taken: set[str] = set()
