@@ -152,7 +152,7 @@ class _Scale:
         """
         amounts = np.zeros((cells, len(FEATURES)))
         measured = ~np.isnan(samples.command) & ~np.isnan(samples.position)
-        travel, given = _travel(samples.position), _travel(samples.command)
+        travel, given = travel_of(samples.position), travel_of(samples.command)
         commanded = self.actuation != "position" or (given >= self.least_setpoint and given > 0.0)
         if travel < self.least_travel or travel == 0.0 or not commanded or not measured.any():
             return amounts
@@ -185,7 +185,7 @@ def _scale_of(axis: Axis, recordings: Sequence[Recording], samples: Sequence[_Sa
     speeds = np.concatenate([np.abs(known(s.speed)) for s in together])
     top = float(np.quantile(speeds, 0.99)) if len(speeds) else 0.0
     span, setpoints = (
-        _travel(np.concatenate(values)) for values in zip(*((s.position, s.command) for s in together), strict=True)
+        travel_of(np.concatenate(values)) for values in zip(*((s.position, s.command) for s in together), strict=True)
     )
     noise = _noise(axis, recordings, machine)
     least = max(SLOW[0] * top, min(SPEED_NOISE * float(np.sqrt(2.0)) * noise / SLOPE_S, CERTAIN_SPEED * top))
@@ -193,7 +193,7 @@ def _scale_of(axis: Axis, recordings: Sequence[Recording], samples: Sequence[_Sa
     return _Scale(axis.actuation, idle, top if top > 0.0 else 1.0, least, *travels, noise)
 
 
-def _travel(values: Array) -> float:
+def travel_of(values: Array) -> float:
     """Between the lowest and the highest value of a signal (n,)."""
     inside = known(values)
     return float(np.ptp(inside)) if len(inside) else 0.0

@@ -24,8 +24,6 @@ from sysid.signals import axis_signal, point_signals
 MIN_ROLE_S = 4.0
 #: Least number of samples in which both ends of a stage are measured.
 MIN_SAMPLES = 50
-#: The same for a force axis in each recording: its motion is filtered.
-MIN_FORCE_SAMPLES = 100
 #: Role → its name in texts.
 ROLE_NAMES = {"fit": "fit", "select": "selection", "held_out": "test"}
 
@@ -81,17 +79,6 @@ def unmet_need(dataset: Dataset) -> UnmetNeed | None:
                 f"no stage that is measured at both its ends in the {ROLE_NAMES[role]} recordings",
                 f"{' and '.join(stages[min(found)])}, for example, in recordings of each role",
                 f"`sysid datasets split {dataset.reference} --suggest` shows the roles.",
-            )
-    for axis in dataset.machine.axes:
-        signals = axis_signal(axis.name, "command"), axis.driven
-        if axis.actuation != "force" or not measured_together(motion, *signals):
-            continue
-        short = [r.name for r in motion if r.name in dataset.splits and _together(r, *signals) < MIN_FORCE_SAMPLES]
-        if short:
-            return UnmetNeed(
-                f"less of {axis.name} in {', '.join(short)}",
-                f"force and motion of {axis.name} measured together for {MIN_FORCE_SAMPLES} samples in each recording",
-                "Leave these recordings out, or record them again.",
             )
     return None
 
