@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from sysid.datasets.roles.lacks import Lack
     from sysid.datasets.roles.suggest import SplitSuggestion
 
+#: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
+MAX_LACKS = 6
+
 
 def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = True) -> dict[str, Any]:
     """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values.
@@ -32,8 +35,10 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
             out.line(f"note: {need.text}")
         return {"needs": asdict(need), "lacks": []}
     lacks = role_lacks(dataset)
-    for lack in lacks:
+    for lack in lacks[:MAX_LACKS]:
         out.line(f"note: {lack.text}")
+    if len(lacks) > MAX_LACKS:
+        out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
     if lacks:
         out.line(f"Roles and what to record: sysid --workspace {location} datasets split {dataset.reference} --suggest")
     return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}

@@ -207,7 +207,7 @@ def _noise(axis: Axis, recordings: Sequence[Recording], machine: Machine) -> flo
     step = max(1, len(recordings) // _NOISE_RECORDINGS)
     levels = []
     for recording in recordings[::step]:
-        values = _position(recording, axis)
+        values = recording.values(_position(recording, axis))
         begin = max(0, (len(values) - _NOISE_SAMPLES) // 2)
         level = noise_of(copied(values[begin : begin + _NOISE_SAMPLES]), recording.rate_hz)
         if np.isfinite(level):
@@ -217,15 +217,15 @@ def _noise(axis: Axis, recordings: Sequence[Recording], machine: Machine) -> flo
 
 def _samples(recording: Recording, axis: Axis) -> _Samples:
     stride = _stride(recording.rate_hz)
-    position = copied(_position(recording, axis)[::stride])
+    position = copied(recording.values(_position(recording, axis))[::stride])
     command = copied(recording.values(axis_signal(axis.name, "command"))[::stride])
     return _Samples(command, position, speed_of(position, recording.rate_hz / stride))
 
 
-def _position(recording: Recording, axis: Axis) -> Array:
-    """The joint, or the driven quantity where this recording has no joint, (n,)."""
-    joint = recording.values(axis_signal(axis.name, "joint"))
-    return joint if not np.isnan(joint).all() else recording.values(axis.driven)
+def _position(recording: Recording, axis: Axis) -> str:
+    """The joint, or the driven quantity where this recording has no joint in its counted samples."""
+    joint = axis_signal(axis.name, "joint")
+    return joint if not np.isnan(recording.values(joint)[:: _stride(recording.rate_hz)]).all() else axis.driven
 
 
 def _stride(rate_hz: float) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.datasets.chunked import counted
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.shortage import ROLES
@@ -101,10 +102,8 @@ def measured_together(recordings: Sequence[Recording], *signals: str) -> bool:
 
 def _together(recording: Recording, *signals: str) -> int:
     """Number of samples in which all signals are measured."""
-    there = np.ones(len(recording), dtype=bool)
-    for name in signals:
-        there &= ~np.isnan(recording.values(name))
-    return int(there.sum())
+    columns = [recording.values(name) for name in signals]
+    return counted(len(recording), lambda a, b: ~np.any([np.isnan(values[a:b]) for values in columns], axis=0))
 
 
 def _stages(machine: Machine) -> Iterator[tuple[str, tuple[str, ...]]]:
