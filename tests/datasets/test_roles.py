@@ -284,3 +284,28 @@ def test_the_recordings_of_an_arm_as_one_dataset(shared_data: Path, datasets_fol
     by_order = {"friction_gravity": "fit", "single_joint_elbow": "select", "step_response": "held_out"}
     assert {name: arm.splits[name] for name in by_order} == by_order
     assert {arm.splits[name] for name in arm.splits if name.startswith("multisine#")} == ALL
+
+
+def test_the_local_search_finds_nearly_every_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With few recordings, where all assignments can be compared; random motion, in about half of the recordings of an axis."""
+    from sysid.datasets.roles import assign
+
+    rng = np.random.default_rng(0)
+    same = 0
+    for _ in range(60):
+        count, axes = int(rng.integers(3, 7)), int(rng.integers(1, 4))
+        motion = rng.exponential(3.0, (count, axes, 7)) * (rng.random((count, axes, 1)) < 0.5)
+        amounts, seconds = np.zeros((count, 3, 3, axes, 7)), np.zeros((count, 3, 3))
+        for k in range(3):
+            amounts[:, k, k], seconds[:, k, k] = motion, rng.uniform(5.0, 60.0, count)
+        needs = shortage.RoleNeeds.of(shortage.ROLES, motion.sum(axis=0))
+        problem = assign.Assignment(needs, amounts, seconds, np.ones((count, 3), dtype=bool), np.zeros(3, dtype=bool), 4.0)
+        present = rng.integers(0, 3, count)
+        keys = []
+        for limit in (8_000, 0.5):
+            monkeypatch.setattr(assign, "EXHAUSTIVE", limit)
+            best = problem.best(present)
+            keys.append(problem.key(best, best)[:2])
+        assert keys[0] <= keys[1]
+        same += keys[0] == keys[1]
+    assert same >= 54

@@ -4,8 +4,7 @@ Each recording is given to one role as a whole, or cut into contiguous blocks. T
 
 1. the number of roles without enough recorded time for the gap workflow,
 2. the shortages of motion over axes and roles, the worst first (leximin): the number of pairs (axis, role) that lack
-   everything, then of those that lack two thirds, then one third; the duration of a role, if it is less than half of its
-   share, counts as one,
+   everything, then of those that lack most of it; the duration of a role counts as one (needed is half of its share),
 3. the number of recordings that are cut, since whole recordings are more independent than parts of one,
 4. the sum of the shortages; those of the fit count three times and those of the selection twice, since an effect that the fit
    recordings do not show is not found, while one that the test recordings do not show is found without a test,
@@ -25,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Role
-from sysid.datasets.roles.shortage import ENOUGH, LEVELS, RoleNeeds, levels
+from sysid.datasets.roles.shortage import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
 
 Array = npt.NDArray[np.float64]
 Choice = npt.NDArray[np.int64]
@@ -76,7 +75,7 @@ class Assignment:
         every = np.concatenate([single, short], axis=1)
         steps = levels(every)
         worst = np.zeros(len(amounts))
-        for level in range(LEVELS, 0, -1):
+        for level in range(LEVELS, LACKING - 1, -1):
             worst = worst * (every.shape[1] + 1) + np.sum(steps == level, axis=1)
         away = np.ceil(np.abs(shares - self.needs.shares).max(axis=1) / DEVIATION - 1e-9)
         unusable = np.sum(seconds < self.least_s, axis=1)

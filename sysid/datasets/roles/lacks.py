@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.roles.motion import FEATURES, MotionTable, motion_table
 from sysid.datasets.roles.needs import MIN_ROLE_S, ROLE_NAMES
-from sysid.datasets.roles.shortage import COUNTS, NEEDED, ROLES, RoleNeeds, levels
+from sysid.datasets.roles.shortage import COUNTS, LACKING, NEEDED, ROLES, RoleNeeds, levels
 from sysid.machine import Machine
 
 Array = npt.NDArray[np.float64]
@@ -72,7 +72,7 @@ def lacks_of(amounts: Array, axes: Sequence[str], machine: Machine) -> tuple[Lac
         roles: dict[tuple[LackKind, bool], list[Role]] = {}
         for number, role in enumerate(ROLES):
             worst = int(np.argmax(shortages[number, place]))
-            if levels(shortages[number, place, worst]) == 0:
+            if levels(shortages[number, place, worst]) < LACKING:
                 continue
             nothing = bool(amounts[number, place, worst] < _NOTHING * needs.amounts[number, place, worst])
             roles.setdefault((_kind(shortages[number, place], worst), nothing), []).append(role)
@@ -88,7 +88,7 @@ def lacks_of(amounts: Array, axes: Sequence[str], machine: Machine) -> tuple[Lac
 
 def _kind(shortages: Array, worst: int) -> LackKind:
     if worst <= 1:
-        return "motion" if (levels(shortages[:2]) > 0).all() else "direction"
+        return "motion" if (levels(shortages[:2]) >= LACKING).all() else "direction"
     return "reversals" if worst == FEATURES.index("reversals") else "small" if worst <= 4 else "large"
 
 

@@ -27,13 +27,15 @@ SHARES: dict[Role, float] = {"fit": 0.5, "select": 0.25, "held_out": 0.25}
 NEEDED: tuple[float, ...] = (3.0, 3.0, 8.0, 2.0, 2.0, 2.5, 2.5)
 #: Weight of a shortage: without motion in a direction no effect is observable; without reversals backlash, hysteresis and
 #: friction are not; without small or large commands dead-band or saturation.
-WEIGHTS: tuple[float, ...] = (1.0, 1.0, 0.8, 0.6, 0.6, 0.6, 0.6)
+WEIGHTS: tuple[float, ...] = (1.0, 1.0, 0.8, 0.7, 0.7, 0.7, 0.7)
 #: Share of a role's part of a scarce quantity that is enough.
 ENOUGH = 0.5
 #: Totals from which a quantity counts: what moves for less is not moved, sizes have to be enough for one role at least.
 COUNTS: tuple[float, ...] = (0.5, 0.5, 2.0, 2.0, 2.0, 2.5, 2.5)
-#: Steps in which shortages are compared, rounded down: one below a third is none, as the needs are round numbers.
-LEVELS = 3
+#: Steps in which weighted shortages are compared, rounded down. From the second step on a role lacks a quantity: it has less
+#: than a third of what it needs of motion in a direction, less than a sixth of the reversals, no small or no large commands.
+#: Smaller shortages are no reason to change roles, or to cut recordings.
+LEVELS, LACKING = 3, 2
 
 
 @dataclass(frozen=True)
