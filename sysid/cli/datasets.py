@@ -93,6 +93,9 @@ def diff_versions(location: str, before: str, after: str, json_file: str | None)
 @click.option("--fit", multiple=True, metavar="GLOB", help="Recordings for the fit; may be repeated.")
 @click.option("--select", multiple=True, metavar="GLOB", help="Recordings for model selection.")
 @click.option("--held-out", multiple=True, metavar="GLOB", help="Recordings for the proof.")
+@click.option(
+    "--suggest", is_flag=True, help="Only show roles that give every axis motion in each role, beside the present ones."
+)
 @json_option
 @click.pass_obj
 def split(
@@ -101,12 +104,21 @@ def split(
     fit: tuple[str, ...],
     select: tuple[str, ...],
     held_out: tuple[str, ...],
+    suggest: bool,
     json_file: str | None,
 ) -> None:
     """Create a version with other roles of the recordings; the tables are not copied.
 
-    Recordings that no option names keep their roles.
+    Recordings that no option names keep their roles. With --suggest nothing is created: the present roles are compared with
+    suggested ones, by the motion of every axis in each role.
     """
+    if suggest:
+        from sysid.cli.roles import show_suggestion
+
+        if fit or select or held_out:
+            raise SettingsError("sysid datasets split", "--suggest with roles", "one of them")
+        show_suggestion(location, reference, json_file)
+        return
     from sysid.datasets import Store
     from sysid.datasets.splits import with_roles
 

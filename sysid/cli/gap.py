@@ -52,8 +52,13 @@ def gap(
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.cli.own_simulator import load_simulator
+    from sysid.datasets import Store
+    from sysid.datasets.roles.needs import check_needs
     from sysid.errors import SettingsError
+
+    dataset = Store(location).load(reference)
+    check_needs(dataset)  # before anything is compiled
+    from sysid.cli.own_simulator import load_simulator
     from sysid.gap import find_gap
     from sysid.gap.experiment import Planning
     from sysid.plant import Plant
@@ -61,7 +66,6 @@ def gap(
     from sysid.workspace import open_workspace
 
     workspace = open_workspace(location)
-    dataset = workspace.dataset(reference)
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:

@@ -77,6 +77,7 @@ def ingest(
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
     from sysid.cli.datasets import describe
+    from sysid.cli.roles import show_roles
 
     store = datasets.Store(workspace)
     before = store.manifest(to)["version"] if to is not None else 0
@@ -91,6 +92,7 @@ def ingest(
     show_dataset(out, dataset)
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
+    found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")
     elif to is not None:
@@ -99,4 +101,4 @@ def ingest(
             out.line(f"added to {dataset.name}@{before}: {added}{as_role}")
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     out.line(f"Coverage and excitation: sysid --workspace {workspace} datasets {dataset.reference} --quality")
-    write_json(json_file, {**describe(dataset), "seconds": seconds})
+    write_json(json_file, {**describe(dataset), **found, "seconds": seconds})

@@ -20,6 +20,7 @@ MAX_FLAGS = 12
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
+    from sysid.cli.roles import show_roles
     from sysid.datasets.quality import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
@@ -32,6 +33,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
+    found = show_roles(out, dataset, location, needs=False)  # the verdicts have them
     show_excitation(out, verdicts, dataset)
     out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
     write_json(
@@ -42,6 +44,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
             "evidence": evidence.to_json(),
             "flags": flags,
             "readiness": verdicts.to_json(),
+            **found,
         },
     )
 

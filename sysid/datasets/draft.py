@@ -57,7 +57,7 @@ def draft_recipe(
     if len(recordings) < 3 and (in_folders or len(groups) == 1):
         lines += [
             "",
-            "# [splits]                  # a recording is cut into fit, selection and held-out parts; to keep it whole:",
+            "# [splits]                  # a recording is cut into the three parts that sysid gap needs; to keep it whole:",
         ]
         lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
     taken: set[str] = set()

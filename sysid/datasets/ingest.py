@@ -86,7 +86,7 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
 
     ingested = read_and_align(found, plan, survey_mounts(found, description), report)
     settings = rules if rules is not None else IngestRecipe(schema=1)
-    parts, roles = split(ingested.recordings, settings.splits, plan.where)
+    parts, roles = split(ingested.recordings, settings.splits, plan.where, description)
     dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
     saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")

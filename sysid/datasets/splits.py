@@ -1,4 +1,4 @@
-"""Assignment of recordings to fit, selection and held-out, as a whole or in contiguous blocks with a guard, never by sample."""
+"""Roles of recordings (fit, selection, held-out): as a whole or in contiguous blocks with a guard, never by sample."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ import numpy.typing as npt
 from sysid.datasets.chunked import copied, deviation, known, stretches
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
+from sysid.datasets.roles.assign import Assignment
+from sysid.datasets.roles.motion import MotionTable, motion_table
+from sysid.datasets.roles.needs import MIN_ROLE_S, cut_advice, least_cut_s
+from sysid.datasets.roles.shortage import ROLES, RoleNeeds
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.machine import Machine
 from sysid.scratch import computed, filled, pieces
 
-ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
-#: Shortest block [s].
-MIN_BLOCK_S = 4.0
 #: From this length on a recording is cut into two pairs of fit and select blocks, so that both contain early and late
 #: conditions [s].
 LONG_S = 60.0
@@ -32,13 +34,21 @@ class SplitBlock:
     share: float
 
 
-def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tuple[tuple[Recording, ...], dict[str, Role]]:
+def split(
+    recordings: Sequence[Recording], splits: Splits, where: object, machine: Machine | None = None
+) -> tuple[tuple[Recording, ...], dict[str, Role]]:
     """Roles for the ``motion`` recordings; a recording with several roles is cut into ``name#1``, ``name#2`` …
 
     Roles named in the recipe come first. The rest is assigned in order: with three open roles and at least three recordings
     about 50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles each is cut into blocks.
+    Where some role then lacks motion of an axis that another assignment gives it, that one is used
+    (:mod:`sysid.datasets.roles.assign`). A recording that is too short to be cut is for the fit.
+
+    Args:
+        machine: its axes; without it the order alone decides.
 
     Raises:
+        InputError: a recording of ``held_out_last`` is too short to be cut.
         SettingsError: the recipe names a recording that does not exist, or gives one recording two roles.
     """
     motion = [recording for recording in recordings if recording.kind == "motion"]
@@ -48,20 +58,19 @@ def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tup
             raise SettingsError(f"{where}: held_out_last", f"no recording {name!r}", nearest(name, [r.name for r in motion]))
         if name in roles:
             raise SettingsError(f"{where}: held_out_last", f"{name!r} is {roles[name]} as well", "one role a recording")
-    free = [r.name for r in motion if r.name not in roles and r.name not in splits.held_out_last]
-    given = set(roles.values()) | ({"fit", "select", "held_out"} if splits.held_out_last else set())
-    open_roles: list[Role] = [role for role in ("fit", "select", "held_out") if role not in given]
+    free = [r for r in motion if r.name not in roles and r.name not in splits.held_out_last]
+    given = set(roles.values()) | (set(ROLES) if splits.held_out_last else set())
+    open_roles: list[Role] = [role for role in ROLES if role not in given]
     blocks: dict[str, tuple[SplitBlock, ...]] = {}
     if free and not open_roles:
-        roles |= dict.fromkeys(free, "fit")
-    elif len(free) >= len(open_roles):
-        roles |= _share_out(free, open_roles)
-    else:
-        length = {r.name: len(r) / r.rate_hz for r in motion}
-        blocks |= {name: _blocks(open_roles, length[name]) for name in free}
+        roles |= dict.fromkeys((r.name for r in free), "fit")
+    elif free:
+        table = motion_table(free, machine) if machine is not None else None
+        whole, blocks = _assigned(free, open_roles, splits.guard_s, table)
+        roles |= whole
     for name, share in splits.held_out_last.items():
         recording = next(r for r in motion if r.name == name)
-        earlier = _blocks(["fit", "select"], (1.0 - share) * len(recording) / recording.rate_hz)
+        earlier = block_pattern(["fit", "select"], (1.0 - share) * len(recording) / recording.rate_hz)
         blocks[name] = (*(SplitBlock(b.role, b.share * (1.0 - share)) for b in earlier), SplitBlock("held_out", share))
     result: list[Recording] = []
     for recording in recordings:
@@ -72,6 +81,60 @@ def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tup
             result.append(part)
             roles[part.name] = role
     return tuple(result), roles
+
+
+def _assigned(
+    recordings: Sequence[Recording], roles: list[Role], guard_s: float, table: MotionTable | None
+) -> tuple[dict[str, Role], dict[str, tuple[SplitBlock, ...]]]:
+    """Roles of whole recordings, and the blocks of those that are cut."""
+    names = [r.name for r in recordings]
+    patterns = [block_pattern(roles, len(r) / r.rate_hz) for r in recordings]
+    long = [can_be_cut(r, pattern, guard_s) for r, pattern in zip(recordings, patterns, strict=True)]
+    if len(names) >= len(roles):
+        shared = _share_out(names, roles)
+        present = np.array([roles.index(shared[name]) for name in names])
+    else:
+        present = np.array([len(roles) if enough else 0 for enough in long])
+    choice = present
+    if table is not None and len(roles) > 1:
+        usable = [pattern if enough else () for pattern, enough in zip(patterns, long, strict=True)]
+        choice = assignment_of(recordings, roles, usable, guard_s, table).best(present)
+    whole = {name: roles[option] for name, option in zip(names, choice, strict=True) if option < len(roles)}
+    return whole, {name: patterns[row] for row, name in enumerate(names) if choice[row] == len(roles)}
+
+
+def assignment_of(
+    recordings: Sequence[Recording],
+    roles: Sequence[Role],
+    patterns: Sequence[Sequence[SplitBlock]],
+    guard_s: float,
+    table: MotionTable,
+) -> Assignment:
+    """The assignment problem of ``recordings`` to ``roles``: each as a whole, or cut into the blocks of its pattern, if any.
+
+    Cuts are counted where the shares of the blocks are, not at the phase of rest nearby.
+    """
+    count, options = len(recordings), len(roles) + 1
+    motion = [table.recordings[r.name] for r in recordings]
+    every = np.stack([m.amounts() for m in motion])
+    amounts = np.zeros((count, options, len(roles), *every.shape[1:]))
+    seconds = np.zeros((count, options, len(roles)))
+    allowed = np.ones((count, options), dtype=bool)
+    for k in range(len(roles)):
+        amounts[:, k, k], seconds[:, k, k] = every, [m.seconds for m in motion]
+    for row, (recording, pattern) in enumerate(zip(recordings, patterns, strict=True)):
+        allowed[row, -1] = bool(pattern)
+        guard, begin = guard_s * recording.rate_hz, 0.0
+        for number, block in enumerate(pattern):
+            end = begin + block.share * len(recording)
+            first = begin if number == 0 else begin + 0.5 * guard
+            last = end if number == len(pattern) - 1 else end - 0.5 * guard
+            k = list(roles).index(block.role)
+            amounts[row, -1, k] += motion[row].amounts(round(first), round(last))
+            seconds[row, -1, k] += max(last - first, 0.0) / recording.rate_hz
+            begin = end
+    needs = RoleNeeds.of(roles, every.sum(axis=0))
+    return Assignment(needs, amounts, seconds, allowed, np.arange(options) == len(roles), MIN_ROLE_S)
 
 
 def _named_roles(names: list[str], splits: Splits, where: object) -> dict[str, Role]:
@@ -118,7 +181,7 @@ def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
     return dict(zip(names, order, strict=True))
 
 
-def _blocks(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
+def block_pattern(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
     """Contiguous blocks of one recording: fit twice as long as select, the last quarter held out."""
     held = 0.25 if "held_out" in roles else 0.0
     before: list[Role] = [role for role in roles if role != "held_out"]
@@ -129,6 +192,11 @@ def _blocks(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
     return (*blocks, SplitBlock("held_out", held)) if held else tuple(blocks)
 
 
+def can_be_cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float) -> bool:
+    """Whether every block has at least :data:`MIN_ROLE_S` beside the guards."""
+    return len(recording) >= least_cut_s(len(blocks), guard_s) * recording.rate_hz
+
+
 def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
     """``recording`` as ``name#1``, ``name#2`` …; each cut is at the least motion nearby.
 
@@ -137,23 +205,24 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
     """
     guard = round(guard_s * recording.rate_hz)
     rows = len(recording)
-    if rows < (MIN_BLOCK_S + guard_s) * recording.rate_hz * len(blocks):
+    if not can_be_cut(recording, blocks, guard_s):
         raise InputError(
             f"{where}: recording {recording.name!r}",
             f"{rows / recording.rate_hz:.1f} s are too short for {len(blocks)} blocks",
-            f"at least {MIN_BLOCK_S:g} s a block and {guard_s:g} s of guard",
-            "Record longer, or three times: then recordings are split whole. To keep it whole without a held-out part, write "
-            f'in the recipe: `[splits]`, `fit = ["{recording.name}"]`.',
+            f"{least_cut_s(len(blocks), guard_s):g} s: {MIN_ROLE_S:g} s a block and {guard_s:g} s of guard",
+            f"{cut_advice(guard_s)} Without held_out_last it is kept whole.",
         )
     edges = [0]
     total = 0.0
     shortest = min(block.share for block in blocks)
     motion = _motion(recording)
-    for block in blocks[:-1]:
+    least = math.ceil(MIN_ROLE_S * recording.rate_hz) + guard
+    for number, block in enumerate(blocks[:-1], start=1):
         total += block.share
         reach = int(0.15 * shortest * rows)
-        low = max(round(total * rows) - reach, edges[-1] + 1)
-        edges.append(low + int(np.argmin(motion[low : round(total * rows) + reach + 1])))
+        fits = edges[-1] + least, rows - (len(blocks) - number) * least
+        low, high = (int(np.clip(round(total * rows) + away, *fits)) for away in (-reach, reach))
+        edges.append(low + int(np.argmin(motion[low : high + 1])))
     edges.append(rows)
     parts = []
     for number, (block, start, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):

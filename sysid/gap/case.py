@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.roles.needs import check_needs
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -99,6 +100,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
     Raises:
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
+    check_needs(dataset)
     split = split_of(dataset)
     if isinstance(simulation, Plant):
         plant, own = simulation, None
@@ -109,8 +111,6 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         problems = own.problems(dataset)
     if not problems:
         raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
-    if not split.fit or not split.select or not split.held_out:
-        raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
     noise = noise_levels(dataset)
     coarse = coarse_sensors(plant, split.seen, noise)
     case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse)
@@ -126,10 +126,19 @@ def _stage(case: Case, problem: Problem) -> Stage:
 def stage_split(case: Case, problem: Problem) -> Split:
     """The recordings of a stage by role: those of motion, and static poses where they excite it too."""
     split = case.split
+    if problem.only is not None:
+        split = Split(*(tuple(r for r in part if r.name in problem.only) for part in split.roles))
     if problem.poses:  # static poses show kinematics best
         poses = pose_split(case.dataset)
         split = Split((*split.fit, *poses.fit), (*split.select, *poses.select), (*split.held_out, *poses.held_out))
     return split
+
+
+def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
+    """Notes on force axes without a stage: they have to move in a recording of each role."""
+    tested = {stage.problem.target for stage in stages if stage.problem.stage == "force"}
+    axes = [axis.name for axis in case.plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
+    return tuple(f"{axis} is not tested: it has to move, measured with its force, in a recording of each role" for axis in axes)
 
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:

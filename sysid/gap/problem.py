@@ -9,7 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.motion import MOVED_SHARE, travel_of
+from sysid.datasets.roles.needs import measured_together
 from sysid.effects.effect import Stage
+from sysid.errors import ExcitationError
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
 from sysid.plant import Model
@@ -37,6 +40,7 @@ class Problem:
         integrates: the output is an integral of the input, so that it accumulates every disturbance.
         short: the same problem restarted from the measurement every few seconds, where drift could lead to a local optimum.
         poses: static poses excite it too, each an independent measurement.
+        only: names of the recordings of motion in which it can be compared; None: all.
     """
 
     stage: Stage
@@ -49,6 +53,7 @@ class Problem:
     integrates: bool = False
     short: Problem | None = None
     poses: bool = False
+    only: frozenset[str] | None = None
 
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
@@ -96,7 +101,19 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hol
         lambda thetas, recording: inputs_of(recording).model_force(model, thetas, axis.name)[:, :, None],
         lambda recording: inputs_of(recording).force[:, None],
         lambda recording: known[recording.name][1].rows,
+        only=frozenset(known),
     )
+
+
+def force_determined(recording: Recording, axis: Axis, least_travel: float) -> bool:
+    """Whether the motion of a force axis in a recording determines its force: it is measured, and moves by more than noise."""
+    if travel_of(recording.values(axis.driven)) < least_travel:
+        return False
+    try:
+        force_inputs(recording, axis)
+    except ExcitationError:
+        return False
+    return True
 
 
 def joint_problem(model: Model, axis: Axis) -> Problem:
@@ -176,6 +193,11 @@ class Split:
     held_out: tuple[Recording, ...]
 
     @property
+    def roles(self) -> tuple[tuple[Recording, ...], ...]:
+        """Fit, selection and held-out recordings."""
+        return self.fit, self.select, self.held_out
+
+    @property
     def seen(self) -> tuple[Recording, ...]:
         """Fit and selection recordings: all but the held-out ones."""
         return (*self.fit, *self.select)
@@ -209,30 +231,22 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     motion = (*split.seen, *split.held_out)
     problems: list[Problem] = []
     for axis in model.machine.axes:
-        if not _measured(motion, axis_signal(axis.name, "command"), axis.driven):
+        if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
-            problems.append(force_problem(model, axis, motion, hold_of(split.seen, axis)))
+            least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
+            moving = Split(*(tuple(r for r in part if force_determined(r, axis, least)) for part in split.roles))
+            if any(moving.roles) and all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
+                problems.append(force_problem(model, axis, (*moving.seen, *moving.held_out), hold_of(moving.seen, axis)))
         else:
             problems.append(drive_problem(model, axis))
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
-        if axis.drives == "cylinder" and axis.name in model.linked and _measured(motion, axis.driven, joint):
+        if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):
             problems.append(joint_problem(model, axis))
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
-    if model.posed and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
+    if model.posed and measured_together((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
         problems.append(tip_problem(model))
-    if model.posed and _measured(motion, *point_signals("ee"), *point_signals("tool")):
+    if model.posed and measured_together(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))
     return problems
-
-
-def _measured(recordings: Sequence[Recording], *signals: str) -> bool:
-    """Whether some recording contains all signals simultaneously for at least fifty samples."""
-    for recording in recordings:
-        there = np.ones(len(recording), dtype=bool)
-        for name in signals:
-            there &= ~np.isnan(recording.values(name))
-        if there.sum() >= 50:
-            return True
-    return False

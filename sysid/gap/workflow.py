@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, Stage, excitation
+from sysid.gap.case import Case, Stage, excitation, untested_forces
 from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
@@ -124,6 +124,7 @@ def find_gap(
         notes=(
             *outcome.notes,
             *proposal.notes,
+            *(untested_forces(case, stages) if case.adapter is None else ()),
             *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
         ),
         experiments=proposal.experiments,

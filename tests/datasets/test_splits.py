@@ -89,5 +89,23 @@ def test_mistakes_are_named() -> None:
         split(recordings, Splits(fit=("manual-1",), held_out=("manual-*",)), "recipe")
     with pytest.raises(SettingsError, match="held_out_last: no recording 'x'"):
         split(recordings, Splits(held_out_last={"x": 0.5}), "recipe")
-    with pytest.raises(InputError, match=r"8\.0 s are too short for 3 blocks.*Record longer"):
-        split([recording("short", 8.0)], Splits(), "recipe")
+    with pytest.raises(InputError, match=r"14\.0 s are too short for 3 blocks; expected 15 s.*three recordings of 4 s or more"):
+        split([recording("short", 14.0)], Splits(held_out_last={"short": 0.25}), "recipe")
+
+
+def test_what_is_too_short_to_be_cut_is_kept_for_the_fit() -> None:
+    parts, roles = split([recording("short", 14.9)], Splits(), "recipe")
+    assert [part.name for part in parts] == ["short"]
+    assert roles == {"short": "fit"}
+    parts, roles = split([recording("short", 14.9), recording("long", 30.0)], Splits(), "recipe")
+    assert roles == {"short": "fit", "long#1": "fit", "long#2": "select", "long#3": "held_out"}
+
+
+@given(st.floats(15.0, 120.0), st.sampled_from([20.0, 50.0, 190.0]))
+def test_every_block_has_the_least_length(seconds: float, rate: float) -> None:
+    """Also where the machine rests at places that would make a block shorter."""
+    time = np.arange(int(np.ceil(seconds * rate))) / rate
+    table = pd.DataFrame({"time": time, "a.joint": np.sin(0.3 * time) + 0.2 * np.sign(np.sin(0.5 * time))})
+    parts, roles = split([Recording("only", table, rate)], Splits(), "test")
+    assert set(roles.values()) == {"fit", "select", "held_out"}
+    assert min(len(part) for part in parts) >= 4.0 * rate - 1

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.roles.needs import unmet_need
 from sysid.effects import CATALOGUE, Effect, effect_named, sensor_quantisation
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
@@ -121,8 +122,10 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
         plant: the simulation under test; its knowledge of the machine (linkages) determines which effects can be tested.
     """
     model, split, notes = compile_plant(plant), split_of(dataset), []
+    need = unmet_need(dataset)
+    if need is not None:
+        notes.append(need.text)
     if not split.fit or not split.select or not split.held_out:
-        notes.append("too few recordings: sysid gap needs some to fit, to select and to hold out")
         everything = dataset.of_kind("motion")
         split = replace(split, fit=everything, select=(), held_out=())
     case = Case(dataset, plant, plant.vector(), {}, split, 0)
@@ -131,7 +134,7 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
         stage = Stage(problem, stage_split(case, problem), np.ones(len(problem.signals)), case.theta)
         if stage.split.fit:
             stages.append(stage)
-    if not stages:
+    if not stages and need is None:
         notes.append("no stage is measured at both its ends: commands and the motion that they cause are needed")
     found: dict[tuple[str, str, str | None], ExcitationVerdict] = {}
     aliases: dict[tuple[str, str], tuple[str, str]] = {}

@@ -1,0 +1,131 @@
+"""Roles of recordings on the console: what `sysid gap` will need, what a role lacks, and suggested roles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sysid.cli.output import Printer, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import Any
+
+    from sysid.datasets import Dataset
+    from sysid.datasets.roles.lacks import Lack
+    from sysid.datasets.roles.suggest import SplitSuggestion
+
+#: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
+MAX_LACKS = 6
+
+
+def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = True) -> dict[str, Any]:
+    """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values.
+
+    Args:
+        needs: print the need; else only what the roles lack.
+    """
+    from dataclasses import asdict
+
+    from sysid.datasets.roles.lacks import role_lacks
+    from sysid.datasets.roles.needs import unmet_need
+
+    need = unmet_need(dataset)
+    if need is not None:
+        if needs:
+            out.line(f"note: {need.text}")
+        return {"needs": asdict(need), "lacks": []}
+    lacks = role_lacks(dataset)
+    for lack in lacks[:MAX_LACKS]:
+        out.line(f"note: {lack.text}")
+    if len(lacks) > MAX_LACKS:
+        out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
+    if lacks:
+        out.line(f"Roles and what to record: sysid --workspace {location} datasets split {dataset.reference} --suggest")
+    return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
+
+
+def show_suggestion(location: str, reference: str, json_file: str | None) -> None:
+    """Present and suggested roles side by side, and the command or the lines of the recipe that apply the suggestion."""
+    from sysid.datasets import Store
+    from sysid.datasets.roles.needs import unmet_need
+    from sysid.datasets.roles.suggest import recipe_splits, suggest_split
+
+    out = Printer(json_file)
+    store = Store(location)
+    manifest = store.manifest(reference)
+    dataset = store.load(f"{manifest['name']}@{manifest['version']}")
+    texts = dict.fromkeys(part["made"]["recipe"] for part in manifest["parts"])
+    found = suggest_split(dataset, [recipe_splits(text, f"{dataset.reference}: recipe") for text in texts if text])
+    _show_motion(out, found)
+    _show_recordings(out, found)
+    if found.named:
+        out.line(f"named in the recipe, unchanged: {_some(found.named)}")
+    need = unmet_need(dataset)
+    if need is not None and not found.better:
+        out.line(f"note: {need.text}")
+    elif not found.better:
+        out.line("No other roles give the axes more motion where it is missing." if found.lacks else "No role lacks motion.")
+    elif found.cut:
+        out.line(f"{_some(found.cut)}: cut into a block for each role, so that each contains its motion.")
+    _show_lacks(out, "with the present roles", found.present_lacks if found.better else ())
+    if need is None or found.better:
+        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.lacks, record=True)
+    for test, other in found.repeats:
+        out.line(
+            f"{test} (test) has the same commands as {other}: its error shows repeatability, not accuracy on other motion."
+        )
+    command = found.command(location)
+    if command:
+        out.line("Apply it to this version:")
+        out.line(f"  {command}")
+    if found.recipe:
+        out.line(
+            "Or write it in the recipe, and ingest the logs again:" if command else "Write in the recipe, and ingest again:"
+        )
+        out.block("\n".join(f"  {line}" for line in found.recipe.splitlines()))
+    write_json(json_file, found.to_json(location))
+
+
+def _show_motion(out: Printer, found: SplitSuggestion) -> None:
+    """Seconds of motion per direction, and reversals, of every axis in each role."""
+    from sysid.datasets.roles.needs import ROLE_NAMES
+    from sysid.datasets.roles.shortage import ROLES
+
+    rows: list[tuple[str, ...]] = []
+    for axis in found.before["fit"]:
+        for number, role in enumerate(ROLES):
+            cells = [axis if number == 0 else "", ROLE_NAMES[role]]
+            for by_role in (found.before, found.after) if found.better else (found.before,):
+                motion = by_role[role][axis]
+                cells += [f"{motion.backward_s:.1f} / {motion.forward_s:.1f}", f"{motion.reversals:.0f}"]
+            rows.append(tuple(cells))
+    suggested = ("suggested s − / +", "reversals") if found.better else ()
+    out.table(("axis", "role", "now s − / +", "reversals", *suggested), rows, right=range(2, 6))
+    lengths_of = {"now": found.present_s, **({"suggested": found.suggested_s} if found.better else {})}
+    for title, lengths in lengths_of.items():
+        out.line(f"{title}: {', '.join(f'{ROLE_NAMES[role]} {lengths[role]:.0f} s' for role in ROLES)}")
+
+
+def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
+    from sysid.datasets.roles.needs import ROLE_NAMES
+
+    changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
+    if changed:
+        rows = [
+            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present[name]], changed[name])
+            for name in found.present
+            if name in changed
+        ]
+        out.table(("recording", "length", "now", "suggested"), rows, right=(1,))
+
+
+def _show_lacks(out: Printer, title: str, lacks: Sequence[Lack], *, record: bool = False) -> None:
+    for lack in lacks:
+        out.line(f"{title}: {lack.text}")
+        if record:
+            out.line(f"  → {lack.record}")
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    """Names, the first ones where there are many."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

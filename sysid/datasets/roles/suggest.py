@@ -1,0 +1,221 @@
+"""Suggested roles for a stored dataset version, beside the present ones: ``sysid datasets split NAME --suggest``."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
+from glob import escape
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import parse_settings, toml_values
+from sysid.datasets.quality.repeats import repeats_of
+from sysid.datasets.quality.use import scales_of
+from sysid.datasets.recipe import Splits
+from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.lacks import Lack, lacks_of, role_amounts
+from sysid.datasets.roles.motion import AxisMotion, motion_table
+from sysid.datasets.roles.shortage import ROLES
+from sysid.datasets.splits import SplitBlock, assignment_of, block_pattern, can_be_cut
+
+Array = npt.NDArray[np.float64]
+
+#: Share of the end of a recording that is held out where it is cut.
+_HELD_OUT = 0.25
+#: Largest number of recordings whose commands are compared with each other for repeats.
+_COMPARED = 40
+
+
+@dataclass(frozen=True)
+class SplitSuggestion:
+    """Present and suggested roles.
+
+    Args:
+        present, roles: recording → role; the suggestion has no entry for those in ``cut``.
+        cut: recordings to be cut into blocks of all roles, by ingesting the logs again.
+        named: recordings whose roles the recipe names: they stay.
+        seconds: recording → its length; ``present_s`` and ``suggested_s``: of each role.
+        before, after: role → axis → its motion.
+        present_lacks, lacks: what the roles lack, now and with the suggestion.
+        repeats: (test recording, fit or selection recording) of the same commands, with the suggestion.
+    """
+
+    dataset: str
+    present: Mapping[str, Role]
+    roles: Mapping[str, Role]
+    cut: tuple[str, ...]
+    named: tuple[str, ...]
+    seconds: Mapping[str, float]
+    present_s: Mapping[Role, float]
+    suggested_s: Mapping[Role, float]
+    before: Mapping[Role, Mapping[str, AxisMotion]]
+    after: Mapping[Role, Mapping[str, AxisMotion]]
+    present_lacks: tuple[Lack, ...]
+    lacks: tuple[Lack, ...]
+    repeats: tuple[tuple[str, str], ...]
+
+    @property
+    def changed(self) -> dict[str, Role]:
+        """Recording → new role, for those that are not cut."""
+        return {name: role for name, role in self.roles.items() if role != self.present.get(name)}
+
+    @property
+    def better(self) -> bool:
+        """Whether the suggestion differs from the present roles."""
+        return bool(self.changed or self.cut)
+
+    def command(self, location: str) -> str:
+        """The command that applies the suggestion; empty where recordings have to be cut, or nothing changes."""
+        if self.cut or not self.changed:
+            return ""
+        options = {"fit": "--fit", "select": "--select", "held_out": "--held-out"}
+        words = ["sysid", "--workspace", location, "datasets", "split", self.dataset]
+        for name, role in self.changed.items():
+            words += [options[role], escape(name)]
+        return shlex.join(words)
+
+    @property
+    def recipe(self) -> str:
+        """Lines of the recipe that give these roles at the next ingest; empty where they cannot be written there."""
+        blocks = {name for name in self.roles if uncut_name(name) != name}
+        if not self.better or any(name in self.changed for name in blocks):
+            return ""
+        lines = ["[splits]"]
+        for role in ROLES:
+            names = [escape(name) for name, given in self.roles.items() if given == role and name not in blocks]
+            if names:
+                lines.append(f"{role} = {json.dumps(names, ensure_ascii=False)}")
+        last = [*self.cut, *dict.fromkeys(uncut_name(name) for name in blocks if uncut_name(name) not in self.named)]
+        if last:
+            shares = ", ".join(f"{json.dumps(name, ensure_ascii=False)} = {_HELD_OUT:g}" for name in last)
+            lines.append(f"held_out_last = {{ {shares} }}")
+        return "\n".join(lines)
+
+    def to_json(self, location: str) -> dict[str, Any]:
+        def motion(by_role: Mapping[Role, Mapping[str, AxisMotion]]) -> dict[str, Any]:
+            return {role: {axis: asdict(value) for axis, value in axes.items()} for role, axes in by_role.items()}
+
+        return {
+            "schema": 1,
+            "dataset": self.dataset,
+            "better": self.better,
+            "named_in_recipe": list(self.named),
+            "present": {
+                "roles": dict(self.present),
+                "seconds": dict(self.present_s),
+                "motion": motion(self.before),
+                "lacks": [asdict(lack) for lack in self.present_lacks],
+            },
+            "suggested": {
+                "roles": dict(self.roles),
+                "cut": list(self.cut),
+                "seconds": dict(self.suggested_s),
+                "motion": motion(self.after),
+                "lacks": [asdict(lack) for lack in self.lacks],
+            },
+            "repeats": [{"test": test, "repeats": other} for test, other in self.repeats],
+            "command": self.command(location),
+            "recipe": self.recipe,
+        }
+
+
+def suggest_split(dataset: Dataset, recipes: Sequence[Splits] = ()) -> SplitSuggestion:
+    """The best roles of the recordings of ``dataset``; its present ones where no others have smaller shortages of motion.
+
+    Args:
+        recipes: splits of the recipes that the version was made with: roles that they name stay.
+    """
+    motion = [r for r in dataset.of_kind("motion") if r.name in dataset.splits]
+    table = motion_table(motion, dataset.machine)
+    named = tuple(r.name for r in motion if any(_names(splits, r.name) for splits in recipes))
+    free = [r for r in motion if r.name not in named]
+    fixed = {dataset.splits[name] for name in named}
+    mine = {dataset.splits[r.name] for r in free}
+    roles = [role for role in ROLES if role in mine or role not in fixed]
+    suggested, cut = dict(dataset.splits), tuple[str, ...]()
+    extra = np.zeros((len(ROLES), len(table.axes), len(AxisMotion.__dataclass_fields__)))
+    extra_s = dict.fromkeys(ROLES, 0.0)
+    if free and len(roles) > 1:
+        guard_s = recipes[-1].guard_s if recipes else Splits().guard_s
+        patterns = [_pattern(r, guard_s) if len(roles) == len(ROLES) else () for r in free]
+        problem = assignment_of(free, roles, patterns, guard_s, table)
+        present = np.array([roles.index(dataset.splits[r.name]) for r in free])
+        choice = problem.best(present)
+        rows = np.flatnonzero(choice == len(roles))
+        cut = tuple(free[row].name for row in rows)
+        suggested |= {r.name: roles[k] for r, k in zip(free, choice, strict=True) if k < len(roles)}
+        suggested = {name: role for name, role in suggested.items() if name not in cut}
+        if len(rows):
+            extra = problem.amounts[rows, -1].sum(axis=0)
+            extra_s = dict(zip(ROLES, map(float, problem.seconds[rows, -1].sum(axis=0)), strict=True))
+    before, after = role_amounts(table, dataset.splits), role_amounts(table, suggested) + extra
+    seconds = {r.name: len(r) / r.rate_hz for r in motion}
+
+    def total(splits: Mapping[str, Role], role: Role) -> float:
+        return sum(value for name, value in seconds.items() if splits.get(name) == role)
+
+    return SplitSuggestion(
+        dataset.reference,
+        {r.name: dataset.splits[r.name] for r in motion},
+        {r.name: suggested[r.name] for r in motion if r.name in suggested},
+        cut,
+        named,
+        seconds,
+        {role: total(dataset.splits, role) for role in ROLES},
+        {role: total(suggested, role) + extra_s[role] for role in ROLES},
+        _by_role(before, table.axes),
+        _by_role(after, table.axes),
+        lacks_of(before, table.axes, dataset.machine),
+        lacks_of(after, table.axes, dataset.machine),
+        _repeats(motion, dataset, suggested),
+    )
+
+
+def uncut_name(name: str) -> str:
+    """The recording that a block ``name#2`` is a part of; ``name`` itself for a whole recording."""
+    whole, mark, number = name.rpartition("#")
+    return whole if mark and number.isdigit() else name
+
+
+def _names(splits: Splits, name: str) -> bool:
+    """Whether the recipe names a recording, or the one that it was cut from."""
+    whole = uncut_name(name)
+    patterns = (*splits.fit, *splits.select, *splits.held_out)
+    return whole in splits.held_out_last or any(fnmatchcase(whole, pattern) for pattern in patterns)
+
+
+def _pattern(recording: Recording, guard_s: float) -> tuple[SplitBlock, ...]:
+    """Blocks of a recording, for all roles; none for what is a block already, or too short."""
+    blocks = block_pattern(list(ROLES), len(recording) / recording.rate_hz)
+    whole = uncut_name(recording.name) == recording.name
+    return blocks if whole and can_be_cut(recording, blocks, guard_s) else ()
+
+
+def _by_role(amounts: Array, axes: Sequence[str]) -> dict[Role, dict[str, AxisMotion]]:
+    return {
+        role: {axis: AxisMotion(*map(float, row)) for axis, row in zip(axes, amounts[k], strict=True)}
+        for k, role in enumerate(ROLES)
+    }
+
+
+def _repeats(motion: Sequence[Recording], dataset: Dataset, roles: Mapping[str, Role]) -> tuple[tuple[str, str], ...]:
+    """Test recordings with the commands of one of fit or selection; none where there are many recordings to compare."""
+    whole = [r for r in motion if r.name in roles]
+    if len(whole) > _COMPARED:
+        return ()
+    found: dict[str, str] = {}
+    for pair in repeats_of(whole, scales_of(whole, dataset.machine)):
+        for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
+            if roles[one] == "held_out" and roles[other] != "held_out":
+                found.setdefault(one, other)
+    return tuple(found.items())
+
+
+def recipe_splits(text: str, where: object) -> Splits:
+    """The ``[splits]`` of the text of a recipe."""
+    return parse_settings(toml_values(text, where).get("splits", {}), Splits, f"{where}: splits")
