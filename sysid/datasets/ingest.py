@@ -14,7 +14,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks.records import Alignment, KnownSkew, RecordingClocks, aligned, by_source, machine_times
-from sysid.datasets.discover import RecordingFiles, discover, unmatched
+from sysid.datasets.discover import RecordingFiles, check_recordings, check_sources, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
@@ -76,6 +76,8 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
 
     report(0.0, "reading file names")
     found = discover(plan.roots, rules)
+    check_recordings(found, rules, plan.where)
+    check_sources(found, rules, plan.where)
     sources = sources_of(found)
     digest = digest_of({**content_of(sources, rules), "machine": description.files()})
     store = Store(workspace)
