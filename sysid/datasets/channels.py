@@ -273,7 +273,8 @@ def joined(channels: Sequence[Channel], where: object) -> dict[str, list[Channel
                     f"{where}: {signal}",
                     f"two sources, {before.source!r} and {after.source!r}",
                     "one primary source",
-                    "Name the other one secondary in the recipe (`primary = false` or `secondary = [...]`).",
+                    "Name the other one secondary in the recipe (`primary = false` or `secondary = [...]`). Where each file is "
+                    "a recording of its own, list them in `[recordings.files]`.",
                 )
     return signals
 

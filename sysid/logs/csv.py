@@ -1,7 +1,7 @@
 """CSV: one header row, one time column, numbers; an empty cell is a missing value.
 
-Delimiter, decimal mark, encoding, a row of units and remarks are found from the first rows (:mod:`sysid.logs.dialect`). Every row
-has as many cells as the header; empty ones at its end do not count. Cells that hold a list, ``"[0.1, 0.2]"`` under
+Delimiter, decimal mark, encoding, a row of units and remarks are found from the first rows (:mod:`sysid.logs.dialect`). Every
+row has as many cells as the header; empty ones at its end do not count. Cells that hold a list, ``"[0.1, 0.2]"`` under
 ``positions``, become columns of their own: ``positions[0]``, ``positions[1]``.
 """
 
@@ -23,7 +23,7 @@ from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.row_lines import RowLines
 from sysid.logs.stream import Stream
-from sysid.logs.table import CUT_ROW, TIME_NAMES, Columns, is_wanted, table_stream, text_chunks
+from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks
 from sysid.units import split_header
 
 #: Lists that are parsed at a time.
@@ -307,8 +307,9 @@ def _expected_rows(path: Path) -> int:
 def _pieces(path: Path, dialect: Dialect, cut: bool, progress: Callable[[float], None]) -> Iterator[tuple[pd.DataFrame, bool]]:
     """The rows in chunks, numbered from 0, each with True where it is the last; without a last row that may be ``cut``."""
     before: pd.DataFrame | None = None
+    cells = max(len(dialect.headers) + 1, dialect.longest_remark)
     for chunk in text_chunks(
-        path, max(len(dialect.headers) + 1, dialect.longest_remark), progress, None, "rows with as many cells as the header has",
+        path, cells, progress, None, "rows with as many cells as the header has",
         dialect.encoding, dialect.offset, sep=dialect.separator, decimal=dialect.decimal, skipinitialspace=True,
         na_values=["", "NaN", "nan", "None", "-", "--"],
     ):  # fmt: skip

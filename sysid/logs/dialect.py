@@ -1,7 +1,8 @@
 """The form of a text table: encoding, delimiter, decimal mark, and the lines of header, units and first row.
 
-:class:`csv.Sniffer` decides by the frequency of letters and takes a decimal comma or a letter for the delimiter. Here the rows are
-split with each combination of delimiter and decimal mark, and the one is taken that gives rows of equal length full of numbers.
+:class:`csv.Sniffer` decides by the frequency of letters and takes a decimal comma or a letter for the delimiter. Here the
+rows are split with each combination of delimiter and decimal mark; the one is taken that gives rows of equal length full of
+numbers.
 """
 
 from __future__ import annotations
@@ -33,11 +34,15 @@ _HEAD = 2**16
 _MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
 _NAMES = {",": "','", ";": "';'", "\t": "tab", "|": "'|'", " ": "white space"}
 _MISSING = frozenset({"", "-", "--", "na", "n/a", "#n/a", "nan", "none", "null", "-nan", "#div/0!"})
-_TYPES = frozenset({"float", "double", "single", "int", "float32", "float64", "int16", "int32", "int64", "uint8", "bool", "string"})
+_TYPES = frozenset(
+    {"float", "double", "single", "int", "float32", "float64", "int16", "int32", "int64", "uint8", "bool", "string"}
+)
+_OTHER = r"[+-]?inf(inity)?|true|false|\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]"
+#: Decimal mark → a number, a truth value or a list of numbers.
 _NUMBER = {
-    "." : re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf(inity)?|true|false|\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]", re.IGNORECASE),
-    "," : re.compile(r"[+-]?(\d+(,\d+)?|,\d+)(e[+-]?\d+)?|[+-]?inf(inity)?|true|false|\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]", re.IGNORECASE),
-}  # fmt: skip
+    ".": re.compile(rf"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|{_OTHER}", re.IGNORECASE),
+    ",": re.compile(rf"[+-]?(\d+(,\d+)?|,\d+)(e[+-]?\d+)?|{_OTHER}", re.IGNORECASE),
+}
 #: A date with time in ISO 8601, or a time of the day.
 STAMP = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:?\d\d.*|\d{1,2}:\d\d:\d\d([.,]\d+)?")
 _WHAT = "a CSV file with one header row"
@@ -148,15 +153,16 @@ class _Split:
     def width(self) -> int:
         """Cells in most rows; rows of numbers count, where there are any."""
         rows = [row for row in self.rows if any(_kind(cell, self.decimal) == 1 for cell in row.cells)] or self.rows
-        counts = Counter(_filled(row.cells) for row in rows)
-        return max(counts, key=lambda count: (counts[count], count))
+        counts = Counter(len(row.cells) for row in rows)
+        most = max(counts, key=lambda count: (counts[count], count))
+        return min(most, max(_filled(row.cells) for row in self.rows))  # delimiters at the end of every line
 
     @property
     def score(self) -> float:
         """Share of rows of equal length, weighted with the share of numbers among the cells."""
         if max(len(row.cells) for row in self.rows) < 2:
             return 0.0
-        equal = sum(_filled(row.cells) == self.width for row in self.rows) / len(self.rows)
+        equal = max(Counter(len(row.cells) for row in self.rows).values()) / len(self.rows)
         kinds = Counter(_kind(cell, self.decimal) for row in self.rows for cell in row.cells)
         return equal * (0.05 + kinds[1] / max(1, kinds[1] + kinds[2])) * (1.0 if self.width > 1 else 0.1)
 
@@ -191,7 +197,7 @@ def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line],
             above = [line for line in remarks if line.number < begin.number]
             header, units = _header_of(_remarked(above, split), split)
     names = () if header is None else _names(header.cells, split, first)
-    width = max(split.width, 1)
+    width = split.width
     headers = _with_units(names, units) if header is not None else tuple(f"column {i + 1}" for i in range(width))
     notes = _notes(encoding, split, header, units, begin)
     if options.header:
@@ -212,7 +218,7 @@ def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line],
         delimiter=split.delimiter,
         decimal=split.decimal,
         headers=headers,
-        width=width,
+        width=len(headers) if width > len(headers) >= _filled_width(split, first) else width,
         header_line=0 if header is None or options.header else header.line.number,
         named=header is not None or bool(options.header),
         offset=offset,
@@ -250,9 +256,7 @@ def _remarked(lines: Sequence[_Line], split: _Split) -> list[_Row]:
 
 def _names(cells: Sequence[str], split: _Split, first: int | None) -> tuple[str, ...]:
     """The names of the columns; without cells at the end that are empty in the header and in all rows."""
-    rows = split.rows[first:] if first is not None else ()
-    width = max((_filled(row.cells) for row in rows), default=0)
-    last = max(_filled(cells), min(len(cells), width))
+    last = max(_filled(cells), min(len(cells), _filled_width(split, first)))
     return tuple(cell or f"column {i + 1}" for i, cell in enumerate(cells[:last]))
 
 
@@ -307,6 +311,11 @@ def _has_text(row: _Row, split: _Split) -> bool:
 def _filled(cells: Sequence[str]) -> int:
     """Number of cells up to the last that is not empty, at least 1."""
     return max((i + 1 for i, cell in enumerate(cells) if cell), default=1)
+
+
+def _filled_width(split: _Split, first: int | None) -> int:
+    """Cells up to the last that is not empty in any row of numbers."""
+    return max((_filled(row.cells) for row in split.rows[first:]), default=0) if first is not None else 0
 
 
 def _kind(cell: str, decimal: str) -> int:

@@ -135,9 +135,7 @@ def inspect_file(
         return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
 
 
-def inspect_here(
-    path: Path, chosen: LogReader, dbc: Path | None = None, expected_hz: float | None = None
-) -> FileSummary:
+def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expected_hz: float | None = None) -> FileSummary:
     """:func:`inspect_file` by the reader ``chosen`` in this process, without protection against crashes of a library."""
     summary = FileSummary(path, chosen.name, path.stat().st_size)
     try:

@@ -17,15 +17,17 @@ RATES, SLOW, FAST = (1.0, 20e3), 5.0, 5e3
 LONGEST_S = 30 * 86400.0
 #: The machine's rate decides between units where one gives a rate within this factor.
 NEAR = 10.0
+#: Steps that show a rate: two events do not.
+FEWEST = 5
 #: Stamps that are used.
 _STAMPS = 2**16
-#: Unix time from 2000 to 2100 [s]; days of spreadsheets and of MATLAB in the same years.
-_UNIX, _DAYS = (946_684_800.0, 4_102_444_800.0), ((36_526.0, 73_051.0), (730_486.0, 767_011.0))
+#: Unix time from 2000 to 2100 [s]; days of spreadsheets in the same years.
+_UNIX, _DAYS = (946_684_800.0, 4_102_444_800.0), (36_526.0, 73_051.0)
 _NAMES = (
     ("us", r"(^|[^a-z])(us|µs|usec|micros|microseconds)$|(?-i:[a-z]US$)"),
     ("ms", r"(^|[^a-z])(ms|msec|millis|milliseconds)$|(?-i:[a-z]MS$)"),
     ("ns", r"(^|[^a-z])(ns|nsec|nanos|nanosec|nanoseconds)$|(?-i:[a-z]NS$)"),
-    ("day", r"(^|[^a-z])(days?|datenum)$"),
+    ("day", r"(^|[^a-z])(days?)$"),
     ("s", r"(^|[^a-z])(s|secs?|seconds)$"),
 )
 
@@ -43,12 +45,12 @@ class TimeUnit:
 
 
 def as_unit(values: npt.NDArray[np.float64], unit: str) -> TimeUnit | None:
-    """``values`` (n,) read in ``unit``; None where no two differ."""
+    """``values`` (n,) read in ``unit``; None where fewer than :data:`FEWEST` steps show the rate."""
     seen = values[:_STAMPS]
     seen = seen[np.isfinite(seen)]
     steps = np.diff(seen)
     steps = steps[steps > 0.0]
-    if not len(steps):
+    if len(steps) < FEWEST:
         return None
     factor = SECONDS[unit]
     ends = values[[0, -1]]
@@ -68,7 +70,7 @@ def likely_units(values: npt.NDArray[np.float64], name: str = "", expected_hz: f
     named = unit_in_name(name)
     size = float(np.nanmedian(np.abs(values[:_STAMPS])))
     dated = {unit for unit, seconds in SECONDS.items() if unit != "day" and _UNIX[0] <= size * seconds <= _UNIX[1]}
-    dated |= {"day"} if any(low <= size <= high for low, high in _DAYS) else set()
+    dated |= {"day"} if _DAYS[0] <= size <= _DAYS[1] else set()
     for decisive in ({named}, dated):
         if chosen := [unit for unit in found if unit.unit in decisive]:
             return tuple(chosen)
