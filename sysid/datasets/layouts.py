@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
@@ -42,7 +43,8 @@ def recording_names(
 ) -> tuple[dict[Path, str], bool]:
     """File → its recording, and whether every file is a recording of its own.
 
-    Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals.
+    Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals. Files
+    with names that repeat in other folders (``left.csv``, ``right.csv``) are devices of one recording; numbered ones are not.
 
     Args:
         in_folders: there are files in sub-folders.
@@ -56,7 +58,8 @@ def recording_names(
     single |= not in_folders and len(files) == 1
     for beside in folders.values():
         for (one, its), (other, others) in combinations(beside, 2):
-            devices = repeated[one.path.name] > 1 and repeated[other.path.name] > 1
+            numbered = re.sub(r"\d+", "", one.path.stem) == re.sub(r"\d+", "", other.path.stem)
+            devices = not numbered and repeated[one.path.name] > 1 and repeated[other.path.name] > 1
             apart = in_folders and not overlap(one, other)  # parts of one log
             single |= not devices and ((_alike(one, other) and not apart) or bool(its & others))
     if not single:
@@ -129,19 +132,19 @@ def _entries(inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str
     """Globs for (recording, file name) of ``inside`` that do not match ``outside``."""
     names, recordings = sorted({name for _, name in inside}), sorted({recording for recording, _ in inside})
     for pattern in _patterns(names):
-        strange = [recording for recording, name in outside if fnmatchcase(name, pattern)]
-        if not strange:
+        conflicting = [recording for recording, name in outside if fnmatchcase(name, pattern)]
+        if not conflicting:
             return ((pattern, ()),)
-        if not {*strange} & {*recordings}:
-            return ((pattern, _separated(recordings, {*strange})),)
+        if not {*conflicting} & {*recordings}:
+            return ((pattern, _separated(recordings, {*conflicting})),)
     return tuple(entry for name in names for entry in _of_name(name, inside, outside))
 
 
 def _of_name(
     name: str, inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str]]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    strange = {recording for recording, other in outside if other == name}
-    return ((escape(name), _separated(sorted(r for r, n in inside if n == name), strange) if strange else ()),)
+    conflicting = {recording for recording, other in outside if other == name}
+    return ((escape(name), _separated(sorted(r for r, n in inside if n == name), conflicting) if conflicting else ()),)
 
 
 def _separated(names: Sequence[str], others: set[str]) -> tuple[str, ...]:

@@ -71,11 +71,11 @@ NO_LOGS: dict[str, tuple[str, str]] = {
     ".h5": ("an HDF5 file", "Save its tables as Parquet or CSV."),
     ".mdf": ("an MDF file of version 3", "Convert it to version 4 (.mf4)."),
     ".json": (
-        "a JSON file, which is a log only where that is stated",
+        "no log unless its reader is named",
         'A list of records is read where the reader is named: `reader = "json"`.',
     ),
     ".log": (
-        "a text file, which is a log only where that is stated",
+        "no log unless its reader is named",
         'A candump log is read where the reader is named: `reader = "can"`.',
     ),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), _SHEET),
