@@ -20,6 +20,7 @@ from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
+from sysid.datasets.rates import rate_notes
 from sysid.datasets.recipe import IngestRecipe, Splits
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
@@ -183,7 +184,8 @@ def read_and_align(
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     omitted = [f"left out: {error}" for error in alignment.refused.values()]
-    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *omitted)
+    rates = rate_notes(found, readings, plan.machine.rate_hz)
+    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 

@@ -204,6 +204,21 @@ def test_a_unit_that_nothing_decides_is_requested(tmp_path: Path) -> None:
         load_recipe(tmp_path / "recipe.toml")
 
 
+@pytest.mark.parametrize(("rate", "noted"), [(2.0, True), (50.0, False), (900.0, False)])
+def test_a_rate_that_fits_the_machine_in_another_unit_is_noted(tmp_path: Path, rate: float, noted: bool) -> None:
+    """2 Hz in seconds are 2 kHz in milliseconds; a log of 900 Hz for a machine of 500 Hz is as usual."""
+    (tmp_path / "machine.toml").write_text(MACHINE.replace("rate_hz = 50.0", "rate_hz = 500.0"))
+    for seed in range(3):
+        time, command, cylinder = motion(seed)
+        path = tmp_path / f"logs/r{seed}/log.csv"
+        path.parent.mkdir(parents=True)
+        table = pd.DataFrame({"time": time * 50.0 / rate, "boom.command": command, "boom.cylinder": cylinder})
+        table.to_csv(path, index=False)
+    notes = ingest(tmp_path / "logs", tmp_path / "ws").quality["notes"]
+    expected = "r0/log.csv: 2 samples a second, machine.toml states 500 Hz. Are the stamps in ms?"
+    assert [expected in note for note in notes[:1]] == [True] * noted
+
+
 def test_a_damaged_file_does_not_become_a_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for seed in range(3):
         monday(tmp_path / f"logs/r{seed}.csv", seed)
