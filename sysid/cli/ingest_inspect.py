@@ -43,16 +43,19 @@ def inspect_paths(
 
     if draft is not None and draft.exists():
         raise SettingsError(f"--draft {draft}", "the file exists already", "a new file", "Choose another name.")
-    files = _log_files(paths)
+    files = _log_files(paths, reader)
     machine_path = machine if machine is not None else default_machine(paths)
     description = load_machine(machine_path) if machine_path is not None else None
     summaries = []
     with progress_bar("inspect") as progress:
         for number, path in enumerate(files):
             progress(number / len(files), path.name)
-            summaries.append(inspect_file(path, reader, dbc))
+            summaries.append(inspect_file(path, reader, dbc, description.rate_hz if description is not None else None))
     in_folders = any(file not in paths and file.parent not in paths for file in files)
-    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft), in_folders)
+    root = paths[0] if len(paths) == 1 and paths[0].is_dir() else None
+    text = draft_recipe(
+        summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft), in_folders, root
+    )
     if draft is not None:  # before printing, which a pager may end early
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
@@ -83,8 +86,9 @@ def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
     return None if relative == "." or relative.startswith("..") else relative
 
 
-def _log_files(paths: Sequence[Path]) -> list[Path]:
-    from sysid.logs.readers import is_log
+def _log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
+    """The log files in ``paths`` and one folder below; with a named ``reader``, also those that only it reads."""
+    from sysid.logs.readers import NAMED, NO_LOGS, is_log
 
     found: list[Path] = []
     for path in paths:
@@ -93,9 +97,17 @@ def _log_files(paths: Sequence[Path]) -> list[Path]:
         if path.is_file():
             found.append(path)
             continue
-        below = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if is_log(entry)]
+        entries = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file()]
+        below = [entry for entry in entries if is_log(entry) or NAMED.get(entry.suffix.lower(), "") == reader]
         if not below:
-            raise InputError(path, "no log files", "log files in it or one folder below", "Name the file itself.")
+            known = next((entry for entry in entries if entry.suffix.lower() in NO_LOGS), None)
+            expected, remedy = "log files in it or one folder below", "Name the file itself."
+            if known is not None:
+                what, remedy = NO_LOGS[known.suffix.lower()]
+                named = NAMED.get(known.suffix.lower())
+                remedy = f"Inspect with --reader {named} where it is a log." if named is not None else remedy
+                raise InputError(path, f"no log files; {known.name} is {what}", expected, remedy.format(name=known.name))
+            raise InputError(path, "no log files", expected, remedy)
         found += sorted(below)
     return list(dict.fromkeys(found))
 
@@ -104,10 +116,18 @@ def _show(out: Printer, file: FileSummary) -> None:
     out.line(f"{file.path}: {file.reader}, {size_text(file.size)}, {_count(len(file.streams), 'stream')}")
     if file.refusal:
         out.line(f"cannot be ingested: {file.refusal}")
+    if file.remarks:
+        out.line(f"found: {'; '.join(file.remarks)}")
+    if file.columns:
+        out.line("the recipe must name the columns of a file without a header row; they are numbered here")
     for loss in file.losses:
         out.line(f"lost: {loss}")
     for key, value in file.stated.items():
-        out.line(f"the recipe must state {key}; shown here with {value!r}")
+        if key == "time_unit" and file.time_units:
+            units = " or ".join(map(str, file.time_units))
+            out.line(f"the recipe must state time_unit: {units} are plausible; shown here with {value!r}")
+        else:
+            out.line(f"the recipe must state {key}; shown here with {value!r}")
     timed = [stream for stream in file.streams if stream.clocks]
     if timed:
         header = ("stream", "type", "samples", "seconds", "rate [Hz]", "jitter [ms]", "gaps", "clocks")

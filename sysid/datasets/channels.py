@@ -27,7 +27,7 @@ from sysid.logs.confined import read_confined
 from sysid.machine import Machine
 from sysid.progress import Progress, part, silent
 
-#: (recording, glob of the recipe's entry) → body → its mount on its link.
+#: (recording, key of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
 
 
@@ -53,16 +53,16 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
         pattern = mapping.reference.recording if mapping.reference is not None else None
         if pattern is None or fnmatchcase(name, pattern):
             until = mapping.reference.seconds[1] if mapping.reference is not None else None
-            own[name, mapping.files] = find_mounts(read_streams(path, mapping, until), mapping, machine)
+            own[name, mapping.key] = find_mounts(read_streams(path, mapping, until), mapping, machine)
     mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
     for name, _, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
-        sources = [m for (_, files), m in own.items() if files == mapping.files] if shared else [own[name, mapping.files]]
+        sources = [m for (_, files), m in own.items() if files == mapping.key] if shared else [own[name, mapping.key]]
         if not sources:
             pattern = mapping.reference.recording if mapping.reference is not None else ""
             where = f"streams {mapping.files!r}: reference.recording"
             raise SettingsError(where, f"no recording {pattern!r}", nearest(str(pattern), [files.name for files in found]))
-        mounts[name, mapping.files] = {
+        mounts[name, mapping.key] = {
             body: mean_pose(np.stack([pose for source in sources for pose in source[body]])) for body in mapping.bodies
         }
     return mounts
@@ -80,7 +80,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     shares = _shares(files)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         own = part(progress, begin, end)
-        streams = read_streams(path, mapping, progress=own)
+        streams = read_streams(path, mapping, progress=own, expected_hz=machine.rate_hz)
         own(1.0, f"reading {path.name}")
         lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
         losses[path.name] = tuple(dict.fromkeys(lost))
@@ -89,7 +89,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
             continue
         channels += _mapped(path, streams, mapping, machine)
         if mapping.bodies or mapping.points:
-            captured, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.files), {}))
+            captured, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.key), {}))
             channels += captured
             flags += dropped
         scratch.leave()
@@ -134,18 +134,22 @@ def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
 
 
 def read_streams(
-    path: Path, mapping: StreamMap | None, seconds: float | None = None, progress: Progress = silent
+    path: Path,
+    mapping: StreamMap | None,
+    seconds: float | None = None,
+    progress: Progress = silent,
+    expected_hz: float | None = None,
 ) -> tuple[Stream, ...]:
     """The streams of a file in its mapping, with the rigid bodies of marker sets; all without a mapping.
 
-    ``seconds``: later samples after the first stamp are not needed.
+    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz].
     """
 
     def report(share: float) -> None:
         progress(share, f"reading {path.name}")
 
     if mapping is None:
-        return read_confined(reader_for(path), path, ReadOptions(progress=report))
+        return read_confined(reader_for(path), path, ReadOptions(progress=report, expected_hz=expected_hz))
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
     wanted = {signal.topic for signal in mapping.signals.values() if signal.topic is not None}
     tracked = {*mapping.bodies, *(point.body or point.marker or "" for point in mapping.points.values())}
@@ -165,7 +169,11 @@ def read_streams(
         seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
+        expected_hz=expected_hz,
         rate_hz=mapping.rate_hz,
+        header=mapping.columns,
+        delimiter=mapping.delimiter,
+        decimal=mapping.decimal,
         length_unit=mapping.length_unit,
         rotation=mapping.rotation,
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
@@ -265,7 +273,8 @@ def joined(channels: Sequence[Channel], where: object) -> dict[str, list[Channel
                     f"{where}: {signal}",
                     f"two sources, {before.source!r} and {after.source!r}",
                     "one primary source",
-                    "Name the other one secondary in the recipe (`primary = false` or `secondary = [...]`).",
+                    "Name the other one secondary in the recipe (`primary = false` or `secondary = [...]`). Where each file is "
+                    "a recording of its own, list them in `[recordings.files]`.",
                 )
     return signals
 

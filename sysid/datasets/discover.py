@@ -70,12 +70,53 @@ def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[Record
     return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in found)
 
 
+def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
+    """Check that no two entries of the recipe are primary sources of one signal in one recording.
+
+    Raises:
+        SettingsError: two are.
+    """
+    if recipe is None:
+        return
+    for files in found:
+        primary: dict[str, StreamMap] = {}
+        entries = {id(stream): stream for _, stream in files.streams if stream is not None}
+        for stream in entries.values():
+            for signal, mapping in stream.signals.items():
+                if not mapping.primary or signal in stream.secondary:
+                    continue
+                if signal in primary:
+                    raise SettingsError(
+                        where,
+                        f"two primary sources for {signal!r} in recording {files.name!r}: the entries "
+                        f"{primary[signal].key!r} and {stream.key!r}",
+                        "one primary source in a recording",
+                        "Set `primary = false` on the other one. Where recordings have different layouts, write in each entry "
+                        f'the recordings to which it applies: `recordings = ["{files.name}"]`, with globs.',
+                    )
+                primary[signal] = stream
+
+
+def check_recordings(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
+    """Check that the ``recordings`` of every entry of the recipe name recordings that are there.
+
+    Raises:
+        SettingsError: a glob that matches none.
+    """
+    names = [files.name for files in found]
+    for stream in recipe.streams if recipe is not None else ():
+        for pattern in stream.recordings:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                place = f"{where}: streams {stream.files!r}: recordings"
+                raise SettingsError(place, f"no recording {pattern!r}", nearest(pattern, names), "Correct the name.")
+
+
 def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> tuple[str, ...]:
     """Notes about entries of the recipe that no file matches."""
     used = {id(stream) for files in found for _, stream in files.streams}
     streams = recipe.streams if recipe is not None else ()
     return tuple(
-        f"no recording has a file {stream.files!r}: its entry is not used" for stream in streams if id(stream) not in used
+        f"no recording has a file {stream.key!r}: its entry is not used" for stream in streams if id(stream) not in used
     )
 
 
@@ -119,7 +160,7 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         return _single_files(path, recordings, recipe)
     if path.is_file():
         home = path.resolve().parent  # a link that is named stands for its file
-        streams = _matched([path], home, recipe)
+        streams = _matched([path], home, recipe, path.stem)
         return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
     if not path.is_dir():
         check_file(path, "a log file or a folder of recordings")  # a pipe or a device
@@ -130,11 +171,11 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         if not any(fnmatchcase(folder.name, pattern) for pattern in wanted):
             continue
         inside(path, str(folder.resolve()), folder)
-        streams = _matched(sorted(folder.iterdir()), folder, recipe)
+        streams = _matched(sorted(folder.iterdir()), folder, recipe, folder.name)
         if streams:
             result.append(RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams))
     if not result:  # the path is itself one recording
-        streams = _matched(sorted(path.iterdir()), path, recipe)
+        streams = _matched(sorted(path.iterdir()), path, recipe, path.resolve().name)
         if not streams and recipe is not None and recipe.streams:
             present = {entry.name for entry in (*path.iterdir(), *path.glob("*/*")) if is_log(entry)}
             patterns = ", ".join(repr(stream.files) for stream in recipe.streams)
@@ -155,18 +196,22 @@ def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | Non
             present = [file.name for file in path.iterdir()] if path.is_dir() else [path.name]
             what = "no file" if not files else f"{len(files)} files"
             raise InputError(path, f"{what} {pattern!r} for recording {name!r}", nearest(pattern, present))
-        result.append(RecordingFiles(name, _kind(name, recordings, path), files[0].parent, _matched(files, path, recipe)))
+        result.append(RecordingFiles(name, _kind(name, recordings, path), files[0].parent, _matched(files, path, recipe, name)))
     return result
 
 
-def _matched(files: Sequence[Path], folder: Path, recipe: IngestRecipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
-    """Each log file with its entry of the recipe; without entries, every file for which there is a reader."""
+def _matched(
+    files: Sequence[Path], folder: Path, recipe: IngestRecipe | None, recording: str
+) -> tuple[tuple[Path, StreamMap | None], ...]:
+    """Each log file of ``recording`` with its entry of the recipe; without entries, every file for which there is a reader."""
     if recipe is None or not recipe.streams:
         for file in files:
             inside(folder, str(file.resolve()), file)
         return tuple((file, None) for file in files if is_log(file))
     pairs = []
     for stream in recipe.streams:
+        if not stream.applies_to(recording):
+            continue
         for file in files:
             if file.is_file() and fnmatchcase(file.name, stream.files):
                 inside(folder, str(file.resolve()), file)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from itertools import takewhile
+from glob import escape
 from pathlib import Path
 
+from sysid.datasets.layouts import TABLES, Layout, layouts_of, recording_names, unreadable
+from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
+from sysid.units import si_factor
 
 #: Words in a topic or column that indicate the quantity.
 _WORDS = {
@@ -38,67 +41,79 @@ def draft_recipe(
     machine_path: str = "machine.toml",
     logs: str | None = None,
     in_folders: bool = False,
+    root: Path | None = None,
 ) -> str:
     """TOML of a recipe for ``files``; with ``machine`` its axes are recognised in the names of the fields.
 
-    ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: each recording has
-    its own folder; else each file in a folder may be a recording.
+    ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: there are files in
+    sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings.
     """
     lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
     if logs is not None:
         lines.append(f"logs = {_text(logs)}")
-    folders = {file.path.parent for file in files}
-    groups = _groups(files)
-    if not in_folders and len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
+    damaged = unreadable(files)
+    files = [file for file in files if file not in damaged]
+    names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
+    lines += [f"# left out: {_plain(' '.join(file.refusal.split()))}" for file in damaged]
+    layouts = layouts_of(files, names)
+    if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
-        lines += [f"{_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
-    recordings = dict.fromkeys(file.path.parent.name if in_folders else file.path.stem for file in files)
-    if len(recordings) < 3 and (in_folders or len(groups) == 1):
+        lines += [f"{_key(names[file.path])} = {_text(_relative(file.path, root))}" for file in files]
+    elif not in_folders and len(files) > 1:
+        lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
+        lines += [f"# {_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
+    recordings = dict.fromkeys(names.values())
+    if len(recordings) < 3 and (in_folders or single):
         lines += [
             "",
             "# [splits]                  # a recording is cut into the three parts that sysid gap needs; to keep it whole:",
         ]
         lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
-    taken: set[str] = set()
-    for group in groups:
-        lines += ["", *_stream(group, machine, taken)]
+    taken: dict[str, set[str]] = {}
+    for layout in layouts:
+        before = {signal for signal, others in taken.items() if others & layout.recordings}
+        for files_, recordings_ in layout.entries:
+            own = set(before)
+            lines += ["", *_stream(layout, files_, recordings_, machine, own)]
+            for signal in own - before:
+                taken.setdefault(signal, set()).update(layout.recordings)
     return "\n".join(lines) + "\n"
 
 
-def _groups(files: Sequence[FileSummary]) -> list[list[FileSummary]]:
-    """Files for one entry of the recipe: the same reader and suffix, and streams with the same fields."""
-    groups: dict[tuple[object, ...], list[FileSummary]] = {}
-    for file in files:
-        if file.streams:
-            table = file.reader in ("csv", "parquet", "mat")
-            content = tuple(("" if table else stream.name, tuple(f.name for f in stream.fields)) for stream in file.streams)
-            captured = file.streams[0].clocks and file.streams[0].clocks[0].name == "capture"
-            groups.setdefault((file.reader, file.path.suffix, () if captured else content), []).append(file)
-    return list(groups.values())
+def _relative(path: Path, root: Path | None) -> str:
+    """The path of a file for ``[recordings.files]``, as a glob below the folder of the recordings."""
+    inside = root is not None and path.is_relative_to(root)
+    return "/".join(map(escape, path.relative_to(root).parts if inside and root is not None else (path.name,)))
 
 
-def _pattern(group: Sequence[FileSummary]) -> str:
-    """A glob for the files of a group: the name itself, or the common prefix of the names."""
-    names = sorted({file.path.name for file in group})
-    if len(names) == 1:
-        return names[0]
-    same = (len(set(letters)) == 1 for letters in zip(*names, strict=False))
-    front = names[0][: sum(1 for _ in takewhile(bool, same))]
-    return f"{front if len(front) > 2 else ''}*{group[0].path.suffix}"
+def _sure(file: FileSummary, machine: Machine | None) -> set[str]:
+    """Signals that are recognised in the names of the fields of a file."""
+    found = set()
+    for stream in file.streams if machine is not None else ():
+        topic = "" if file.reader in TABLES else stream.name
+        for field in stream.fields:
+            signal, sure = _signal(topic, field, machine, stream.kind)
+            found |= {signal} if sure else set()
+    return found
 
 
-def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
-    file = group[0]
+def _stream(layout: Layout, pattern: str, recordings: Sequence[str], machine: Machine | None, taken: set[str]) -> Iterator[str]:
+    file = layout.whole
     by_suffix = next((r.name for r in READERS if file.path.suffix.lower() in r.suffixes), None)
     clocks = [clock.name for clock in file.streams[0].clocks]
     captured = clocks[:1] == ["capture"]
     yield "[[streams]]"
     if file.reader in ("can", "mf4"):
         yield '# dbc = "<file>.dbc"          # database of the CAN frames: inspect again with --dbc'
-    yield f"files = {_text(_pattern(group))}"
+    yield f"files = {_text(pattern)}{_found(layout)}"
+    if recordings:
+        yield f"recordings = [{', '.join(map(_text, recordings))}]   # other recordings have other fields in such files"
     if by_suffix != file.reader:
         yield f"reader = {_text(file.reader)}"
+    if file.columns:
+        yield "# The file has no header row: columns are numbered here. Better names may be given, also below."
+        yield f"columns = [{', '.join(map(_text, file.columns))}]"
     first = {clock.name for stream in file.streams for clock in stream.clocks[:1]}
     if len(first) > 1:
         every = [clock for clock in clocks if all(clock in {c.name for c in stream.clocks} for stream in file.streams)]
@@ -110,9 +125,14 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
         yield f"clock = {_text(clocks[0])}{others}"
     else:
         yield '# time = "<column>"          # the column of the time; time_unit = "ms" where it is not in seconds'
+        yield "# rate_hz = <rate>           # or, where no column has the time, the rate of evenly spaced rows [Hz]"
     yield f'domain = "{"mocap" if captured else "machine"}"   # the device of that clock; any other name for another device'
     for key, value in file.stated.items():
-        yield f"{key} = {_text(value)}   # not stated in the file: check it"
+        if key == "time_unit" and file.time_units:
+            units = " or ".join(unit.unit for unit in file.time_units)
+            yield f'time_unit = "<{units}>"   # not stated in the file: {" or ".join(map(str, file.time_units))}'
+        else:
+            yield f"{key} = {_text(value)}   # not stated in the file: check it"
     bodies = [stream for stream in file.streams if captured and _is_body(stream)]
     markers = [stream for stream in file.streams if captured and _is_marker(stream)]
     if bodies or markers:
@@ -123,8 +143,15 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
         yield from _signals(file, rest, machine, taken)
 
 
+def _found(layout: Layout) -> str:
+    """A comment on number and form of the files of a layout."""
+    count = f"{len(layout.files)} files; ranges are those of all" if len(layout.files) > 1 else ""
+    text = "; ".join(filter(None, (count, *layout.whole.remarks)))
+    return f"   # {_plain(text)}" if text else ""
+
+
 def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
-    tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in ("csv", "parquet", "mat")
+    tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES
     for stream in streams:
         moving = [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
         if not tables:
@@ -149,12 +176,25 @@ def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str, t
         entry += ["zero = <neutral>", "span = <from neutral to full>"]
         sure = False
     elif field.unit is None and not signal.endswith(".command") and not kind.startswith(_SI_PACKAGES):
-        entry.append('unit = "<unit>"')
-        sure = False
+        stated = _unit_in_name(field.name)
+        entry.append(f"unit = {_text(stated or '<unit>')}")
+        sure = sure and stated is not None
     sure = sure and signal not in taken
     if sure:
         taken.add(signal)
     return f"{'' if sure else '# '}{_text(signal)} = {{ {', '.join(entry)} }}   # {note}"
+
+
+def _unit_in_name(name: str) -> str | None:
+    """The unit in parentheses at the end of a name, ``Boom (mm)``; None where there is none."""
+    match = re.search(r"\(([^()]{1,12})\)\s*$", name)
+    if match is None:
+        return None
+    try:
+        si_factor(match[1])
+    except InputError:
+        return None
+    return match[1]
 
 
 def _actuation(signal: str, machine: Machine) -> str:

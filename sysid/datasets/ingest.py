@@ -14,12 +14,13 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks.records import Alignment, KnownSkew, RecordingClocks, aligned, by_source, machine_times
-from sysid.datasets.discover import RecordingFiles, discover, unmatched
+from sysid.datasets.discover import RecordingFiles, check_recordings, check_sources, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
+from sysid.datasets.rates import rate_notes
 from sysid.datasets.recipe import IngestRecipe, Splits
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
@@ -76,6 +77,8 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
 
     report(0.0, "reading file names")
     found = discover(plan.roots, rules)
+    check_recordings(found, rules, plan.where)
+    check_sources(found, rules, plan.where)
     sources = sources_of(found)
     digest = digest_of({**content_of(sources, rules), "machine": description.files()})
     store = Store(workspace)
@@ -181,7 +184,8 @@ def read_and_align(
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     omitted = [f"left out: {error}" for error in alignment.refused.values()]
-    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *omitted)
+    rates = rate_notes(found, readings, plan.machine.rate_hz)
+    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 

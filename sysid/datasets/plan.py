@@ -118,7 +118,7 @@ def settings_of(plan: Plan) -> dict[str, Any]:
     """Settings of resampling, for the lineage."""
     rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     streams = {
-        stream.files: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}
+        stream.key: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}
         for stream in rules.streams
     }
     still = {"still_seconds": rules.still.seconds, "still_tolerance": rules.still.tolerance} if rules.recordings.poses else {}
@@ -126,10 +126,10 @@ def settings_of(plan: Plan) -> dict[str, Any]:
 
 
 def shared_mounts(found: Sequence[RecordingFiles], mounts: Mounts) -> dict[str, dict[str, Any]]:
-    """Files of a stream → body → mount, where one reference pose holds for all recordings."""
+    """Entry of the recipe → body → mount, where one reference pose holds for all recordings."""
     shared: dict[str, dict[str, Any]] = {}
     for files in found:
         for _, stream in files.streams:
             if stream is not None and stream.bodies and stream.reference is not None and stream.reference.recording is not None:
-                shared[stream.files] = {body: pose.tolist() for body, pose in mounts[files.name, stream.files].items()}
+                shared[stream.key] = {body: pose.tolist() for body, pose in mounts[files.name, stream.key].items()}
     return shared

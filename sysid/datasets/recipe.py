@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
 from sysid.config import Strict, inside, parse_settings, settings_text, toml_values
-from sysid.errors import SettingsError, nearest
+from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.readers import reader_named
+from sysid.logs.time_unit import SECONDS
 from sysid.machine import Machine
 from sysid.names import check_file_name
 from sysid.numbers import Factor, Finite, Interval, NonNegative, Positive, Rate, Raw
 from sysid.signals import POINTS, split_signal
+from sysid.units import si_factor
 
 
 @dataclass(frozen=True)
@@ -100,9 +103,11 @@ class StreamMap(Strict):
 
     Args:
         files: glob inside the recording's folder.
+        recordings: globs of the recordings to which the entry applies; empty: all.
         clock: the stamps to use; None: the reader's first.
         domain: the device whose clock that is. All others are aligned to ``machine``.
-        time, time_unit, rate_hz, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
+        time, time_unit, rate_hz, delimiter, decimal, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
+        columns: names of the columns of a CSV file without a header row, or instead of its own.
         dbc: database of a CAN log, relative to the recipe; the absolute path once the recipe has been read.
         interpolation: between samples of measured signals; commands are held.
         max_gap_s: gaps longer than this stay empty; None: three sample periods.
@@ -112,12 +117,16 @@ class StreamMap(Strict):
     """
 
     files: str
+    recordings: tuple[str, ...] = ()
     reader: str | None = None
     clock: str | None = None
     domain: str = "machine"
     time: str | None = None
-    time_unit: str = "s"
+    time_unit: str | None = None
     rate_hz: Rate | None = None
+    columns: tuple[str, ...] = ()
+    delimiter: Literal[",", ";", "\t", "|", " "] | None = None
+    decimal: Literal[".", ","] | None = None
     length_unit: str | None = None
     rotation: str | None = None
     dbc: str | None = None
@@ -131,6 +140,15 @@ class StreamMap(Strict):
     points: dict[str, PointMap] = field(default_factory=dict)
     reference: Reference | None = None
     survey: Survey | None = None
+
+    @property
+    def key(self) -> str:
+        """The entry in messages and in a version: its glob, and its recordings where it states them."""
+        return f"{self.files} in {', '.join(self.recordings)}" if self.recordings else self.files
+
+    def applies_to(self, recording: str) -> bool:
+        """Whether the entry maps files of ``recording``."""
+        return not self.recordings or any(fnmatchcase(recording, pattern) for pattern in self.recordings)
 
 
 @dataclass(frozen=True)
@@ -190,6 +208,11 @@ def load_recipe(path: Path) -> IngestRecipe:
     """
     text = settings_text(path)
     recipe = _checked(toml_values(text, path), text, path)
+    for stream in recipe.streams:
+        if "/" in stream.files:
+            folder, _, name = stream.files.rpartition("/")
+            remedy = f'Write `files = "{name}"` and `recordings = ["{folder}"]`.'
+            raise SettingsError(f"{path}: streams {stream.files!r}: files", "a folder", "a glob of file names", remedy)
     for key in ("machine", "logs"):
         value = getattr(recipe, key)
         if value is not None:
@@ -248,6 +271,13 @@ def _check_stream(stream: StreamMap, recipe: object) -> None:
         reader = reader_named(stream.reader, where)
         if stream.clock is not None and stream.clock not in reader.clocks:
             raise SettingsError(where, f"unknown clock {stream.clock!r}", nearest(stream.clock, reader.clocks))
+    if stream.time_unit is not None:
+        _check_time_unit(stream.time_unit, f"{where}: time_unit")
+    if len({*stream.columns}) < len(stream.columns):
+        twice = next(name for name in stream.columns if stream.columns.count(name) > 1)
+        raise SettingsError(f"{where}: columns", f"{twice!r} twice", "a name for each column")
+    if stream.decimal is not None and stream.decimal == stream.delimiter:
+        raise SettingsError(where, f"{stream.decimal!r} as `decimal` and as `delimiter`", "two different marks")
     if stream.rate_hz is not None and stream.time is not None:
         raise SettingsError(where, "both `time` and `rate_hz`", "a time column, or the rate of evenly spaced rows [Hz]")
     for point, entry in stream.points.items():
@@ -270,21 +300,21 @@ def _check_stream(stream: StreamMap, recipe: object) -> None:
             raise SettingsError(f"{where}: marker_sets.{body}", f"markers {list(markers)}", "at least three different ones")
 
 
+def _check_time_unit(unit: str, where: str) -> None:
+    try:
+        si = si_factor(unit, where)[1]
+    except InputError as error:
+        remedy = "Fill in the unit." if "<" in unit else "Correct the unit."
+        raise SettingsError(where, error.found, nearest(unit, SECONDS), remedy) from None
+    if si != "s":
+        raise SettingsError(where, f"{unit!r}, a unit of [{si}]", nearest(unit, SECONDS), "Correct the unit.")
+
+
 def check_against_machine(recipe: IngestRecipe, machine: Machine, where: object) -> None:
-    """Raise SettingsError where the recipe names an unknown signal, link or axis of the machine, or two primary sources."""
-    primary: dict[str, str] = {}
+    """Raise SettingsError where the recipe names an unknown signal, link or axis of the machine."""
     for stream in recipe.streams:
-        for signal, mapping in stream.signals.items():
+        for signal in stream.signals:
             _check_signal(signal, machine, f"{where}: streams {stream.files!r}")
-            if mapping.primary and signal not in stream.secondary:
-                if signal in primary:
-                    raise SettingsError(
-                        where,
-                        f"two primary sources for {signal!r}: {primary[signal]!r} and {stream.files!r}",
-                        "one primary source",
-                        "Set `primary = false` on the other one.",
-                    )
-                primary[signal] = stream.files
         for signal in stream.secondary:
             _check_signal(signal, machine, f"{where}: streams {stream.files!r}: secondary")
         for axis in stream.reference.joints if stream.reference else ():

@@ -1,11 +1,12 @@
-"""CSV: one header row, one time column, numbers; an empty cell is a missing value. Comma, semicolon or tab.
+"""CSV: one header row, one time column, numbers; an empty cell is a missing value.
 
-Cells that hold a list, ``"[0.1, 0.2]"`` under ``positions``, become columns of their own: ``positions[0]``, ``positions[1]``.
+Delimiter, decimal mark, encoding, a row of units and remarks are found from the first rows (:mod:`sysid.logs.dialect`). Every
+row has as many cells as the header; empty ones at its end do not count. Cells that hold a list, ``"[0.1, 0.2]"`` under
+``positions``, become columns of their own: ``positions[0]``, ``positions[1]``.
 """
 
 from __future__ import annotations
 
-import csv as csv_module
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +17,13 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError
+from sysid.logs.dialect import REMARKS, STAMP, Dialect, find_dialect, without_line_end
 from sysid.logs.growing import GrowingArray
-from sysid.logs.limits import MAX_LINE, Budget
+from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions
+from sysid.logs.row_lines import RowLines
 from sysid.logs.stream import Stream
-from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks, without_line_end
+from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks
 from sysid.units import split_header
 
 #: Lists that are parsed at a time.
@@ -40,34 +43,43 @@ class CsvReader:
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         columns, losses = self.columns(path, options)
-        known = () if options.columns is None else _header(path, options.budget_of(path, _WHAT, None))[0]
+        known = () if options.columns is None else self.dialect(path, options).headers
         return (table_stream(path, columns, options, losses, known=known),)
 
+    def dialect(self, path: Path, options: ReadOptions = ALL) -> Dialect:
+        """The form of the file, also of one without a header row."""
+        return find_dialect(path, options, options.budget_of(path, _WHAT, None))
+
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Header → values of the wanted columns, in the order of the file, and the losses."""
+        """Header → values of the wanted columns, in the order of the file, and the losses.
+
+        Raises:
+            InputError: no header row, or a row with more or fewer cells than it.
+        """
         budget = options.budget_of(path, _WHAT, None)
-        headers, separator, skipped = _header(path, budget)
+        dialect = self.dialect(path, options)
+        dialect.check_named(path)
+        headers = dialect.headers
         wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
         likely = min(_expected_rows(path), budget.rows)
-        cells = {i: _Cells(f"{path}: {headers[i]}", budget, GrowingArray(np.nan, expected=likely)) for i in wanted}
+        cells = {
+            i: _Cells(f"{path}: {headers[i]}", budget, dialect.decimal, GrowingArray(np.nan, expected=likely)) for i in wanted
+        }
         rows = 0
-        losses = [f"{path.name}: {CUT_ROW}"] if without_line_end(path) else []
-        for table in _pieces(path, len(headers), separator, skipped, options.progress):
-            longer = np.flatnonzero(table[len(headers)].notna().to_numpy())
-            if len(longer):
-                where, expected = f"{path}: row {rows + int(longer[0]) + 1} below the header", "as many cells as the header has"
-                raise InputError(where, f"more than {len(headers)} cells", expected, "Repair the row.")
+        checked = _CheckedRows(path, dialect)
+        cut = without_line_end(path, dialect.encoding)
+        for table in checked.tables(_pieces(path, dialect, cut, options.progress)):
             for index, column in cells.items():
                 column.take(table[index])
             rows += len(table)
             scratch.leave()
+        losses = [f"{path.name}: {CUT_ROW}"] if cut and rows else []
+        losses += [f"{path.name}: {loss}" for loss in checked.losses]
         columns: list[tuple[str, npt.NDArray[np.float64]]] = []
-        if not rows:
-            losses = []
         for index, column in cells.items():
             header = headers[index]
+            name, unit = split_header(header)
             if column.are_lists:
-                name, unit = split_header(header)
                 suffix = "" if unit is None else f" [{unit}]"
                 columns += [(f"{name}[{i}]{suffix}", element.whole(rows)) for i, element in enumerate(column.elements)]
                 for element, count in sorted(column.damaged.items()):
@@ -75,10 +87,12 @@ class CsvReader:
                 continue
             numbers = column.numbers.whole(rows)
             if column.text and np.isnan(numbers).all():
+                if name in (options.columns or ()) or name == options.time:
+                    raise _no_numbers(path, header, column.example, dialect)
                 continue  # a column of labels
             if column.text:
                 losses.append(f"{path.name}: column {header!r}: {column.text} cells are not numbers")
-            columns.append((header, numbers))
+            columns.append((f"{name} [s]" if column.stamps else header, numbers))
         return columns, tuple(losses)
 
 
@@ -90,17 +104,32 @@ def _is_read(header: str, options: ReadOptions) -> bool:
     return any(wanted.startswith(f"{name}[") for wanted in options.columns or ())
 
 
+def _no_numbers(path: Path, header: str, example: str, dialect: Dialect) -> InputError:
+    remedy = "Choose another column in the recipe."
+    if example[:1].isdigit():
+        marks = {".": "points", ",": "commas"}
+        remedy = (
+            f"Decimals are read as {marks[dialect.decimal]} here: state `decimal` in the recipe if that is wrong; write a date "
+            "with time as in ISO 8601 (2026-03-01T12:00:00.5)."
+        )
+    return InputError(f"{path}: column {header!r}", f"text, for example {example!r}", "numbers", remedy)
+
+
 @dataclass
 class _Cells:
     """One column while it is read. ``text``: cells that are no numbers, ``listed`` of them in chunks of only lists."""
 
     where: str
     budget: Budget
+    decimal: str
     numbers: GrowingArray
     text: int = 0
     listed: int = 0
     filled: int = 0
     rows: int = 0
+    #: The first cell that is no number, and the number of cells that are dates with time or times of the day.
+    example: str = ""
+    stamps: int = 0
     #: Of lists: the values of each element, and element → how many of them are no numbers.
     elements: list[GrowingArray] = field(default_factory=list)
     damaged: dict[int, int] = field(default_factory=dict)
@@ -109,8 +138,18 @@ class _Cells:
         """The next rows."""
         filled = cells.notna().to_numpy()
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
+        bad = np.isnan(numbers) & filled
+        text = int(np.count_nonzero(bad))
+        if text:
+            first = str(cells.iloc[int(np.argmax(bad))]).strip()
+            if STAMP.fullmatch(first):
+                numbers = _seconds(cells, first, self.decimal)
+                left = int(np.count_nonzero(np.isnan(numbers) & filled))
+                self.stamps += text - left
+                text = left
+            if text and not self.example:
+                self.example = first
         self.numbers.extend(numbers)
-        text = int(np.count_nonzero(np.isnan(numbers) & filled))
         self.text += text
         self.filled += int(np.count_nonzero(filled))
         if text and _are_lists(cells):
@@ -143,6 +182,116 @@ class _Cells:
             self.elements[element].put(slice(first, first + len(numbers)), numbers)
 
 
+@dataclass
+class _CheckedRows:
+    """Chunks of rows without remarks, empty rows and repeated headers; a row with too few or too many cells is refused."""
+
+    path: Path
+    dialect: Dialect
+    losses: list[str] = field(default_factory=list)
+    _first: int = 0
+    _repeated: int = 0
+    _lines: RowLines | None = None
+
+    def tables(self, pieces: Iterator[tuple[pd.DataFrame, bool]]) -> Iterator[pd.DataFrame]:
+        """The chunks of ``pieces``, each with True where it is the last."""
+        while True:
+            try:
+                piece, last = next(pieces, (None, True))
+            except pd.errors.ParserError as error:
+                raise self._unparsed(error) from None
+            if piece is None:
+                break
+            keep = self._kept(piece)
+            self._check(piece, keep, last)
+            self._first += len(piece)
+            yield piece if keep.all() else piece[keep]
+        if self._repeated:
+            self.losses.append(f"the header is repeated in {self._repeated} rows: left out")
+
+    def _kept(self, table: pd.DataFrame) -> npt.NDArray[np.bool_]:
+        """False for remarks and repeated headers."""
+        keep = np.ones(len(table), dtype=bool)
+        first = table[0]
+        if not len(table) or pd.api.types.is_numeric_dtype(first):
+            return keep
+        text = first.astype(str)
+        keep &= ~text.str.startswith(REMARKS).to_numpy(dtype=bool)
+        cells = self.dialect.cells
+        if cells and cells[0]:
+            for row in np.flatnonzero((text.str.strip() == cells[0]).to_numpy(dtype=bool)):
+                if all(str(table.iat[row, i]).strip() == cell for i, cell in enumerate(cells) if cell and i < table.shape[1]):
+                    keep[row] = False
+                    self._repeated += 1
+        return keep
+
+    def _check(self, table: pd.DataFrame, keep: npt.NDArray[np.bool_], last: bool) -> None:
+        """Drop empty rows, and refuse rows that are too long or too short.
+
+        The parser fills a short row up, so that its last cell is missing. Only then the lines are read a second time.
+        """
+        width = len(self.dialect.headers)
+        longer = table[list(range(width, table.shape[1]))].notna().any(axis=1).to_numpy() & keep
+        doubtful = longer | (table[width - 1].isna().to_numpy() & keep) if width > 1 else longer
+        if not doubtful.any():
+            return
+        rows = np.flatnonzero(doubtful)
+        empty = rows[table.iloc[rows].isna().all(axis=1).to_numpy()]
+        keep[empty] = False
+        doubtful[empty] = False
+        if not doubtful.any():
+            return
+        if self._lines is None:
+            self._lines = RowLines(self.path, self.dialect)
+        lines, counts = self._lines.between(self._first, self._first + len(table))
+        count = len(lines)
+        short = (counts < width) & doubtful[:count]
+        bad = np.flatnonzero(longer[:count] | short)
+        if not len(bad):
+            return
+        row = int(bad[0])
+        usual = self.dialect.width == width
+        if usual and last and len(bad) == 1 and row == len(table) - 1 and short[row]:
+            keep[row] = False
+            self.losses.append(f"line {lines[row]}, the last row, has {counts[row]} of {width} values and may be cut: left out")
+            return
+        raise self._ragged(int(lines[row]), int(counts[row]))
+
+    def _unparsed(self, error: pd.errors.ParserError) -> InputError:
+        """The first row that is too long for the parser, else what the parser states."""
+        lines, width = RowLines(self.path, self.dialect), len(self.dialect.headers)
+        for line, count in lines:
+            if count > width + 1:
+                return self._ragged(line, count)
+        expected = "rows with as many cells as the header has"
+        return InputError(self.path, f"not readable as CSV ({' '.join(str(error).split())})", expected, "Export the log again.")
+
+    def _ragged(self, line: int, count: int) -> InputError:
+        header, width = self.dialect.header_line, len(self.dialect.headers)
+        names = f"the header in line {header} has names" if header else "the recipe's `columns` has names"
+        expected = f"{width}, as many as {names}"
+        if count != self.dialect.width:
+            remedy = "Repair or remove the line. Where the logger writes other columns from there on, cut the file there."
+        elif count > width and self.dialect.delimiter == ",":
+            remedy = "Most rows are like this. Is the decimal mark a comma, too? Then export with another delimiter; else name "
+            remedy += "the columns in the recipe: `columns = [...]`."
+        else:
+            remedy = "Most rows are like this: repair the header, or name the columns in the recipe: `columns = [...]`."
+        return InputError(f"{self.path}: line {line}", f"{count} value{'s' if count != 1 else ''}", expected, remedy)
+
+
+def _seconds(cells: pd.Series, first: str, decimal: str) -> npt.NDArray[np.float64]:
+    """Dates with time (ISO 8601, UTC where no zone is given) as Unix time, or times of the day [s]; NaN for other text."""
+    text = cells.astype("str").str.strip()
+    if decimal == ",":
+        text = text.str.replace(",", ".", regex=False)
+    if "-" not in first:
+        return pd.to_timedelta(text, errors="coerce").dt.total_seconds().to_numpy(dtype=np.float64)
+    stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+    epoch = pd.Timestamp(0, tz="UTC")
+    return ((stamps - epoch) / pd.Timedelta(1, "s")).to_numpy(dtype=np.float64)
+
+
 def _expected_rows(path: Path) -> int:
     """Estimated number of rows, from the line ends in samples of the file."""
     size = path.stat().st_size
@@ -155,18 +304,20 @@ def _expected_rows(path: Path) -> int:
     return int(_MARGIN * size * lines / max(1, read)) + 1
 
 
-def _pieces(path: Path, width: int, separator: str, skipped: int, progress: Callable[[float], None]) -> Iterator[pd.DataFrame]:
-    """The rows in chunks, numbered from 0, without a last one that may be cut."""
+def _pieces(path: Path, dialect: Dialect, cut: bool, progress: Callable[[float], None]) -> Iterator[tuple[pd.DataFrame, bool]]:
+    """The rows in chunks, numbered from 0, each with True where it is the last; without a last row that may be ``cut``."""
     before: pd.DataFrame | None = None
+    cells = max(len(dialect.headers) + 1, dialect.longest_remark)
     for chunk in text_chunks(
-        path, width + 1, progress, "not readable as CSV", "rows with as many cells as the header has",
-        sep=separator, skiprows=skipped, skipinitialspace=True, na_values=["", "NaN", "nan", "None"],
+        path, cells, progress, None, "rows with as many cells as the header has",
+        dialect.encoding, dialect.offset, sep=dialect.separator, decimal=dialect.decimal, skipinitialspace=True,
+        na_values=["", "NaN", "nan", "None", "-", "--"],
     ):  # fmt: skip
         if before is not None:
-            yield before
+            yield before, False
         before = chunk
     if before is not None:
-        yield before.iloc[:-1] if without_line_end(path) else before
+        yield before.iloc[:-1] if cut else before, True
 
 
 def _are_lists(column: pd.Series) -> bool:
@@ -175,20 +326,3 @@ def _are_lists(column: pd.Series) -> bool:
         return False
     cells = column.dropna().astype(str).str.strip()
     return len(cells) > 0 and bool((cells.str.startswith("[") & cells.str.endswith("]")).all())
-
-
-def _header(path: Path, budget: Budget) -> tuple[list[str], str, int]:
-    """The header cells, the separator, and how many physical lines come before the first row of data."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            for number, line in enumerate(iter(lambda: file.readline(MAX_LINE), ""), start=1):
-                if len(line) == MAX_LINE:
-                    raise InputError(path, f"a line of more than {MAX_LINE} letters", "one header row", "Is it a CSV file?")
-                if line.strip() and not line.lstrip().startswith("#"):
-                    separator = max((",", ";", "\t"), key=line.count)
-                    budget.check_columns(path, line.count(separator) + 1)
-                    cells = next(csv_module.reader([line], delimiter=separator, skipinitialspace=True))
-                    return [cell.strip() or f"column {i + 1}" for i, cell in enumerate(cells)], separator, number
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"not UTF-8 text ({error.reason})", "a CSV file in UTF-8") from None
-    raise InputError(path, "no header row", _WHAT, "Export the log again.")

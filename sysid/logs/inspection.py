@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -13,11 +13,13 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.confined import confined
+from sysid.logs.csv import CsvReader
 from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
 from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
+from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
@@ -28,7 +30,7 @@ _HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.
 
 @runtime_checkable
 class _TableReader(Protocol):
-    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]: ...
+    def columns(self, path: Path, options: ReadOptions) -> tuple[Columns, tuple[str, ...]]: ...
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,15 @@ class StreamSummary:
 
 @dataclass(frozen=True)
 class FileSummary:
-    """One log file. ``stated``: keys that a recipe has to state, with assumed values; ``refusal``: why it is not read."""
+    """One log file.
+
+    Args:
+        stated: keys that a recipe has to state, with assumed values.
+        refusal: why it is not read.
+        remarks: what was found about the form of a text table, as sentences.
+        columns: names of the columns of a table without a header row, which a recipe has to state.
+        time_units: plausible units of the time, where nothing decides between them.
+    """
 
     path: Path
     reader: str
@@ -90,14 +100,23 @@ class FileSummary:
     losses: tuple[str, ...] = ()
     stated: Mapping[str, str] = field(default_factory=dict)
     refusal: str = ""
+    remarks: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    time_units: tuple[TimeUnit, ...] = ()
 
 
 #: Types that return from the process in which a file is read.
-_SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary)
+_SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary, TimeUnit)
 
 
-def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None) -> FileSummary:
-    """Summary of a file; one that cannot be read has a refusal. ``dbc``: the database of a CAN log.
+def inspect_file(
+    path: Path, reader: str | None = None, dbc: Path | None = None, expected_hz: float | None = None
+) -> FileSummary:
+    """Summary of a file; one that cannot be read has a refusal.
+
+    Args:
+        dbc: the database of a CAN log.
+        expected_hz: rate of the machine [Hz], which may decide between units of time.
 
     Raises:
         InputError: no such file, or no reader for its suffix.
@@ -109,34 +128,40 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
     size = path.stat().st_size
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
-        return confined(lambda report: inspect_here(path, chosen, dbc), path, budget, _SUMMARIES)
+        return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget, _SUMMARIES)
     except InputError as error:
         return FileSummary(path, chosen.name, size, refusal=str(error))
     except PermissionError:
         return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
 
 
-def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None) -> FileSummary:
+def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expected_hz: float | None = None) -> FileSummary:
     """:func:`inspect_file` by the reader ``chosen`` in this process, without protection against crashes of a library."""
-    size = path.stat().st_size
-    stated: dict[str, str] = {}
+    summary = FileSummary(path, chosen.name, path.stat().st_size)
     try:
-        stated = _unstated(path, chosen)
-        streams = chosen.read(path, _preview(stated, dbc))
+        if isinstance(chosen, CsvReader):
+            dialect = chosen.dialect(path)
+            names = () if dialect.named else dialect.headers
+            summary = replace(summary, remarks=dialect.remarks, columns=names)
+        stated, units = _unstated(path, chosen, summary.columns, expected_hz)
+        summary = replace(summary, stated=stated, time_units=units if len(units) > 1 else ())
+        streams = chosen.read(path, _preview(summary, dbc))
         if "length_unit" in stated and (likely := _likely_unit(streams)) != stated["length_unit"]:
-            stated["length_unit"] = likely
-            streams = chosen.read(path, _preview(stated, dbc))
+            summary = replace(summary, stated={**stated, "length_unit": likely})
+            streams = chosen.read(path, _preview(summary, dbc))
     except InputError as error:
-        return FileSummary(path, chosen.name, size, _bare(path, chosen), stated=stated, refusal=str(error))
+        return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=str(error))
     except PermissionError:
-        return FileSummary(path, chosen.name, size, stated=stated, refusal=f"{path}: may not be read (permission denied)")
+        return replace(summary, refusal=f"{path}: may not be read (permission denied)")
     losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
-    return FileSummary(path, chosen.name, size, tuple(summarise(stream) for stream in streams), losses, stated)
+    return replace(summary, streams=tuple(summarise(stream) for stream in streams), losses=losses)
 
 
-def _preview(stated: Mapping[str, str], dbc: Path | None) -> ReadOptions:
+def _preview(summary: FileSummary, dbc: Path | None) -> ReadOptions:
+    stated = summary.stated
     return ReadOptions(
         preview=True,
+        header=summary.columns,
         time=stated.get("time"),
         time_unit=stated.get("time_unit", "s"),
         length_unit=stated.get("length_unit"),
@@ -153,31 +178,34 @@ def _likely_unit(streams: Iterable[Stream]) -> str:
     return "m" if reach < 50.0 else "cm" if reach < 1000.0 else "mm"
 
 
-def _bare(path: Path, reader: LogReader) -> tuple[StreamSummary, ...]:
+def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[StreamSummary, ...]:
     """The columns of a table without a time column."""
     if not isinstance(reader, _TableReader):
         return ()
     try:
-        columns, _ = reader.columns(path)
+        columns, _ = reader.columns(path, ReadOptions(header=header))
     except InputError:
         return ()
     fields = tuple(_field(name, values, None) for name, values in columns)
     return (StreamSummary(path.stem, "", len(columns[0][1]), (), fields),) if columns else ()
 
 
-def _unstated(path: Path, reader: LogReader) -> dict[str, str]:
-    """Keys that a recipe has to state for this file, with likely values."""
+def _unstated(
+    path: Path, reader: LogReader, header: tuple[str, ...], expected_hz: float | None
+) -> tuple[dict[str, str], tuple[TimeUnit, ...]]:
+    """Keys that a recipe has to state for this file, with likely values, and the plausible units of its time."""
     if reader.name == "motive":
-        return unstated(path)
+        return unstated(path), ()
     if not isinstance(reader, _TableReader):
-        return {}
-    columns, _ = reader.columns(path)
-    guess = guess_time(columns)
+        return {}, ()
+    columns, _ = reader.columns(path, ReadOptions(header=header))
+    guess = guess_time(columns, expected_hz)
     if guess is None:
-        return {}
-    name, unit = guess
-    stated = {} if name in TIME_NAMES else {"time": name}
-    return {**stated, "time_unit": unit} if unit != "s" else stated
+        return {}, ()
+    stated = {} if guess.name in TIME_NAMES else {"time": guess.name}
+    if guess.units and (len(guess.units) > 1 or guess.units[0].unit != "s"):
+        stated["time_unit"] = guess.units[0].unit
+    return stated, guess.units
 
 
 def summarise(stream: Stream) -> StreamSummary:

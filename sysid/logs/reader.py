@@ -23,8 +23,11 @@ class ReadOptions:
         preview: read all stamps of a bag, but only the values of the first messages of each topic.
         seconds: a reader may skip everything later than this after the first stamp [s].
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
-        time_unit: unit of that column.
+        time_unit: unit of that column; None: that of its header, else seconds where the rate is plausible.
+        expected_hz: rate of the machine [Hz], which decides between units of time in the error about an implausible one.
         rate_hz: sample rate of a table without stamps, whose rows are evenly spaced from zero [Hz].
+        header: names of the columns of a CSV file without a header row, or instead of its own; empty: those of the file.
+        delimiter, decimal: of a CSV file; None: found from its rows.
         length_unit: unit of positions where the file states none.
         rotation: order of Euler angles where the file does not state it (Motive), e.g. ``XYZ``.
         dbc: database (DBC) of a CAN log.
@@ -38,8 +41,12 @@ class ReadOptions:
     preview: bool = False
     seconds: float | None = None
     time: str | None = None
-    time_unit: str = "s"
+    time_unit: str | None = None
+    expected_hz: float | None = None
     rate_hz: float | None = None
+    header: tuple[str, ...] = ()
+    delimiter: str | None = None
+    decimal: str | None = None
     length_unit: str | None = None
     rotation: str | None = None
     dbc: Path | None = None

@@ -70,11 +70,19 @@ NO_LOGS: dict[str, tuple[str, str]] = {
     ".tak": ("a take of Motive", "Export it from Motive as CSV or C3D."),
     ".h5": ("an HDF5 file", "Save its tables as Parquet or CSV."),
     ".mdf": ("an MDF file of version 3", "Convert it to version 4 (.mf4)."),
-    ".json": ("no reader for '.json'", 'A list of records is read where the reader is named: `reader = "json"`.'),
-    ".log": ("no reader for '.log'", 'A candump log is read where the reader is named: `reader = "can"`.'),
+    ".json": (
+        "no log unless its reader is named",
+        'A list of records is read where the reader is named: `reader = "json"`.',
+    ),
+    ".log": (
+        "no log unless its reader is named",
+        'A candump log is read where the reader is named: `reader = "can"`.',
+    ),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), _SHEET),
     **dict.fromkeys((".zip", ".gz", ".bz2", ".xz", ".7z", ".tar", ".zst"), _PACKED),
 }
+#: Suffix → the reader that has to be named for it.
+NAMED = {".json": "json", ".log": "can"}
 NO_LOGS |= {".yml": NO_LOGS[".yaml"], ".hdf5": NO_LOGS[".h5"]}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,10 +16,14 @@ from sysid import scratch
 from sysid.errors import InputError, nearest
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
+from sysid.logs.time_unit import TimeUnit, as_unit, likely_units
 from sysid.units import si_factor, split_header
 
 #: Names under which a time column is found without a recipe, in this order.
 TIME_NAMES = ("time", "t", "Time", "timestamp")
+
+#: Rates [Hz] outside of which stamps without a unit are not taken for seconds.
+SLOWEST_HZ, FASTEST_HZ = 0.5, 50e3
 
 #: Header and values of each column.
 Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
@@ -40,36 +45,51 @@ def without_line_end(path: Path) -> bool:
 
 
 def text_chunks(
-    path: Path, cells: int, progress: Callable[[float], None], damage: str, expected: str, **settings: Any
+    path: Path,
+    cells: int,
+    progress: Callable[[float], None],
+    damage: str | None,
+    expected: str,
+    encoding: str = "utf-8-sig",
+    offset: int = 0,
+    **settings: Any,
 ) -> Iterator[pd.DataFrame]:
     """The rows of a text table in chunks, because text takes several times the memory of its numbers.
 
     Args:
         cells: in a row, one more than expected: it is empty in every row that fits.
         progress: called with the share of the file that has been read.
-        damage, expected: of the error where the table cannot be parsed.
+        damage, expected: of the error where the table cannot be parsed; None: the parser's own error is raised.
+        encoding: of the text.
+        offset: bytes before the first row.
         settings: of :func:`pandas.read_csv`.
 
     Raises:
-        InputError: rows that cannot be parsed, or not UTF-8.
+        InputError: rows that cannot be parsed, or not in this encoding.
+        ParserError: rows that cannot be parsed, without ``damage``.
     """
     size = path.stat().st_size
     try:
-        with path.open("rb") as file, pd.read_csv(
-            file, header=None, names=list(range(cells)), index_col=False, encoding="utf-8-sig", low_memory=False,
-            chunksize=max(1, CELLS // cells), **settings,
-        ) as chunks:  # fmt: skip
-            while True:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", pd.errors.ParserWarning)  # the caller checks for longer rows
-                    chunk = next(chunks, None)
-                if chunk is None:
-                    return
-                progress(min(1.0, file.tell() / size))
-                yield chunk
+        with path.open("rb") as file:
+            file.seek(offset)
+            with pd.read_csv(
+                file, header=None, names=list(range(cells)), index_col=False, encoding=encoding, low_memory=False,
+                chunksize=max(1, CELLS // cells), **settings,
+            ) as chunks:  # fmt: skip
+                while True:
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # the caller checks for longer rows
+                        chunk = next(chunks, None)
+                    if chunk is None:
+                        return
+                    progress(min(1.0, (size if file.closed else file.tell()) / size))
+                    yield chunk
     except pd.errors.EmptyDataError:
         return
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+    except (pd.errors.ParserError, UnicodeError) as error:
+        if damage is None and isinstance(error, pd.errors.ParserError):
+            raise
+        damage = damage or f"text that is not {encoding}"
         raise InputError(path, f"{damage} ({' '.join(str(error).split())})", expected) from None
 
 
@@ -114,7 +134,9 @@ def table_stream(
         stamps = scratch.computed(rows, lambda a, b: np.rint(np.arange(a, b) * step).astype(np.int64), np.int64)
     else:
         time = _time_name(path, tuple(values), options, fields)
-        factor, si = si_factor(units.pop(time, options.time_unit), path)
+        if time not in units and options.time_unit is None:
+            _check_unit(path, time, values[time], options)
+        factor, si = si_factor(units.pop(time, options.time_unit or "s"), path)
         if si != "s":
             raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
         stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
@@ -123,28 +145,53 @@ def table_stream(
     return Stream(path.stem, path, {"time": stamps}, values, units, losses, fields)
 
 
-def guess_time(columns: Columns) -> tuple[str, str] | None:
-    """The time column and its unit: one with such a name, else the first increasing one; None where none increases."""
+@dataclass(frozen=True)
+class TimeGuess:
+    """The likely time column: its name, the unit that its header states, and else the plausible ones, the likeliest first."""
+
+    name: str
+    stated: str | None
+    units: tuple[TimeUnit, ...]
+
+
+def guess_time(columns: Columns, expected_hz: float | None = None) -> TimeGuess | None:
+    """The likely time column: one with such a name, else the first increasing one; None where none increases.
+
+    ``expected_hz``: rate of the machine [Hz], which may decide between units.
+    """
     rising = {}
     for header, values in columns:
         name, unit = split_header(header)
-        steps = np.diff(values)
-        if len(values) > 1 and np.all(np.isfinite(values)) and np.all(steps >= 0.0) and np.any(steps > 0.0):
+        if len(values) > 1 and np.all(np.isfinite(values)) and _rises(values):
             rising[name] = (values, unit)
-    for name in (*TIME_NAMES, *(name for name in rising if "time" in name.lower() or "stamp" in name.lower()), *rising):
+    words = ("time", "stamp", "zeit")
+    for name in (*TIME_NAMES, *(name for name in rising if any(word in name.lower() for word in words)), *rising):
         if name in rising:
             values, unit = rising[name]
-            return name, unit or _time_unit(name, values)
+            return TimeGuess(name, unit, () if unit is not None else likely_units(values, name, expected_hz))
     return None
 
 
-def _time_unit(name: str, values: npt.NDArray[np.float64]) -> str:
-    """The unit of a Unix time since 2001 follows from its size, that of others from the name; seconds otherwise."""
-    size = float(np.median(np.abs(values)))
-    for limit, unit in ((1e18, "ns"), (1e15, "us"), (1e12, "ms")):
-        if size > limit:
-            return unit
-    return next((unit for unit in ("ns", "us", "ms") if name.lower().endswith(f"_{unit}")), "s")
+def _rises(values: npt.NDArray[np.float64]) -> bool:
+    """Whether values rise, except for few late or repeated ones."""
+    steps = np.diff(values)
+    return bool(np.any(steps > 0.0) and np.count_nonzero(steps < 0.0) <= 0.01 * len(steps))
+
+
+def _check_unit(path: Path, time: str, values: npt.NDArray[np.float64], options: ReadOptions) -> None:
+    """Raise InputError where stamps of no stated unit have no plausible rate in seconds, but in another unit."""
+    read = as_unit(values, "s")
+    if read is None or SLOWEST_HZ <= read.rate_hz <= FASTEST_HZ:
+        return
+    likely = [unit for unit in likely_units(values, time, options.expected_hz) if unit.unit != "s"]
+    if likely:
+        unit = likely[0].unit
+        raise InputError(
+            f"{path}: {time}",
+            f"stamps of no stated unit; as seconds {read.rate_hz:.3g} Hz over {read.seconds:.4g} s",
+            f"{' or '.join(map(str, likely))}",
+            f'State `time_unit = "{unit}"` in the recipe or `{time} [{unit}]` in the header; "s" if seconds are right.',
+        )
 
 
 def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.NDArray[np.int64]:

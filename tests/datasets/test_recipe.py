@@ -101,11 +101,6 @@ def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
             "[[streams]]\nfiles = 'a'\n[streams.signals]\n'bom.joint' = {field = 'x'}",
             r"unknown signal 'bom\.joint'; expected 'boom\.joint'\?",
         ),
-        (
-            "[[streams]]\nfiles = 'a'\n[streams.signals]\n'boom.joint' = {field = 'x'}\n"
-            "[[streams]]\nfiles = 'b'\n[streams.signals]\n'boom.joint' = {field = 'y'}",
-            r"two primary sources for 'boom\.joint': 'a' and 'b'.*`primary = false`",
-        ),
         ("[[streams]]\nfiles = 'a'\n[streams.bodies]\nb = 'boom'", "rigid bodies on links; expected a machine with a urdf"),
         (
             "[[streams]]\nfiles = 'a'\n[streams.reference]\nseconds = [0, 1]\njoints = {bom = 1.0}",

@@ -117,7 +117,7 @@ def test_whole_units_are_converted_without_rounding() -> None:
 def test_a_row_longer_than_the_header_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time,x\n0,1\n1,2,3\n")
-    with pytest.raises(InputError, match="row 2 below the header: more than 2 cells; expected as many cells as the header has"):
+    with pytest.raises(InputError, match="line 3: 3 values; expected 2, as many as the header in line 1"):
         read(path)
 
 
@@ -199,7 +199,7 @@ def test_json_that_is_no_log_is_refused(tmp_path: Path, text: str, message: str)
 
 
 def test_a_json_file_is_a_log_only_where_a_recipe_says_so() -> None:
-    with pytest.raises(InputError, match=r"no reader for '\.json'"):
+    with pytest.raises(InputError, match="no log unless its reader is named"):
         reader_for(Path("a.json"))
 
 
@@ -232,5 +232,5 @@ def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: 
         for (_, found), (_, expected) in zip(pieces, whole, strict=True):
             np.testing.assert_array_equal(found, expected)
     path.write_text(path.read_text("utf-8") + ",4,5,6,7\n9,9,9,9,9,9,9,9\n", "utf-8")
-    with pytest.raises(InputError, match="row 102 below the header: more than 7 cells"):
+    with pytest.raises(InputError, match="line 103: 8 values; expected 7, as many as"):
         CsvReader().columns(path)

@@ -22,7 +22,7 @@ def offset_notes(
     """A note for every ``ee`` whose surveyed offset is along the last link: its error and a link length error are equivalent.
 
     Args:
-        mounts: (recording, glob of the entry) → body → its pose on its link.
+        mounts: (recording, key of the entry) → body → its pose on its link.
     """
     kinematics = machine.kinematics()
     notes: list[str] = []
@@ -31,7 +31,7 @@ def offset_notes(
         if kinematics is None or point is None or point.body not in mapping.bodies or mapping.reference is None:
             continue
         mount = next(
-            (own[point.body] for (_, files), own in mounts.items() if files == mapping.files and point.body in own), None
+            (own[point.body] for (_, files), own in mounts.items() if files == mapping.key and point.body in own), None
         )
         if mount is None or not any(point.at):
             continue

@@ -91,6 +91,8 @@ def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
             [path] if path.is_file() else sorted(entry for pattern in ("*", "*/*", "*/*/*") for entry in path.glob(pattern))
         )
         for entry in inside:
+            if not mapping.applies_to(entry.parent.name) and path != entry:
+                continue
             meant = survey.recording is None or fnmatchcase(entry.parent.name, survey.recording) or path == entry
             if meant and entry.is_file() and fnmatchcase(entry.name, Path(mapping.files).name):
                 found.append(entry)

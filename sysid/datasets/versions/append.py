@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
-from sysid.datasets.discover import RecordingFiles, discover
+from sysid.datasets.discover import RecordingFiles, check_sources, discover
 from sysid.datasets.ingest import DESCRIBED, STORED, read_and_align
 from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
@@ -101,6 +101,7 @@ def _append(
     if not found:
         report(1.0, f"{reference} holds all of these recordings")
         return store.load(reference)
+    check_sources(found, plan.rules, plan.where)
     digest = digest_of({"base": base["digest"], "role": role, **content_of(sources, plan.rules)})
     known = store.intact(name, digest)
     if known is not None:
@@ -186,9 +187,9 @@ def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -
         rest = []
         for path, stream in files.streams:
             shared = stream is not None and stream.reference is not None and stream.reference.recording is not None
-            if stream is not None and shared and {*stream.bodies} <= {*known.get(stream.files, ())}:
-                poses = known[stream.files]
-                mounts[files.name, stream.files] = {body: np.array(poses[body], dtype=np.float64) for body in stream.bodies}
+            if stream is not None and shared and {*stream.bodies} <= {*known.get(stream.key, ())}:
+                poses = known[stream.key]
+                mounts[files.name, stream.key] = {body: np.array(poses[body], dtype=np.float64) for body in stream.bodies}
             else:
                 rest.append((path, stream))
         open_files.append(replace(files, streams=tuple(rest)))

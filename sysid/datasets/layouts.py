@@ -1,0 +1,203 @@
+"""Layouts of log files: files with the same fields, and the entries of a recipe that separate them from all others."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from glob import escape
+from itertools import combinations, takewhile
+from pathlib import Path
+
+import numpy as np
+
+from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
+
+#: Readers of files with one table, whose name is that of the file.
+TABLES = ("csv", "parquet", "mat")
+#: Files of one folder with more than this share of their names of fields in common are recordings of the same device.
+ALIKE = 0.6
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Files with the same fields.
+
+    Args:
+        files: in the order in which they were found.
+        whole: the first of them, with ranges of its fields over all.
+        entries: globs of names and of recordings (empty: all) that together match these files and no other.
+        recordings: the recordings that have such a file.
+    """
+
+    files: tuple[FileSummary, ...]
+    whole: FileSummary
+    entries: tuple[tuple[str, tuple[str, ...]], ...]
+    recordings: frozenset[str]
+
+
+def recording_names(
+    files: Sequence[FileSummary], in_folders: bool, signals: Sequence[Set[str]]
+) -> tuple[dict[Path, str], bool]:
+    """File → its recording, and whether every file is a recording of its own.
+
+    Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals. Files
+    with names that repeat in other folders (``left.csv``, ``right.csv``) are devices of one recording; numbered ones are not.
+
+    Args:
+        in_folders: there are files in sub-folders.
+        signals: of each file those that are recognised by the names of its fields.
+    """
+    folders: dict[Path, list[tuple[FileSummary, Set[str]]]] = {}
+    for file, own in zip(files, signals, strict=True):
+        folders.setdefault(file.path.parent, []).append((file, own))
+    repeated = Counter(file.path.name for file in files)
+    single = len(folders) > 1 and any(one in other.parents for one in folders for other in folders)
+    single |= not in_folders and len(files) == 1
+    for beside in folders.values():
+        for (one, its), (other, others) in combinations(beside, 2):
+            numbered = re.sub(r"\d+", "", one.path.stem) == re.sub(r"\d+", "", other.path.stem)
+            devices = not numbered and repeated[one.path.name] > 1 and repeated[other.path.name] > 1
+            apart = in_folders and not overlap(one, other)  # parts of one log
+            single |= not devices and ((_alike(one, other) and not apart) or bool(its & others))
+    if not single:
+        return {file.path: file.path.parent.name for file in files}, False
+    stems = [file.path.stem for file in files]
+    unique = len({*stems}) == len(stems)
+    return {file.path: file.path.stem if unique else f"{file.path.parent.name}-{file.path.stem}" for file in files}, True
+
+
+def layouts_of(files: Sequence[FileSummary], recordings: Mapping[Path, str]) -> list[Layout]:
+    """The layouts of all files with streams, in the order of their first files; ``recordings``: file → its recording."""
+    groups: dict[object, list[FileSummary]] = {}
+    for file in files:
+        if file.streams:
+            key = layout_key(file)
+            beside = [one for one in files if one is not file and one.streams and recordings[one.path] == recordings[file.path]]
+            device = any(layout_key(one) == key and overlap(one, file) for one in beside)  # two sensors of one kind
+            groups.setdefault((key, file.path.name if device else ""), []).append(file)
+    places = {file.path: (recordings[file.path], file.path.name) for file in files}
+    found = []
+    for group in groups.values():
+        inside = [places[file.path] for file in group]
+        outside = [places[file.path] for file in files if file not in group and file.streams]
+        found.append(Layout(tuple(group), _merged(group), _entries(inside, outside), frozenset(r for r, _ in inside)))
+    return found
+
+
+def layout_key(file: FileSummary) -> object:
+    """What files of one layout have in common: reader, suffix, fields with units, and what the recipe has to state."""
+    table = file.reader in TABLES
+    content = tuple(("" if table else s.name, tuple((f.name, f.unit) for f in s.fields)) for s in file.streams)
+    captured = file.streams[0].clocks and file.streams[0].clocks[0].name == "capture"
+    stated = (tuple(sorted(file.stated.items())), file.columns, len(file.time_units))
+    return file.reader, file.path.suffix, () if captured else content, stated
+
+
+def _alike(one: FileSummary, other: FileSummary) -> bool:
+    """Whether two files have the same layout, or most names of fields in common."""
+    if not one.streams or not other.streams or one.reader != other.reader:
+        return False
+    if layout_key(one) == layout_key(other):
+        return True
+    names, others = _field_names(one), _field_names(other)
+    return len(names & others) > ALIKE * len(names | others)
+
+
+def _field_names(file: FileSummary) -> set[str]:
+    return {field.name for stream in file.streams for field in stream.fields} - {*file.columns}
+
+
+def unreadable(files: Sequence[FileSummary]) -> tuple[FileSummary, ...]:
+    """Files that cannot be read, beside others of their format that can: damaged ones."""
+    readable = {(file.reader, file.path.suffix) for file in files if not file.refusal}
+    return tuple(file for file in files if file.refusal and (file.reader, file.path.suffix) in readable)
+
+
+def overlap(one: FileSummary, other: FileSummary) -> bool:
+    """Whether the first clocks of two files overlap in time."""
+    spans = []
+    for file in (one, other):
+        clocks = [stream.clocks[0] for stream in file.streams if stream.clocks]
+        if not clocks:
+            return True
+        first = min(clock.first_ns for clock in clocks) * 1e-9
+        spans.append((first, max(clock.first_ns * 1e-9 + clock.seconds for clock in clocks)))
+    return spans[0][0] < spans[1][1] and spans[1][0] < spans[0][1]
+
+
+def _entries(inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str]]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Globs for (recording, file name) of ``inside`` that do not match ``outside``."""
+    names, recordings = sorted({name for _, name in inside}), sorted({recording for recording, _ in inside})
+    for pattern in _patterns(names):
+        conflicting = [recording for recording, name in outside if fnmatchcase(name, pattern)]
+        if not conflicting:
+            return ((pattern, ()),)
+        if not {*conflicting} & {*recordings}:
+            return ((pattern, _separated(recordings, {*conflicting})),)
+    return tuple(entry for name in names for entry in _of_name(name, inside, outside))
+
+
+def _of_name(
+    name: str, inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str]]
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    conflicting = {recording for recording, other in outside if other == name}
+    return ((escape(name), _separated(sorted(r for r, n in inside if n == name), conflicting) if conflicting else ()),)
+
+
+def _separated(names: Sequence[str], others: set[str]) -> tuple[str, ...]:
+    """One glob for ``names`` that matches none of ``others``, else all names."""
+    for pattern in _patterns(names):
+        if not any(fnmatchcase(other, pattern) for other in others):
+            return (pattern,)
+    return tuple(map(escape, names))
+
+
+def _patterns(names: Sequence[str]) -> list[str]:
+    """Globs that match all ``names``, the shortest first: by their suffix, and by what they have in common at both ends."""
+    if len({*names}) == 1:
+        return [escape(names[0])]
+    front, back = _common(names), _common([name[::-1] for name in names])[::-1]
+    back = back[max(0, len(front) + len(back) - min(map(len, names))) :]
+    suffixes = {Path(name).suffix for name in names}
+    suffix = suffixes.pop() if len(suffixes) == 1 else ""
+    if len(front) > 2:
+        return [f"{escape(front)}*{escape(suffix)}", f"{escape(front)}*{escape(back)}"]
+    return [f"*{escape(suffix)}", f"*{escape(back)}", f"{escape(front)}*{escape(back)}"]
+
+
+def _common(texts: Sequence[str]) -> str:
+    """The letters with which all texts begin."""
+    same = (len({*letters}) == 1 for letters in zip(*texts, strict=False))
+    return texts[0][: sum(1 for _ in takewhile(bool, same))]
+
+
+def _merged(group: Sequence[FileSummary]) -> FileSummary:
+    """The first file, with streams, ranges and missing values of all."""
+    table = group[0].reader in TABLES
+    streams: dict[str, list[StreamSummary]] = {}
+    for file in group:
+        for stream in file.streams:
+            streams.setdefault("" if table else stream.name, []).append(stream)
+    return replace(group[0], streams=tuple(_merged_stream(found) for found in streams.values()))
+
+
+def _merged_stream(streams: Sequence[StreamSummary]) -> StreamSummary:
+    fields: dict[str, list[tuple[FieldSummary, int]]] = {}
+    for stream in streams:
+        for field in stream.fields:
+            fields.setdefault(field.name, []).append((field, stream.samples))
+    merged = tuple(_merged_field(found) for found in fields.values())
+    return replace(streams[0], samples=sum(stream.samples for stream in streams), fields=merged)
+
+
+def _merged_field(found: Sequence[tuple[FieldSummary, int]]) -> FieldSummary:
+    first = found[0][0]
+    lows, highs = np.array([field.low for field, _ in found]), np.array([field.high for field, _ in found])
+    if np.isnan(lows).all():
+        return first
+    samples = sum(count for _, count in found)
+    missing = sum(field.missing * count for field, count in found) / max(1, samples)
+    return replace(first, low=float(np.nanmin(lows)), high=float(np.nanmax(highs)), missing=missing)
