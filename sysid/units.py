@@ -8,8 +8,8 @@ from typing import Any
 
 from sysid.errors import InputError
 
-#: Spellings seen in log headers that the unit library does not know. A bare ``1/min`` or ``Hz`` of a shaft is a frequency, not a
-#: rate of rotation: it does not say what is counted.
+#: Spellings seen in log headers that the unit library does not know. ``1/min`` and ``Hz`` are frequencies, not rates of
+#: rotation: they do not say what is counted.
 _SPELLINGS = {
     "": "dimensionless",
     "1": "dimensionless",
