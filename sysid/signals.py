@@ -1,9 +1,9 @@
-"""Canonical signal names: ``boom.command``, ``boom.cylinder``, ``boom.joint``, ``ee.x`` …, ``tool.x`` …"""
+"""Canonical signal names: ``boom.command``, ``boom.cylinder``, ``boom.joint``, ``boom.speed``, ``ee.x`` …, ``tool.x`` …"""
 
 from __future__ import annotations
 
-#: What follows the axis name, in the order of the signal chain.
-AXIS_QUANTITIES = ("command", "cylinder", "joint")
+#: What follows the axis name, in the order of the signal chain. The speed is that of the quantity that the command drives.
+AXIS_QUANTITIES = ("command", "cylinder", "joint", "speed")
 POINTS = ("ee", "tool")
 
 

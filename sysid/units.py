@@ -8,8 +8,27 @@ from typing import Any
 
 from sysid.errors import InputError
 
-#: Spellings seen in log headers that the unit library does not know.
-_SPELLINGS = {"": "dimensionless", "1": "dimensionless", "%": "percent", "°": "degree", "N·m": "N*m", "Nm": "N*m"}
+#: Spellings seen in log headers that the unit library does not know. ``1/min`` and ``Hz`` are frequencies, not rates of
+#: rotation: they do not say what is counted.
+_SPELLINGS = {
+    "": "dimensionless",
+    "1": "dimensionless",
+    "%": "percent",
+    "°": "degree",
+    "N·m": "N*m",
+    "Nm": "N*m",
+    "°/s": "degree/s",
+    "deg/sec": "degree/s",
+    "dps": "degree/s",
+    "rad/sec": "rad/s",
+    "m/sec": "m/s",
+    "mm/sec": "mm/s",
+    "rev/min": "rpm",
+    "r/min": "rpm",
+    "U/min": "rpm",
+    "rev/s": "turn/s",
+    "turns/s": "turn/s",
+}
 
 
 @functools.cache
@@ -49,6 +68,10 @@ def _si_name(registry: Any, quantity: Any, base: Any) -> str:
         return "N"
     if base.check("[force] * [length]"):
         return "N·m"
+    if base.check("[length] / [time]"):
+        return "m/s"
+    if base.check("1 / [time]") and "radian" in str(base.units):  # a rate of rotation; a frequency stays 1/s
+        return "rad/s"
     if base.dimensionless:
         return "rad" if quantity.units in (registry.degree, registry.radian, registry.milliradian, registry.turn) else "1"
     return f"{base.units:~}"

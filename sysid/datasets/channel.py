@@ -18,6 +18,7 @@ from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
 from sysid.scratch import computed
+from sysid.signals import split_signal
 from sysid.units import si_factor
 
 
@@ -89,13 +90,17 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     return computed(len(raw), piece), unit
 
 
+#: Units of signals of an axis for which the machine description leaves rotation or translation open.
+_OPEN_UNITS = {"joint": {"rad", "m"}, "speed": {"rad/s", "m/s"}}
+
+
 def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[float, str]:
     """Factor to SI and the SI unit of ``signal``; SI where neither file nor recipe states a unit."""
     expected = machine.expected_unit(signal)
     if unit is None:
         return 1.0, expected if expected is not None else "1"
     factor, si = si_factor(unit, where)
-    allowed = {expected} if expected is not None else {"rad", "m"} if signal.endswith(".joint") else {"rad", "m", "N", "N·m"}
+    allowed = {expected} if expected is not None else _OPEN_UNITS.get(split_signal(signal)[1], {"rad", "m", "N", "N·m"})
     if si not in allowed:
         raise InputError(where, f"a unit of [{si}] ({unit})", f"a unit of [{' or '.join(sorted(allowed))}]")
     return factor, si

@@ -20,7 +20,10 @@ _WORDS = {
     "command": {"cmd", "command", "commands", "setpoint", "duty", "pwm", "reference"},
     "cylinder": {"cyl", "cylinder", "stroke", "wire", "wires", "displacement", "extension", "length"},
     "joint": {"joint", "joints", "angle", "encoder"},
+    "speed": {"speed", "speeds", "velocity", "velocities", "vel", "rpm", "omega", "qd", "tacho", "gyro"},
 }
+#: Words of a position that a rate has beside its own: the angle of a joint may be meant, or its rate ("joint velocity").
+_POSITIONS = ("cylinder", "joint")
 #: Messages of these packages are in SI (ROS REP 103).
 _SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/")
 #: Fields that change but are no signals.
@@ -206,15 +209,25 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
     words = _words(f"{topic} {field.name}")
     axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
     found = [quantity for quantity, names in _WORDS.items() if names & words]
-    if not found and kind.endswith("JointState") and field.name.startswith("position"):
-        found = ["joint"]
+    if kind.endswith("JointState"):  # its arrays say what they are, whatever words the topic and the names of joints have
+        if field.name.startswith("position") and not found:
+            found = ["joint"]
+        elif field.name.startswith("velocity"):
+            found = ["speed"]
+        elif field.name.startswith("effort"):
+            found = []
     axis = axes[0] if len(axes) == 1 else None
-    if axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
+    rate = "speed" in found and "command" not in found
+    if rate:
+        of = [quantity for quantity in found if quantity in _POSITIONS]
+        # The rate of a joint that a cylinder moves is no signal of its own; only the rate of what the command drives is.
+        found = [] if axis is not None and of and axis.drives not in of else ["speed"]
+    elif axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
         found = ["joint"]  # a wire sensor along a prismatic joint without a cylinder
     elif axis is not None and "joint" in found and "cylinder" in found:
         found = [axis.drives]
     name = axis.name if axis is not None else "<axis>"
-    quantity = found[0] if len(found) == 1 else "<command, cylinder or joint>"
+    quantity = found[0] if len(found) == 1 else "<command, cylinder, joint or speed>"
     return f"{name}.{quantity}", axis is not None and len(found) == 1
 
 

@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 #: Largest plausible noise, as a share of the range of motion (larger values are motion); least range of motion, as a share of
 #: that of the axis (a smaller range may be noise).
 PLAUSIBLE, UNMOVED = 0.01, 0.02
+#: Largest plausible noise of a speed, which is noisier than a position, as a share of its range.
+PLAUSIBLE_SPEED = 0.1
 #: Assumed noise as a share of the range: at static poses without repeats, and of a signal without scatter (a simulation, or an
 #: axis at rest).
 OF_POSES, OF_NO_SCATTER = 1e-3, 1e-6
@@ -46,8 +48,9 @@ def _from_data(dataset: Dataset, signal: str) -> float:
     moving = [r for r in recordings if r.kind == "motion"]
     span = max((_range(r.values(signal)) for r in recordings), default=0.0)
     limits = _limits(dataset.machine, signal)
-    most = PLAUSIBLE * span if span > UNMOVED * limits or limits == 0.0 else math.inf
-    found = _of_samples(dataset, signal, moving or recordings, most if moving else PLAUSIBLE * span)
+    plausible = (PLAUSIBLE_SPEED if split_signal(signal)[1] == "speed" else PLAUSIBLE) * span
+    most = plausible if span > UNMOVED * limits or limits == 0.0 else math.inf
+    found = _of_samples(dataset, signal, moving or recordings, most if moving else plausible)
     if found is None:
         found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span)
     step = reading_step([r.values(signal) for r in moving])
@@ -96,9 +99,9 @@ def _range(values: Array) -> float:
 
 
 def _limits(machine: Machine, signal: str) -> float:
-    """Range of the axis of a signal [SI]; zero if unknown, and for points."""
-    owner, _ = split_signal(signal)
-    if owner not in machine.axis_names:
+    """Range of the axis of a signal [SI]; zero if unknown, for points and for speeds."""
+    owner, quantity = split_signal(signal)
+    if owner not in machine.axis_names or quantity == "speed":
         return 0.0
     axis = machine.axis(owner)
     ends = axis.limits if signal == axis_signal(owner, "joint") else axis.range

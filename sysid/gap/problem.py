@@ -84,6 +84,24 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
     )
 
 
+def speed_problem(model: Model, axis: Axis) -> Problem:
+    """Command → rate of the driven signal: a further output of the command stage, which is reported and not fitted.
+
+    The errors of both are one disturbance of the flow, once as it is and once integrated: as two outputs with disturbances of
+    their own they would count the same evidence twice.
+    """
+    speed = axis_signal(axis.name, "speed")
+    return Problem(
+        "command",
+        axis.name,
+        (axis.name,),
+        (speed,),
+        lambda thetas, recording: model.speed(thetas, recording, axis.name)[:, :, None],
+        lambda recording: recording.values(speed)[:, None],
+        _every_row,
+    )
+
+
 def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hold: float) -> Problem:
     """Measured motion → force on a force axis, on the filtered rows of each of ``recordings``."""
     known = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in recordings}

@@ -20,12 +20,13 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
+from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Alternative, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.machine import KnownEffect
-from sysid.plant import Plant, PlantNumber, Uncertainty
+from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
 
 Array = npt.NDArray[np.float64]
 
@@ -442,16 +443,29 @@ def with_carried(gap: Gap, outcome: ProofOutcome) -> Gap:
 
 
 def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
-    """RMSE of every stage driven by its measured input, on held-out recordings."""
+    """RMSE of every stage driven by its measured input, on held-out recordings; of the speeds of command stages too."""
     before: dict[str, float] = {}
     after: dict[str, float] = {}
     floor: dict[str, float] = {}
-    for stage in stages:
-        held_out = stage.split.held_out
+    for problem, held_out in (*((s.problem, s.split.held_out) for s in stages), *_speeds(case, stages)):
         for values, scores in (
-            (before, stage_rmse(stage.problem, case.theta, held_out)),
-            (after, stage_rmse(stage.problem, repaired, held_out)),
-            (floor, problem_floor(stage.problem, repaired, held_out, case.noise, case.seed)),
+            (before, stage_rmse(problem, case.theta, held_out)),
+            (after, stage_rmse(problem, repaired, held_out)),
+            (floor, problem_floor(problem, repaired, held_out, case.noise, case.seed)),
         ):
-            values.update(zip(stage.problem.signals, map(float, scores), strict=True))
+            values.update(zip(problem.signals, map(float, scores), strict=True))
     return Gap(before, after, floor)
+
+
+def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence[Recording]]]:
+    """The speed of every command stage of a plant that held-out recordings contain, and these recordings."""
+    if case.adapter is not None:
+        return []
+    model, found = compile_plant(case.plant), list[tuple[Problem, Sequence[Recording]]]()
+    for stage in stages:
+        if stage.problem.stage == "command":
+            problem = speed_problem(model, case.plant.machine.axis(stage.problem.target))
+            measured = [r for r in stage.split.held_out if not np.isnan(problem.measured(r)).all()]
+            if measured:
+                found.append((problem, measured))
+    return found

@@ -118,7 +118,7 @@ class Machine(Strict):
         return Kinematics.from_urdf(self.urdf_text, joints=joints, tip=self.tip, tool=self.tool)
 
     def expected_unit(self, signal: str) -> str | None:
-        """SI unit of ``signal``; None if it may be rad or m (a joint without a URDF)."""
+        """SI unit of ``signal``; None if it may be rad or m (a joint without a URDF), or the rate of either."""
         owner, quantity = split_signal(signal)
         if owner in ("ee", "tool") or quantity == "cylinder":
             return "m"
@@ -126,6 +126,8 @@ class Machine(Strict):
         joint_unit = self._joint_unit(axis)
         if quantity == "joint":
             return joint_unit
+        if quantity == "speed":
+            return "m/s" if axis.drives == "cylinder" else f"{joint_unit}/s" if joint_unit is not None else None
         if axis.actuation == "velocity":
             return "1"
         if axis.actuation == "force":

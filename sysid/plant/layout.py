@@ -84,7 +84,8 @@ def axis_memory(dt: float) -> int:
 def signals_of(axis_names: Sequence[str]) -> tuple[str, ...]:
     """Signals that a sensor can measure, in the order of their blocks."""
     axes = (axis_signal(name, kind) for name in axis_names for kind in ("cylinder", "joint"))
-    return (*axes, *point_signals("ee"), *point_signals("tool"))
+    speeds = (axis_signal(name, "speed") for name in axis_names)
+    return (*axes, *point_signals("ee"), *point_signals("tool"), *speeds)
 
 
 def machine_place(axes: int) -> int:
@@ -110,7 +111,7 @@ def neutral_vector(axes: int) -> Array:
     """``theta`` of a plant without any effect, read-only and cached."""
     axis, signal = ([neutral for _, neutral in block.values()] for block in (_AXIS, _SIGNAL))
     rest = [neutral for block in (_MACHINE, _BASE, _TOOL) for _, neutral in block.values()]
-    neutral = np.array(axis * axes + rest + signal * (2 * axes + 6))
+    neutral = np.array(axis * axes + rest + signal * (3 * axes + 6))
     neutral.setflags(write=False)
     return neutral
 

@@ -19,6 +19,7 @@ from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, machine_arrays
 from sysid.plant.plant import Plant
+from sysid.plant.rate import rate_of
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
 from sysid.signals import axis_signal, point_signals
 
@@ -79,6 +80,19 @@ class Model:
         ``restart_every`` [s] resets a moving axis to its measured position at this interval, for starting values of a fit;
         its valve keeps its state.
         """
+        driven = self.machine.axis(axis).driven
+        return self.sensed(thetas, driven, self._true_drive(thetas, recording, axis, restart_every), 1.0 / recording.rate_hz)
+
+    def speed(self, thetas: Array, recording: Recording, axis: str) -> Array:
+        """Command → rate of the signal that it drives, as its sensor measures it, free-running: (lanes, n) [m/s or rad/s]."""
+        return self.sensed_rate(thetas, axis, self._true_drive(thetas, recording, axis), recording.rate_hz)
+
+    def sensed_rate(self, thetas: Array, axis: str, driven: Array, rate_hz: float) -> Array:
+        """True values of a driven signal (lanes, n) → readings of the sensor of its rate, see :mod:`sysid.plant.rate`."""
+        return self.sensed(thetas, axis_signal(axis, "speed"), rate_of(driven, rate_hz), 1.0 / rate_hz)
+
+    def _true_drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> Array:
+        """:meth:`drive` without the sensor."""
         i, about, dt = self.axis_index(axis), self.machine.axis(axis), 1.0 / recording.rate_hz
         command, segments = self.held(recording, axis)
         if restart_every is not None:
@@ -97,7 +111,7 @@ class Model:
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), len(command))
-        return self.sensed(thetas, about.driven, behind, dt)
+        return behind
 
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
         """Measured cylinder → joint through linkage, backlash and sag: (lanes, n)."""

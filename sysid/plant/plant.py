@@ -295,7 +295,8 @@ def predicted_signals(machine: Machine) -> tuple[str, ...]:
     """Signals that a plant of this machine may predict and a sensor may measure."""
     drives = (axis.driven for axis in machine.axes)
     joints = (axis_signal(name, "joint") for name in machine.axis_names)
-    return tuple(dict.fromkeys((*drives, *joints, *point_signals("ee"), *point_signals("tool"))))
+    speeds = (axis_signal(name, "speed") for name in machine.axis_names)
+    return tuple(dict.fromkeys((*drives, *joints, *point_signals("ee"), *point_signals("tool"), *speeds)))
 
 
 def effects_toml(effects: Sequence[KnownEffect]) -> str:

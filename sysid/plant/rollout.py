@@ -25,7 +25,8 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
     Start states are estimated from the first seconds of the measurement (:mod:`sysid.plant.axis_start`).
 
     Returns:
-        ``time`` and one column for each signal that the plant can predict, on the recording's rows, as its sensors read it.
+        ``time`` and one column for each signal that the plant can predict, on the recording's rows, as its sensors read it;
+        the speed of an axis where the recording contains it.
     """
     model = plant if isinstance(plant, Model) else compile_plant(plant)
     theta, dt = model.theta[None], 1.0 / recording.rate_hz
@@ -37,6 +38,10 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
             columns[axis.driven] = model.sensed(theta, axis.driven, drive[None, :, i], dt)[0]
         if not np.isnan(joints[:, i]).all():
             columns[signal] = model.sensed(theta, signal, joints[None, :, i], dt)[0]
+        speed = axis_signal(axis.name, "speed")
+        if speed in recording.signals:
+            driven = drive if axis.drives == "cylinder" else joints
+            columns[speed] = model.sensed_rate(theta, axis.name, driven[None, :, i], recording.rate_hz)[0]
     if not np.isnan(tip).all():
         points = {"ee": tip}
         if model.has_tool(model.theta, recording):

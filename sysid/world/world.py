@@ -153,7 +153,13 @@ class World:
         names = [*(axis.driven for axis in machine.axes), *joints, *points]
         table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, that of the bodies is used
         model, dt = self._stepper.model, 1.0 / self.rate_hz
-        sensed = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in self._in_order(recording)}
+        speeds = {axis_signal(axis.name, "speed"): axis for axis in machine.axes}
+        sensed = {
+            name: model.sensed_rate(model.theta[None], speeds[name].name, table[speeds[name].driven][None], self.rate_hz)[0]
+            if name in speeds
+            else model.sensed(model.theta[None], name, table[name][None], dt)[0]
+            for name in self._in_order(recording)
+        }
         return pd.DataFrame({"time": recording.values("time"), **sensed})
 
     def replay(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
@@ -326,6 +332,7 @@ class World:
         names: list[str] = []
         for axis in self.plant.machine.axes:
             names += dict.fromkeys((axis.driven, axis_signal(axis.name, "joint")))
+            names += [speed for speed in (axis_signal(axis.name, "speed"),) if speed in recording.signals]
         model = self._stepper.model
         tool = point_signals("tool") if model.has_tool(model.theta, recording) else ()
         return [*names, *point_signals("ee"), *tool]

@@ -63,13 +63,18 @@ MIN_REVERSALS = 8
 
 
 def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> tuple[Pair, ...]:
-    """Every joint or cylinder measured on both clocks, and every cylinder with its joint."""
+    """Every joint, cylinder or speed measured on both clocks, and every cylinder with its joint.
+
+    A speed is no function of a position, so the two are no pair.
+    """
     pairs = []
     for y in other:
         axis, quantity = split_signal(y.signal)
         for x in machine:
             x_axis, x_quantity = split_signal(x.signal)
             if axis != x_axis or "command" in (quantity, x_quantity) or axis in ("ee", "tool"):
+                continue
+            if "speed" in (quantity, x_quantity) and quantity != x_quantity:
                 continue
             if min(len(x.stamps), len(y.stamps)) < 2:
                 continue

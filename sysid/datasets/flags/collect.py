@@ -102,7 +102,7 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
     ]
     return [
         *outliers(signal, at, values, unit),
-        *jumps(signal, at, values, unit),
+        *(jumps(signal, at, values, unit) if split_signal(signal)[1] != "speed" else ()),  # an end stop is a jump of the speed
         *constant,
         *saturated,
         *dropouts(signal, at, values, gap_limit(channel)),

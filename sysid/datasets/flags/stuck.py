@@ -14,6 +14,7 @@ from sysid.datasets.chunked import counted, stretches
 from sysid.datasets.flags.flag import Array, Flag, Mask, merged, with_unit
 from sysid.datasets.flags.values import sensor_step
 from sysid.scratch import chosen
+from sysid.signals import split_signal
 
 #: A noisy sensor that repeats its value this often, and this long, is stuck [samples, s]; ten equal values of a sensor that
 #: repeats one value in five have a probability of 10⁻⁷.
@@ -56,6 +57,8 @@ def stuck(signal: str, times: Array, values: Array, context: SensorContext, unit
     repeats = repeats_by_nature(values, context)
     low, high = (float(np.nanmin(values)), float(np.nanmax(values))) if np.isfinite(values).any() else (0.0, 0.0)
     margin = END_SHARE * (high - low)
+    if repeats and split_signal(signal)[1] == "speed":
+        return []  # a quantised speed is constant in every steady motion
     moving = context.driven if repeats else context.commanded
     for first, last in _equal_runs(values):
         value = float(values[first])

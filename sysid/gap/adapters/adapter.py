@@ -122,6 +122,12 @@ class SimulatorAdapter:
                     own = self._model.joint(thetas, replace(recording, table=seen), axis.name)[:, :, None]
                     values = own + self._linkage_discrepancy(thetas, recording, axis.name)
                 put((joint,), values)
+            speed = axis_signal(axis.name, "speed")
+            if speed in recording.signals and speed in known:
+                put((speed,), self._signals(thetas, recording, (speed,)))
+            elif speed in recording.signals and axis.driven in columns:
+                driven = columns[axis.driven][None]
+                put((speed,), self._model.sensed_rate(thetas, axis.name, driven, recording.rate_hz)[:, :, None])
         ee, tool = point_signals("ee"), point_signals("tool")
         if known.issuperset(ee):
             values = self._signals(thetas, recording, ee)
