@@ -100,15 +100,19 @@ def urdf_lengths(factor: float) -> Callable[[str], str]:
     """A URDF with other lengths: origins of joints, and limits of prismatic ones."""
 
     def change(text: str) -> str:
-        return re.sub(
-            r'xyz="([^"]*)"(?=[^>]*/?>(?!\s*<mass))',
-            lambda match: 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"',
-            text,
-        ) if "<origin" in text else text
+        return (
+            re.sub(
+                r'xyz="([^"]*)"(?=[^>]*/?>(?!\s*<mass))',
+                lambda match: 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"',
+                text,
+            )
+            if "<origin" in text
+            else text
+        )
 
     def origins_only(text: str) -> str:
         return re.sub(
-            r'<origin[^>]*/>',
+            r"<origin[^>]*/>",
             lambda tag: re.sub(
                 r'xyz="([^"]*)"',
                 lambda match: 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"',
@@ -161,8 +165,13 @@ def command_cells(axis: str, other: str) -> Iterator[Cell]:
     make: Callable[[Dataset, Path], Dataset] = lambda dataset, _: changed(dataset, {signal: duty})  # noqa: E731
     yield Cell("command", "duty cycle with its neutral point", math.nan, (f"{signal} is a raw value",), make)
     yield Cell("command", "sign", -1.0, (signal,), scale(signal, -1.0))
-    yield Cell("command", "exchanged columns", 0.0, (f"{axis}.command and {other}.command", f"{other}.command and {axis}.command"),
-               swap(signal, f"{other}.command"))
+    yield Cell(
+        "command",
+        "exchanged columns",
+        0.0,
+        (f"{axis}.command and {other}.command", f"{other}.command and {axis}.command"),
+        swap(signal, f"{other}.command"),
+    )
 
 
 def setpoint_cells(axis: str, other: str) -> Iterator[Cell]:
@@ -177,7 +186,9 @@ def force_cells(axis: str) -> Iterator[Cell]:
     yield Cell("command", "N as kN", 1000.0, (signal,), scale(signal, 1000.0))
     yield Cell("command", "kN as N", 0.001, (signal,), scale(signal, 0.001))
     yield Cell("command", "sign", -1.0, (signal,), scale(signal, -1.0))
-    yield Cell("command", "inertia in g in machine.toml", 1000.0, ("inertia",), lambda d, _: described(d, times("inertia", 1e3)))
+    yield Cell(
+        "command", "inertia in g in machine.toml", 1000.0, ("inertia",), lambda d, _: described(d, times("inertia", 1e3))
+    )
 
 
 def cylinder_cells(axis: str, other: str) -> Iterator[Cell]:

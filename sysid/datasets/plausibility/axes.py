@@ -98,6 +98,11 @@ def _merged(group: Sequence[AxisFinding]) -> Finding:
     )
 
 
+def ranged(findings: Sequence[AxisFinding]) -> set[str]:
+    """Axes whose range or description is implausible: whether they move in a role says nothing."""
+    return {finding.axis for finding in findings if finding.key.rpartition(":")[2] in ("range", "description", "response")}
+
+
 def corrections_of(findings: Sequence[AxisFinding]) -> Mapping[str, float]:
     """Axis → factor by which its joint is too large, where that is the likeliest cause."""
     found = {}
@@ -137,7 +142,10 @@ def _text(measure: Measure, figures: AxisFigures) -> tuple[str, str]:
     if axis.actuation == "position":
         return f"{driven} moves by {ratio:.3g} where {command} moves by 1", "about 1"
     mass = value(abs(figures.response.value), "kg" if place == "m" else None)
-    return f"{driven} accelerates as a mass or inertia of {mass} would, {ratio_text(ratio)} `inertia`", f"about {axis.inertia:g}"
+    return (
+        f"{driven} accelerates as a mass or inertia of {mass} would, {ratio_text(ratio)} `inertia`",
+        f"about {axis.inertia:g}",
+    )
 
 
 def _range_text(measure: Measure, figures: AxisFigures, place: str | None) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged
+from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
 from sysid.datasets.plausibility.columns import column_findings
 from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.plausibility.points import point_findings
@@ -54,5 +54,7 @@ def findings_of(
     found += merged(single)
     found += point_findings(recordings, machine, corrections_of(single), exchanged)
     found += column_findings(recordings, machine)
-    found += role_findings(recordings, machine, splits)
+    still = {f"{name}:still" for name in ranged(single)}
+    if time_scale == 1.0:
+        found += [finding for finding in role_findings(recordings, machine, splits) if finding.keys[0] not in still]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))

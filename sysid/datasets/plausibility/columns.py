@@ -25,7 +25,9 @@ def column_findings(recordings: Sequence[Recording], machine: Machine) -> Iterat
     present = [signal for signal in machine.signals if any(signal in recording.signals for recording in recordings)]
     for signal in present:
         if all(signal not in r.signals or np.isnan(r.values(signal)).all() for r in recordings):
-            yield Finding((f"{signal}:missing",), "notice", f"{signal} has no value in any recording", "values, or no such signal")
+            yield Finding(
+                (f"{signal}:missing",), "notice", f"{signal} has no value in any recording", "values, or no such signal"
+            )
     motion = [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
         commanded = _commanded_s(motion, axis_signal(axis.name, "command"))

@@ -74,7 +74,9 @@ def explanations_of(figures: AxisFigures) -> tuple[Explanation, ...]:
 
 
 def _together(a: Explanation, b: Explanation) -> Explanation:
-    cause = Cause(f"{a.cause.text}, and {b.cause.text}", a.cause.factor, "; ".join(filter(None, (a.cause.remedy, b.cause.remedy))))
+    cause = Cause(
+        f"{a.cause.text}, and {b.cause.text}", a.cause.factor, "; ".join(filter(None, (a.cause.remedy, b.cause.remedy)))
+    )
     key = (f"{a.key[0]}+{b.key[0]}", a.key[1])
     return Explanation(key, a.prior + b.prior + SECOND, lambda f: b.correct(a.correct(f)), cause)
 
@@ -174,7 +176,8 @@ def _described(
         what = f"in {mistake.is_}{per} instead of {mistake.read_as}{per} ({factor_text(mistake.factor)})"
     else:
         what = factor_text(mistake.factor)
-    cause = Cause(f"{names} of axis {axis} in machine.toml {verb} {what}", mistake.factor, f"Write {names} in SI units")
+    place = "machine.toml or the URDF" if keys == ("limits",) else "machine.toml"
+    cause = Cause(f"{names} of axis {axis} in {place} {verb} {what}", mistake.factor, f"Write {names} in SI units")
     # Values in machine.toml are SI by definition: too small a value takes a conversion that was done twice.
     return _single(quantities, mistake.factor, mistake.rarity + (1.0 if mistake.factor < 1.0 else 0.0), cause)
 

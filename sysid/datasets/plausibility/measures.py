@@ -67,12 +67,12 @@ def measures_of(figures: AxisFigures) -> Iterator[Measure]:
         if axis.actuation == "velocity":
             yield _full_scale(figures.command)
         elif axis.actuation == "position" and figures.ends is not None:
-            yield from _reach("command", figures.command, figures.ends, notice=0.5, severe=1.5)
+            yield from _reach(figures, "command", figures.command, figures.ends, notice=0.5, severe=1.5)
     yield from _response(figures)
     if figures.driven is not None and figures.ends is not None:
-        yield from _reach("driven", figures.driven, figures.ends)
+        yield from _reach(figures, "driven", figures.driven, figures.ends)
     if figures.joint is not None and figures.joint_ends is not None:
-        yield from _reach("joint", figures.joint, figures.joint_ends)
+        yield from _reach(figures, "joint", figures.joint, figures.joint_ends)
     yield from _linkage(figures)
     yield from _description(figures)
     if figures.rate_ratio is not None:
@@ -108,15 +108,23 @@ def _response(figures: AxisFigures) -> Iterator[Measure]:
 
 
 def _reach(
-    quantity: str, span: Span, ends: tuple[float, float], notice: float = 0.1, severe: float = 0.75
+    figures: AxisFigures,
+    quantity: str,
+    span: Span,
+    ends: tuple[float, float],
+    notice: float = 0.1,
+    severe: float = 0.75,
 ) -> Iterator[Measure]:
+    """Positions against stroke or limits, and the share of them that is used."""
     width = ends[1] - ends[0]
     if not (math.isfinite(width) and width > 0.0):
         return
     beyond = max(ends[0] - span.low, span.high - ends[1]) / width
     yield Measure("range", quantity, beyond, (-math.inf, 0.05), 0.1, (-math.inf, notice), (-math.inf, severe))
     if span.width > 0.0:
-        yield Measure("use", quantity, math.log(span.width / width), _log(0.05, 1.05), 1.0)
+        moves = figures.response is not None and figures.response.strength > LEAST_STRENGTH[figures.axis.actuation]
+        least = _log(0.003, math.inf) if moves and quantity != "command" else (-math.inf, math.inf)
+        yield Measure("use", quantity, math.log(span.width / width), _log(0.05, 1.05), 1.0, least)
 
 
 def _linkage(figures: AxisFigures) -> Iterator[Measure]:
@@ -138,7 +146,9 @@ def _linkage(figures: AxisFigures) -> Iterator[Measure]:
     used = figures.driven.width / (figures.ends[1] - figures.ends[0])
     used_joint = figures.joint.width / (figures.joint_ends[1] - figures.joint_ends[0])
     if used > 0.0 and used_joint > 0.0:
-        yield Measure("linkage", "joint", math.log(used_joint / used), _log(0.5, 2.0), 0.4, _log(1 / 6, 6.0), _log(1 / 20, 20.0))
+        yield Measure(
+            "linkage", "joint", math.log(used_joint / used), _log(0.5, 2.0), 0.4, _log(1 / 6, 6.0), _log(1 / 20, 20.0)
+        )
 
 
 def _description(figures: AxisFigures) -> Iterator[Measure]:
@@ -154,6 +164,8 @@ def _description(figures: AxisFigures) -> Iterator[Measure]:
             yield Measure("description", "ends", width, _log(2e-3, 20.0), 0.7, _log(1e-4, 200.0))
         elif rotary:
             yield Measure("description", "ends", width, _log(0.05, 15.0), 0.7, _log(1e-3, 100.0))
+        else:
+            yield Measure("description", "ends", width, _log(2e-3, 20.0), 0.7, _log(1e-4, 200.0))
     if axis.actuation == "velocity":
         gain = math.log(figures.expected)
         if axis.drives == "cylinder":

@@ -91,7 +91,7 @@ def _end_effector(machine: Machine, kinematics: Kinematics, q: Array, measured: 
         yield from _joints(machine, kinematics, q, measured, turned)
         return
     if not 1.0 / NOTICE < turned.scale < NOTICE:
-        yield _scale_finding("ee", ("x", "y", "z"), [turned.scale] * 3, "the motion that the URDF gives for the joints")
+        yield _scale_finding("ee", ("x", "y", "z"), [turned.scale] * 3, "the motion that the URDF gives for the joints", True)
     yield from _frame(turned, np.std(computed, axis=0), _direct(computed, measured))
 
 
@@ -103,11 +103,13 @@ def _scaled(point: str, expected: Array, measured: Array, by: str) -> Iterator[F
         if np.std(a) > LEAST_M and np.std(b) > 0.0 and abs(a @ b) > CORRELATED * math.sqrt((a @ a) * (b @ b)):
             factors[k] = (a @ b) / (a @ a)
     wrong = [k for k in range(3) if not 1.0 / NOTICE < abs(factors[k]) < NOTICE]
+    compared = int(np.count_nonzero(factors != 1.0))
     groups: dict[str, list[int]] = {}
     for k in wrong:
         groups.setdefault(_length(abs(factors[k])).is_, []).append(k)
     for members in groups.values():
-        yield _scale_finding(point, ["xyz"[k] for k in members], [float(factors[k]) for k in members], by)
+        whole = point == "ee" and len(members) == compared > 1
+        yield _scale_finding(point, ["xyz"[k] for k in members], [float(factors[k]) for k in members], by, whole)
     mirrored = [k for k in range(3) if k not in wrong and factors[k] < 0.0]
     if len(mirrored) % 2:
         signals = listed([f"{point}.{'xyz'[k]}" for k in mirrored])
@@ -120,7 +122,8 @@ def _length(factor: float) -> UnitMistake:
     return min(LENGTH, key=lambda mistake: abs(math.log(factor / mistake.factor)) + 0.2 * mistake.rarity)
 
 
-def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[float], by: str) -> Finding:
+def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[float], by: str, whole: bool) -> Finding:
+    """The finding; ``whole``: all coordinates have the factor, so that the URDF may have it as well."""
     mean = float(np.exp(np.mean(np.log(np.abs(factors)))))
     signals = [f"{point}.{each}" for each in coordinates]
     mistake = _length(mean)
@@ -129,7 +132,7 @@ def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[flo
         verb = "are" if len(signals) > 1 else "is"
         text = f"{listed(signals)} {verb} in {mistake.is_}, but was read as {mistake.read_as} ({factor_text(mistake.factor)})"
         causes = (Cause(text, mistake.factor, f'Set `unit = "{mistake.is_}"` (motion capture: `length_unit`) in the recipe'),)
-        if point == "ee" and len(signals) == 3:
+        if whole:
             inverse = mistake.inverse
             about = f"the lengths in the URDF are {factor_text(inverse.factor)}"
             causes = (*causes, Cause(about, inverse.factor, "URDF lengths are in m"))
@@ -174,7 +177,9 @@ def _frame(turned: Registration, spread: Array, direct: float) -> Iterator[Findi
         cause = Cause(text, 1.0, "Correct the fields or signs in the recipe")
         yield Finding(keys, "severe", "the motion of ee is a mirror image of that of the URDF", "the same motion", (cause,))
         return
-    text = f"coordinates of ee are those of another frame ({axes})" if square else "ee is measured in another frame"
+    text = (
+        f"coordinates of ee are exchanged, or those of another frame ({axes})" if square else "ee is measured in another frame"
+    )
     angle = math.degrees(math.acos(max(-1.0, min(1.0, (abs(float(np.trace(turned.rotation))) - 1.0) / 2.0))))
     found = "the motion of ee is that of the URDF in a frame that is rotated" + (f" by {angle:.0f}°" if not square else "")
     cause = Cause(text, 1.0, "Give its pose in `[streams.frame]` (sysid ingest --propose-frame)")
@@ -186,9 +191,7 @@ def _signed(row: Array) -> str:
     return f"{'−' if row[column] < 0.0 else ''}{'xyz'[column]}"
 
 
-def _joints(
-    machine: Machine, kinematics: Kinematics, q: Array, measured: Array, turned: Registration
-) -> Iterator[Finding]:
+def _joints(machine: Machine, kinematics: Kinematics, q: Array, measured: Array, turned: Registration) -> Iterator[Finding]:
     """Mistakes in joints that make the URDF follow the end effector."""
     tried: list[tuple[float, Cause, tuple[str, ...]]] = []
 

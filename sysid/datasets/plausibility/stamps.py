@@ -15,6 +15,8 @@ from sysid.datasets.recording import Recording
 
 #: A stream that is slower or faster than the grid by more than this is implausible: honest streams lie within 1/20 and 20.
 RATE_LIMIT = 150.0
+#: The same for recordings that are all shorter than this [s]: stamps that are too small make them short and fast at once.
+BRIEF_S, BRIEF_LIMIT = 5.0, 30.0
 #: Shortest recording of a motion [s]: no machine reacts to a command and stops in less.
 SHORTEST_S = 0.5
 #: Rates of loggers [Hz], to tell a wrong time unit from a wrong ``rate_hz``.
@@ -46,7 +48,10 @@ def rates_of(streams: Mapping[str, Mapping[str, Mapping[str, Any]]], recordings:
 def time_findings(rates: Mapping[str, float], recordings: Sequence[Recording], rate_hz: float) -> tuple[list[Finding], float]:
     """Findings about the stamps, and stamps / true time as far as that is certain (1 where nothing is wrong)."""
     motion = [recording for recording in recordings if recording.kind == "motion"]
-    wrong = {file: rate for file, rate in rates.items() if not 1.0 / RATE_LIMIT < rate / rate_hz < RATE_LIMIT}
+    longest = max((len(recording) / recording.rate_hz for recording in motion), default=math.inf)
+    limit = RATE_LIMIT if longest > BRIEF_S else BRIEF_LIMIT
+    wrong = {file: rate for file, rate in rates.items() if not 1.0 / RATE_LIMIT < rate / rate_hz < limit}
+    certain = limit == RATE_LIMIT or longest < SHORTEST_S
     short = [recording for recording in motion if len(recording) / recording.rate_hz < SHORTEST_S]
     if wrong:
         whole = len(wrong) == len(rates)
@@ -59,7 +64,10 @@ def time_findings(rates: Mapping[str, float], recordings: Sequence[Recording], r
             causes.append(Cause("`rate_hz` in machine.toml is another", rate_hz / typical, f"Write about {typical:.3g}"))
         files = ", ".join(f"{file} has {rate:.4g} samples a second" for file, rate in list(wrong.items())[:3])
         more = f" (and {len(wrong) - 3} files more)" if len(wrong) > 3 else ""
-        finding = Finding(("time:rate",), "severe", files + more, f"about rate_hz = {rate_hz:g}", tuple(causes))
+        files += f" and the longest recording {longest:.3g} s" if longest <= BRIEF_S else ""
+        finding = Finding(
+            ("time:rate",), "severe" if certain else "notice", files + more, f"about rate_hz = {rate_hz:g}", tuple(causes)
+        )
         return [finding], 1.0 if described or not whole else mistake.factor
     if short and len(short) == len(motion):
         lengths = [len(recording) / recording.rate_hz for recording in short]
@@ -68,6 +76,12 @@ def time_findings(rates: Mapping[str, float], recordings: Sequence[Recording], r
         names = tuple(recording.name for recording in short)
         return [Finding(("time:length",), "severe", found, f"at least {SHORTEST_S:g} s", (_time_cause(factor),), names)], 1.0
     return [], 1.0
+
+
+def likely_unit(rate: float, rate_hz: float) -> str:
+    """The mistake that explains stamps at ``rate`` on a grid of ``rate_hz`` [Hz], in words; empty where they agree."""
+    mistake = _nearest(rate_hz / rate) if rate > 0.0 and not 1.0 / RATE_LIMIT < rate / rate_hz < RATE_LIMIT else None
+    return f"Likely cause: {_time_cause(mistake).text}" if mistake is not None else ""
 
 
 def _nearest(ratio: float) -> UnitMistake:

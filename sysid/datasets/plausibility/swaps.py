@@ -36,9 +36,11 @@ def swap_findings(
 ) -> tuple[list[Finding], set[str]]:
     """Findings, and the axes concerned, whose other figures then say nothing."""
     motion = [recording for recording in recordings if recording.kind == "motion"]
-    driven = _exchange(motion, [f.axis for f in figures.values()], "driven", time_scale)
-    joints = _exchange(motion, [f.axis for f in figures.values() if f.joint is not None], "joint", time_scale)
+    axes_of = [f.axis for f in figures.values()]
+    driven = _exchange(motion, axes_of, "driven", time_scale)
+    with_joints = [f.axis for f in figures.values() if f.joint is not None or f.axis.drives == "joint"]
     cylinders_too = any(f.joint is not None for f in figures.values())
+    joints = _exchange(motion, with_joints, "joint", time_scale) if cylinders_too else Exchange({})
     found: list[Finding] = []
     concerned: set[str] = set()
     if driven.follows:
@@ -46,11 +48,13 @@ def swap_findings(
         concerned |= set(axes)
         with_joint = [axis for axis in axes if figures[axis].joint is not None]
         if with_joint and len(with_joint) == len(axes):
-            causes = ["command" if all(joints.follows.get(axis) == other for axis, other in driven.follows.items()) else "driven"]
+            causes = [
+                "command" if all(joints.follows.get(axis) == other for axis, other in driven.follows.items()) else "driven"
+            ]
         else:
             causes = _by_ranges(driven, figures)
         found.append(_finding(driven, figures, causes))
-    if cylinders_too and joints.follows and not concerned & set(joints.follows):
+    if joints.follows and not concerned & set(joints.follows):
         found.append(_finding(joints, figures, ["joint"], measured="joint"))
         concerned |= set(joints.follows)
     return found, concerned
@@ -100,7 +104,9 @@ def _finding(
         return figures[axis].axis.driven if quantity == "driven" else axis_signal(axis, quantity)
 
     axes = list(exchange.follows)
-    lines = [f"{signal(axis, measured)} follows {other}.command, not {axis}.command" for axis, other in exchange.follows.items()]
+    lines = [
+        f"{signal(axis, measured)} follows {other}.command, not {axis}.command" for axis, other in exchange.follows.items()
+    ]
     named = tuple(
         Cause(f"the columns of {listed([signal(axis, cause) for axis in axes])} are exchanged", 1.0, "Correct the recipe")
         for cause in causes

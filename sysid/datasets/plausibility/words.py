@@ -6,8 +6,10 @@ from __future__ import annotations
 def factor_text(factor: float) -> str:
     """``1000.0`` → "too large by a factor of 1000"; ``0.001`` → "too small by a factor of 1000"."""
     size = factor if factor >= 1.0 else 1.0 / factor
-    return f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.3g}" if size < 1000 else (
-        f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.0f}"
+    return (
+        f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.3g}"
+        if size < 1000
+        else (f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.0f}")
     )
 
 
