@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sysid.datasets.plausibility.explain import Explanation, explanations_of, signal_of
 from sysid.datasets.plausibility.figures import AxisFigures, pairs_of, span_of
-from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.plausibility.finding import Evidence, Finding
 from sysid.datasets.plausibility.measures import Measure, measures_of
 from sysid.datasets.plausibility.response import motion_of, response_of
-from sysid.datasets.plausibility.words import interval, ratio_text, value
+from sysid.datasets.plausibility.words import interval, plain, ratio_text, value
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
@@ -26,8 +27,7 @@ class AxisFinding:
     axis: str
     key: str
     level: int
-    found: tuple[str, ...]
-    expected: tuple[str, ...]
+    evidence: tuple[Evidence, ...]
     explanations: tuple[Explanation, ...]
 
 
@@ -64,11 +64,10 @@ def axis_finding(figures: AxisFigures) -> AxisFinding | None:
     if not wrong:
         return None
     wrong.sort(key=lambda measure: (_ORDER.index(measure.quantity), measure.kind != "sign"))
-    texts = [_text(measure, figures) for measure in wrong]
+    evidence = tuple(dict.fromkeys(Evidence(*_text(measure, figures)) for measure in wrong))
     key = f"{_owner(wrong[0], figures)}:{'range' if wrong[0].kind == 'use' else wrong[0].kind}"
-    found, expected = (tuple(dict.fromkeys(part)) for part in zip(*texts, strict=True))
     level = max(measure.level for measure in wrong)
-    return AxisFinding(figures.axis.name, key, level, found, expected, explanations_of(figures))
+    return AxisFinding(figures.axis.name, key, level, evidence, explanations_of(figures))
 
 
 def merged(findings: Sequence[AxisFinding]) -> list[Finding]:
@@ -87,13 +86,12 @@ def _merged(group: Sequence[AxisFinding]) -> Finding:
     for number, explanation in enumerate(first.explanations):
         cause = explanation.cause
         for other in group[1:]:
-            cause = cause.with_subject(other.explanations[number].cause)
+            cause = cause.joined(other.explanations[number].cause)
         causes.append(cause)
     return Finding(
         keys=tuple(finding.key for finding in group),
         severity="severe" if first.level > 1 else "notice",
-        found="; ".join(text for finding in group for text in finding.found),
-        expected="; ".join(dict.fromkeys(text for finding in group for text in finding.expected)),
+        evidence=tuple(evidence for finding in group for evidence in finding.evidence),
         causes=tuple(causes),
     )
 
@@ -140,7 +138,7 @@ def _text(measure: Measure, figures: AxisFigures) -> tuple[str, str]:
         speed = value(abs(figures.response.value), f"{place}/s" if place else "1/s")
         return f"{driven} moves at {speed} at full command, {ratio_text(ratio)} `gain`", f"about gain = {axis.gain:g}"
     if axis.actuation == "position":
-        return f"{driven} moves by {ratio:.3g} where {command} moves by 1", "about 1"
+        return f"{driven} moves by {plain(ratio)} where {command} moves by 1", "about 1"
     mass = value(abs(figures.response.value), "kg" if place == "m" else None)
     return (
         f"{driven} accelerates as a mass or inertia of {mass} would, {ratio_text(ratio)} `inertia`",
@@ -177,7 +175,7 @@ def _linkage_text(figures: AxisFigures) -> tuple[str, str]:
 
 def _description_text(measure: Measure, figures: AxisFigures, place: str | None) -> tuple[str, str]:
     axis = figures.axis
-    low, high = (f"{2.718281828459045**edge:.1g}" for edge in measure.notice)
+    low, high = (plain(math.exp(edge)) for edge in measure.notice)
     unit = place or ""
     if measure.quantity == "ends":
         assert figures.ends is not None

@@ -1,8 +1,8 @@
 """All checks of plausibility of a dataset.
 
-They compare what is known twice: positions with stroke and limits, speeds with ``gain``, cylinders with joints, joints with the
-end effector, commands with the motion that follows, stamps with ``rate_hz``. They are computed from the tables whenever they are
-needed and not stored, so that they hold for versions of any age and for changed roles.
+They compare what is known twice: positions with stroke and limits, speeds with ``gain``, cylinders with joints, joints with
+the end effector, commands with the motion that follows, stamps with ``rate_hz``. They are computed from the tables whenever
+they are needed and not stored, so that they hold for versions of any age and for changed roles.
 """
 
 from __future__ import annotations

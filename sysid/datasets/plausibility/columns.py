@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.plausibility.finding import Evidence, Finding
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
@@ -14,7 +14,7 @@ from sysid.signals import axis_signal
 
 #: Least time with a command in which a working sensor shows motion [s], and what counts as a command (share of the largest).
 COMMANDED_S, COMMANDED = 3.0, 0.3
-#: Share of its range above which the noise of a signal is nearly all of it: the range of pure noise is eight times its deviation.
+#: Share of its range above which the noise of a signal is nearly all of it: pure noise ranges over eight times its deviation.
 NOISE_SHARE = 0.1
 #: Samples of a recording in which noise is estimated.
 NOISE_ROWS = 2**15
@@ -25,9 +25,8 @@ def column_findings(recordings: Sequence[Recording], machine: Machine) -> Iterat
     present = [signal for signal in machine.signals if any(signal in recording.signals for recording in recordings)]
     for signal in present:
         if all(signal not in r.signals or np.isnan(r.values(signal)).all() for r in recordings):
-            yield Finding(
-                (f"{signal}:missing",), "notice", f"{signal} has no value in any recording", "values, or no such signal"
-            )
+            evidence = Evidence(f"{signal} has no value in any recording", "values, or no such signal in the recipe")
+            yield Finding((f"{signal}:missing",), "notice", (evidence,))
     motion = [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
         commanded = _commanded_s(motion, axis_signal(axis.name, "command"))
@@ -62,8 +61,8 @@ def _still_sensor(recordings: Sequence[Recording], signal: str, commanded: float
         return
     expected = f"motion: the axis is commanded for {commanded:.0f} s"
     if high - low <= 1e-9 * max(abs(low), abs(high), 1e-3):
-        yield Finding((f"{signal}:constant",), "severe", f"{signal} is {low:.4g} in every row", expected)
+        yield Finding((f"{signal}:constant",), "severe", (Evidence(f"{signal} is {low:.4g} in every row", expected),))
     elif np.median(noises) > NOISE_SHARE * (high - low):
         share = float(np.median(noises)) / (high - low)
         found = f"the noise of {signal} is {100 * share:.0f} % of its whole range"
-        yield Finding((f"{signal}:noise",), "notice", found, expected)
+        yield Finding((f"{signal}:noise",), "notice", (Evidence(found, expected),))

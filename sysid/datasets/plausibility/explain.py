@@ -1,9 +1,9 @@
 """The mistakes that explain implausible figures of an axis.
 
-Every mistake of an explicit list changes the figures in a known way: millimetres read as metres raise range, speed and use of the
-stroke together; a gain in mm/s lowers the ratio of speed and gain alone. A mistake explains the figures if they are usual without
-it. Mistakes are compared by the cost of the corrected figures and their own rarity; those that the data cannot tell apart are
-all named. Two mistakes at once are tried where one is not enough.
+Every mistake of an explicit list changes the figures in a known way: millimetres read as metres raise range, speed and use of
+the stroke together; a gain in mm/s lowers the ratio of speed and gain alone. A mistake explains the figures if they are usual
+without it. Mistakes are compared by the cost of the corrected figures and their own rarity; those that the data cannot tell
+apart are all named. Two mistakes at once are tried where one is not enough.
 """
 
 from __future__ import annotations
@@ -74,9 +74,8 @@ def explanations_of(figures: AxisFigures) -> tuple[Explanation, ...]:
 
 
 def _together(a: Explanation, b: Explanation) -> Explanation:
-    cause = Cause(
-        f"{a.cause.text}, and {b.cause.text}", a.cause.factor, "; ".join(filter(None, (a.cause.remedy, b.cause.remedy)))
-    )
+    remedy = ". ".join(filter(None, (a.cause.remedy, b.cause.remedy)))
+    cause = replace(a.cause, says=f"{a.cause.says}, and {b.cause.text}", remedy=remedy)
     key = (f"{a.key[0]}+{b.key[0]}", a.key[1])
     return Explanation(key, a.prior + b.prior + SECOND, lambda f: b.correct(a.correct(f)), cause)
 
@@ -101,9 +100,10 @@ def _candidates(figures: AxisFigures) -> Iterator[Explanation]:
     yield from _description(figures, places)
     if figures.response is not None and axis.actuation != "position":
         for mistake in TIME:
-            text = f"the time stamps are in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
+            says = f"in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
             remedy = f'Set `time_unit = "{_time_unit(mistake.is_)}"` in the recipe'
-            yield _single(("time",), mistake.factor, mistake.rarity + 0.5, Cause(text, mistake.factor, remedy))
+            cause = Cause("the time stamps", (), says, mistake.factor, remedy)
+            yield _single(("time",), mistake.factor, mistake.rarity + 0.5, cause)
 
 
 def _units(unit: str | None) -> tuple[UnitMistake, ...]:
@@ -128,23 +128,25 @@ def _file(figures: AxisFigures, quantity: str, units: tuple[UnitMistake, ...]) -
     """A signal in the log has another unit, or another sign."""
     signal = signal_of(figures, quantity)
     for mistake in units:
-        text = f"{signal} is in {mistake.is_}, but was read as {mistake.read_as} ({factor_text(mistake.factor)})"
+        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
         if mistake in COMMAND and quantity == "command":
             span = mistake.factor if mistake.factor > 1.0 else None
-            remedy = f"Set `span = {span:g}` for it in the recipe" if span else "Remove `span`, or the unit %, in the recipe"
+            remedy = f"Set `span = {span:g}` in the recipe" if span else "Remove `span`, or the unit %, in the recipe"
         else:
-            remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` for it in the recipe'
-        yield _single((quantity,), mistake.factor, mistake.rarity, Cause(text, mistake.factor, remedy))
-    cause = Cause(f"{signal} has the opposite sign", -1.0, "Set `sign = -1` for it in the recipe")
+            remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` in the recipe'
+        yield _single((quantity,), mistake.factor, mistake.rarity, Cause("", (signal,), says, mistake.factor, remedy))
+    cause = Cause("", (signal,), "of the opposite sign", -1.0, "Set `sign = -1` in the recipe")
     yield _single((quantity,), -1.0, 0.0, cause)
 
 
 def _both_signals(figures: AxisFigures, units: tuple[UnitMistake, ...]) -> Iterator[Explanation]:
-    both = " and ".join(signal_of(figures, quantity) for quantity in ("command", "driven"))
+    both = tuple(signal_of(figures, quantity) for quantity in ("command", "driven"))
     for mistake in units:
-        text = f"{both} are in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` for both in the recipe'
-        yield _single(("command", "driven"), mistake.factor, mistake.rarity + 0.5, Cause(text, mistake.factor, remedy))
+        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
+        remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` in the recipe'
+        yield _single(
+            ("command", "driven"), mistake.factor, mistake.rarity + 0.5, Cause("", both, says, mistake.factor, remedy)
+        )
 
 
 def _description(figures: AxisFigures, places: tuple[UnitMistake, ...]) -> Iterator[Explanation]:
@@ -170,14 +172,13 @@ def _described(
     axis: str, keys: tuple[str, ...], quantities: tuple[str, ...], mistake: UnitMistake, per: str = ""
 ) -> Explanation:
     names = " and ".join(f"`{key}`" for key in keys)
-    verb = "are" if len(keys) > 1 else "is"
     per = "" if mistake.is_ == "rpm" or "/" in mistake.is_ else per
+    what = factor_text(mistake.factor)
     if mistake.factor > 1.0:
-        what = f"in {mistake.is_}{per} instead of {mistake.read_as}{per} ({factor_text(mistake.factor)})"
-    else:
-        what = factor_text(mistake.factor)
+        what = f"in {mistake.is_}{per} instead of {mistake.read_as}{per} ({what})"
     place = "machine.toml or the URDF" if keys == ("limits",) else "machine.toml"
-    cause = Cause(f"{names} of axis {axis} in {place} {verb} {what}", mistake.factor, f"Write {names} in SI units")
+    about = f"{names} in {place} of axis"
+    cause = Cause(about, (axis,), what, mistake.factor, f"Write {names} in SI units")
     # Values in machine.toml are SI by definition: too small a value takes a conversion that was done twice.
     return _single(quantities, mistake.factor, mistake.rarity + (1.0 if mistake.factor < 1.0 else 0.0), cause)
 
@@ -188,15 +189,14 @@ def _neutral(figures: AxisFigures, command: Span) -> Iterator[Explanation]:
     if not abs(command.rest) > 0.2 * half > 0.0:
         return
     signal = signal_of(figures, "command")
-    found = f"from {command.low:.4g} to {command.high:.4g}, most often {command.rest:.4g}"
-    text = f"{signal} is a raw value ({found}), not a command between −1 and 1"
-    remedy = f"Set `zero = {command.rest:.6g}` and `span = {half:.4g}` for it in the recipe"
+    says = f"a raw value with its neutral point at {command.rest:.5g}, not a command between −1 and 1"
+    remedy = f"Set `zero = {command.rest:.6g}` and `span = {half:.4g}` in the recipe"
 
     def correct(figures: AxisFigures) -> AxisFigures:
         scaled = figures.corrected("command", half)
         return replace(scaled, command=Span((command.low - command.rest) / half, (command.high - command.rest) / half, 0.0))
 
-    yield Explanation(("command", half), PRIOR, correct, Cause(text, half, remedy))
+    yield Explanation(("command", half), PRIOR, correct, Cause("", (signal,), says, half, remedy))
 
 
 def _shifted(figures: AxisFigures, span: Span, ends: tuple[float, float]) -> Iterator[Explanation]:
@@ -213,13 +213,14 @@ def _shifted(figures: AxisFigures, span: Span, ends: tuple[float, float]) -> Ite
         pairs = None if pairs is None else replace(pairs, cylinder=pairs.cylinder + shift)
         return replace(figures, driven=moved, pairs=pairs)
 
-    yield Explanation(("offset", 0.0), PRIOR, correct, Cause(f"{signal} has another zero", 1.0, remedy))
+    yield Explanation(("offset", 0.0), PRIOR, correct, Cause("", (signal,), "counted from another zero", 1.0, remedy))
 
 
 def _exchanged(figures: AxisFigures) -> Explanation:
     name = figures.axis.name
-    text = f"the columns of {name}.cylinder and {name}.joint are exchanged"
-    return Explanation(("exchanged", 1.0), PRIOR, AxisFigures.exchanged, Cause(text, 1.0, "Exchange the fields in the recipe"))
+    columns = (f"{name}.cylinder", f"{name}.joint")
+    cause = Cause("the columns", columns, "exchanged", 1.0, "Exchange the fields in the recipe")
+    return Explanation(("exchanged", 1.0), PRIOR, AxisFigures.exchanged, cause)
 
 
 def _unit_key(unit: str) -> str:

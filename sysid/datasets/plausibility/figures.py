@@ -24,7 +24,7 @@ ENDS = (0.002, 0.998)
 
 @dataclass(frozen=True)
 class Span:
-    """Range of a signal [SI]: ``low`` and ``high`` without the outermost 0.2 % of the samples, ``rest``: its commonest value."""
+    """Range of a signal [SI], without the outermost 0.2 % of the samples at either end; ``rest``: its commonest value."""
 
     low: float
     high: float

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal
 
-from sysid.errors import InputError
+from sysid.errors import InputError, nearest
 
 #: ``severe``: certain to be wrong, `sysid gap` does not run. ``notice``: unusual; it may be right.
 Severity = Literal["severe", "notice"]
@@ -15,21 +15,46 @@ Severity = Literal["severe", "notice"]
 
 @dataclass(frozen=True)
 class Cause:
-    """A mistake that explains a finding.
+    """A mistake that explains a finding: ``<about> <subjects> is <says>``.
 
     Args:
-        text: what is wrong, in words.
+        about: before the subjects, such as "`gain` of axis"; may stand alone.
+        subjects: signals or axes with the mistake.
+        says: what they are, after "is" or "are".
         factor: by which the value as it was read is too large; −1 for a sign, 1 where no factor is concerned.
         remedy: what to change.
     """
 
-    text: str
-    factor: float
+    about: str
+    subjects: tuple[str, ...]
+    says: str
+    factor: float = 1.0
     remedy: str = ""
 
-    def with_subject(self, other: Cause) -> Cause:
-        """This cause and the equal one of another axis: ``a.x is in mm`` and ``b.x is in mm`` → ``a.x, b.x: …``."""
-        return self if other == self else Cause(f"{self.text}; {other.text}", self.factor, self.remedy)
+    @property
+    def text(self) -> str:
+        plural = len(self.subjects) > 1 or " and " in self.about or self.about.endswith("s")
+        words = (self.about, listed(self.subjects), "are" if plural else "is", self.says)
+        return " ".join(word for word in words if word)
+
+    def joined(self, other: Cause) -> Cause:
+        """This cause for the subjects of an equal one as well."""
+        return replace(self, subjects=tuple(dict.fromkeys((*self.subjects, *other.subjects))))
+
+    def to_json(self) -> dict[str, Any]:
+        return {"text": self.text, "factor": self.factor, "subjects": list(self.subjects), "remedy": self.remedy}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was found, and what was expected: numbers with units."""
+
+    found: str
+    expected: str
+
+    @property
+    def text(self) -> str:
+        return f"{self.found}; expected {self.expected}"
 
 
 @dataclass(frozen=True)
@@ -38,32 +63,25 @@ class Finding:
 
     Args:
         keys: stable names, ``<axis or signal>:<kind>``, which ``--accept`` takes. Several where axes have the same mistake.
-        recordings: those concerned; empty: all.
-        found, expected: numbers with units.
         causes: the likeliest first. Several where the data cannot decide between them; empty where no known mistake fits.
+        recordings: those concerned; empty: all.
     """
 
     keys: tuple[str, ...]
     severity: Severity
-    found: str
-    expected: str
+    evidence: tuple[Evidence, ...]
     causes: tuple[Cause, ...] = ()
     recordings: tuple[str, ...] = ()
 
     @property
-    def kind(self) -> str:
-        return self.keys[0].rpartition(":")[2]
-
-    @property
-    def text(self) -> str:
-        """The finding in one paragraph, without its keys."""
-        parts = [f"{self.found}; expected {self.expected}." if self.expected else f"{self.found}."]
+    def lines(self) -> tuple[str, ...]:
+        """The finding without its keys: evidence, recordings, causes."""
+        lines = [evidence.text for evidence in self.evidence]
         if self.recordings:
-            parts.append(f"In {listed(self.recordings)}.")
-        if self.causes:
-            parts.append(f"Likely cause: {', or '.join(cause.text for cause in self.causes)}.")
-            parts += [f"{cause.remedy}." for cause in self.causes if cause.remedy]
-        return " ".join(dict.fromkeys(parts))
+            lines.append(f"in {listed(self.recordings)}")
+        for number, cause in enumerate(self.causes):
+            lines.append(f"{'or' if number else 'likely cause'}: {cause.text}{f'. {cause.remedy}' if cause.remedy else ''}")
+        return tuple(lines)
 
     def accepted(self, patterns: Iterable[str]) -> bool:
         """Whether the patterns name every key."""
@@ -74,11 +92,9 @@ class Finding:
         return {
             "keys": list(self.keys),
             "severity": self.severity,
-            "found": self.found,
-            "expected": self.expected,
-            "causes": [asdict(cause) for cause in self.causes],
+            "evidence": [asdict(evidence) for evidence in self.evidence],
+            "causes": [cause.to_json() for cause in self.causes],
             "recordings": list(self.recordings),
-            "text": self.text,
         }
 
 
@@ -89,29 +105,38 @@ def listed(names: Sequence[str], most: int = 4) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
-def refuse_severe(findings: Sequence[Finding], accept: Sequence[str], where: object) -> None:
-    """Stop where severe findings are not accepted.
+def not_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> tuple[Finding, ...]:
+    """The severe findings that ``accept`` does not name.
 
     Args:
         accept: keys, or globs such as ``boom.*``.
 
     Raises:
-        InputError: severe findings that no pattern names, or a pattern that names no finding.
+        InputError: a pattern that names no finding.
     """
     keys = sorted(key for finding in findings for key in finding.keys)
     for pattern in accept:
         if not any(fnmatchcase(key, pattern) for key in keys):
-            known = f"one of: {', '.join(keys)}" if keys else "none: nothing implausible was found"
+            known = nearest(pattern, keys) if keys else "none, since nothing implausible was found"
             raise InputError(f"--accept {pattern}", "no finding has this key", known)
-    left = [finding for finding in findings if finding.severity == "severe" and not finding.accepted(accept)]
-    if not left:
-        return
-    lines = "".join(f"\n  {', '.join(finding.keys)}: {finding.text}" for finding in left)
-    options = " ".join(f"--accept {key}" for finding in left for key in finding.keys)
-    raise InputError(
-        where,
-        f"{len(left)} severe finding{'s' if len(left) > 1 else ''}:{lines}\n",
-        "plausible values",
-        "Correct the recipe or machine.toml and ingest again (docs/guide/wrong-data.md). If the values are right, continue "
-        f"with: {options}",
-    )
+    return tuple(finding for finding in findings if finding.severity == "severe" and not finding.accepted(accept))
+
+
+def refuse_severe(findings: Sequence[Finding], accept: Sequence[str], where: object) -> None:
+    """Stop where severe findings are not accepted.
+
+    Raises:
+        InputError: severe findings that ``accept`` does not name, or a pattern that names no finding.
+    """
+    left = not_accepted(findings, accept)
+    if left:
+        options = " ".join(f"--accept '{key}'" for finding in left for key in finding.keys)
+        raise InputError(
+            where,
+            f"{len(left)} severe finding{'s' if len(left) > 1 else ''}: {'; '.join(_brief(finding) for finding in left)}",
+            remedy=f"Correct the recipe or machine.toml and ingest again. If the values are right, add {options}",
+        )
+
+
+def _brief(finding: Finding) -> str:
+    return finding.causes[0].text if finding.causes else finding.evidence[0].text

@@ -1,9 +1,9 @@
 """What is expected of the figures of an axis: for each a usual range, and limits beyond which it is named.
 
-The usual ranges come from the machines in ``datasets/``, the measured data in docs/measured-data.md and the simulated test bench
-with hidden effects: over all of these the response of valve axes is 0.65 to 1.1 of ``gain``, that of servos 0.53 to 1.0 of the
-command, and no signal leaves its stroke or limits by more than 1 % of their width. The limits are far wider: a gain that is off by
-a factor of two is an effect to be identified, not a mistake in a unit.
+The usual ranges come from the machines in ``datasets/``, the measured data in docs/measured-data.md and the simulated test
+bench with hidden effects: over all of these the response of valve axes is 0.65 to 1.1 of ``gain``, that of servos 0.53 to 1.0
+of the command, and no signal leaves its stroke or limits by more than 1 % of their width. The limits are far wider: a gain
+that is off by a factor of two is an effect to be identified, not a mistake in a unit.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.plausibility.figures import thinned
-from sysid.datasets.plausibility.finding import Cause, Finding, listed
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, listed
 from sysid.datasets.plausibility.mistakes import ANGLE, LENGTH, UnitMistake
-from sysid.datasets.plausibility.words import factor_text
+from sysid.datasets.plausibility.words import factor_text, ratio_text
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics
@@ -64,7 +64,7 @@ def point_findings(
             yield from _end_effector(machine, kinematics, rows[:, :-3] / factors, rows[:, -3:])
     rows = _rows(recordings, (*point_signals("ee"), *point_signals("tool")))
     if len(rows) >= MIN_ROWS:
-        yield from _scaled("tool", rows[:, :3], rows[:, 3:], "the motion of ee")
+        yield from _scaled("tool", rows[:, :3], rows[:, 3:], "ee")
 
 
 def _rows(recordings: Sequence[Recording], signals: Sequence[str]) -> Array:
@@ -82,7 +82,7 @@ def _end_effector(machine: Machine, kinematics: Kinematics, q: Array, measured: 
     computed = kinematics.tip_position(q)
     if np.max(np.std(computed, axis=0)) < LEAST_M or not np.ptp(measured, axis=0).any():
         return
-    found = list(_scaled("ee", computed, measured, "the motion that the URDF gives for the joints"))
+    found = list(_scaled("ee", computed, measured, "the URDF with the measured joints"))
     if found:
         yield from found
         return
@@ -91,7 +91,7 @@ def _end_effector(machine: Machine, kinematics: Kinematics, q: Array, measured: 
         yield from _joints(machine, kinematics, q, measured, turned)
         return
     if not 1.0 / NOTICE < turned.scale < NOTICE:
-        yield _scale_finding("ee", ("x", "y", "z"), [turned.scale] * 3, "the motion that the URDF gives for the joints", True)
+        yield _scale_finding("ee", ("x", "y", "z"), [turned.scale] * 3, "the URDF with the measured joints", True)
     yield from _frame(turned, np.std(computed, axis=0), _direct(computed, measured))
 
 
@@ -113,9 +113,11 @@ def _scaled(point: str, expected: Array, measured: Array, by: str) -> Iterator[F
     mirrored = [k for k in range(3) if k not in wrong and factors[k] < 0.0]
     if len(mirrored) % 2:
         signals = listed([f"{point}.{'xyz'[k]}" for k in mirrored])
-        cause = Cause(f"{signals} has the opposite sign", -1.0, "Set `sign = -1` for it in the recipe, or correct the frame")
+        each = tuple(f"{point}.{'xyz'[k]}" for k in mirrored)
+        cause = Cause("", each, "of the opposite sign", -1.0, "Set `sign = -1` in the recipe, or correct the frame")
         keys = tuple(f"{point}.{'xyz'[k]}:sign" for k in mirrored)
-        yield Finding(keys, "severe", f"{signals} moves against {by}", "the same direction", (cause,))
+        evidence = Evidence(f"{signals} moves against the motion of {by}", "the same direction")
+        yield Finding(keys, "severe", (evidence,), (cause,))
 
 
 def _length(factor: float) -> UnitMistake:
@@ -129,16 +131,17 @@ def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[flo
     mistake = _length(mean)
     causes: tuple[Cause, ...] = ()
     if abs(math.log(mean / mistake.factor)) < math.log(NOTICE):
-        verb = "are" if len(signals) > 1 else "is"
-        text = f"{listed(signals)} {verb} in {mistake.is_}, but was read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        causes = (Cause(text, mistake.factor, f'Set `unit = "{mistake.is_}"` (motion capture: `length_unit`) in the recipe'),)
+        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
+        remedy = f'Set `unit = "{mistake.is_}"` (motion capture: `length_unit`) in the recipe'
+        causes = (Cause("", tuple(signals), says, mistake.factor, remedy),)
         if whole:
             inverse = mistake.inverse
-            about = f"the lengths in the URDF are {factor_text(inverse.factor)}"
-            causes = (*causes, Cause(about, inverse.factor, "URDF lengths are in m"))
+            lengths = Cause("the lengths", ("of the URDF",), factor_text(inverse.factor), inverse.factor, "A URDF is in m")
+            causes = (*causes, lengths)
     severe = not 1.0 / SEVERE < mean < SEVERE
-    found = f"{listed(signals)} move{'' if len(signals) > 1 else 's'} {mean:.3g} times as far as {by}"
-    return Finding(tuple(f"{signal}:scale" for signal in signals), "severe" if severe else "notice", found, "once", causes)
+    found = f"{listed(signals)} move{'' if len(signals) > 1 else 's'} {ratio_text(mean)} the motion of {by}"
+    keys = tuple(f"{signal}:scale" for signal in signals)
+    return Finding(keys, "severe" if severe else "notice", (Evidence(found, "the same"),), causes)
 
 
 def registration(computed: Array, measured: Array) -> Registration:
@@ -173,17 +176,18 @@ def _frame(turned: Registration, spread: Array, direct: float) -> Iterator[Findi
     moved = [row for row in range(3) if nearest[row, row] != 1.0]
     keys = tuple(f"ee.{'xyz'[row]}:axes" for row in moved) or ("ee:frame",)
     if square and mirror and not planar:
-        text = f"coordinates of ee are exchanged or have another sign ({axes} of the URDF's base)"
-        cause = Cause(text, 1.0, "Correct the fields or signs in the recipe")
-        yield Finding(keys, "severe", "the motion of ee is a mirror image of that of the URDF", "the same motion", (cause,))
+        says = f"exchanged or of another sign ({axes} of the URDF's base)"
+        cause = Cause("coordinates", ("of ee",), says, 1.0, "Correct the fields or signs in the recipe")
+        evidence = Evidence(
+            "the motion of ee is a mirror image of that of the URDF with the measured joints", "the same motion"
+        )
+        yield Finding(keys, "severe", (evidence,), (cause,))
         return
-    text = (
-        f"coordinates of ee are exchanged, or those of another frame ({axes})" if square else "ee is measured in another frame"
-    )
+    says = f"exchanged, or those of another frame ({axes})" if square else "those of another frame"
     angle = math.degrees(math.acos(max(-1.0, min(1.0, (abs(float(np.trace(turned.rotation))) - 1.0) / 2.0))))
-    found = "the motion of ee is that of the URDF in a frame that is rotated" + (f" by {angle:.0f}°" if not square else "")
-    cause = Cause(text, 1.0, "Give its pose in `[streams.frame]` (sysid ingest --propose-frame)")
-    yield Finding(("ee:frame",), "notice", found, "the base frame of the URDF", (cause,))
+    found = "ee moves as the URDF with the measured joints does in a rotated frame" + ("" if square else f" (by {angle:.0f}°)")
+    cause = Cause("coordinates", ("of ee",), says, 1.0, "Give its pose in `[streams.frame]` (sysid ingest --propose-frame)")
+    yield Finding(("ee:frame",), "notice", (Evidence(found, "the base frame of the URDF"),), (cause,))
 
 
 def _signed(row: Array) -> str:
@@ -205,26 +209,28 @@ def _joints(machine: Machine, kinematics: Kinematics, q: Array, measured: Array,
     for k, name in enumerate(names):
         units = ANGLE if k in revolute else LENGTH
         for mistake in units:
-            text = f"{name}.joint is in {mistake.is_}, but was read as {mistake.read_as} ({factor_text(mistake.factor)})"
-            attempt(_with(q, [k], 1.0 / mistake.factor), Cause(text, mistake.factor), (name,))
-        cause = Cause(f"{name}.joint has the opposite sign", -1.0, "Set `sign = -1` for it in the recipe")
+            says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
+            attempt(_with(q, [k], 1.0 / mistake.factor), Cause("", (f"{name}.joint",), says, mistake.factor), (name,))
+        cause = Cause("", (f"{name}.joint",), "of the opposite sign", -1.0, "Set `sign = -1` in the recipe")
         attempt(_with(q, [k], -1.0), cause, (name,))
     for mistake in ANGLE:
-        text = f"the joints are in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        attempt(_with(q, revolute, 1.0 / mistake.factor), Cause(text, mistake.factor), tuple(names[k] for k in revolute))
+        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
+        cause = Cause("", tuple(f"{names[k]}.joint" for k in revolute), says, mistake.factor)
+        attempt(_with(q, revolute, 1.0 / mistake.factor), cause, tuple(names[k] for k in revolute))
     for a, b in itertools.combinations(range(len(names)), 2):
         order = list(range(len(names)))
         order[a], order[b] = order[b], order[a]
-        text = f"the columns of {names[a]}.joint and {names[b]}.joint are exchanged"
-        attempt(q[:, order], Cause(text, 1.0, "Correct the recipe"), (names[a], names[b]))
+        columns = (f"{names[a]}.joint", f"{names[b]}.joint")
+        attempt(q[:, order], Cause("the columns", columns, "exchanged", 1.0, "Correct the recipe"), (names[a], names[b]))
     tried.sort(key=lambda item: item[0])
     found = f"the URDF and the joints do not give the motion of ee ({100 * turned.left:.0f} % of it is left)"
+    evidence = Evidence(found, f"less than {100 * FITS:.0f} %")
     if tried and tried[0][0] < min(FITS, 0.4 * turned.left):
         best = tried[0][0]
         tied = [item for item in tried if item[0] < best + 0.02][:2]
-        yield Finding(tied[0][2], "severe", found, f"less than {100 * FITS:.0f} %", tuple(item[1] for item in tied))
+        yield Finding(tied[0][2], "severe", (evidence,), tuple(item[1] for item in tied))
     elif turned.left > FAILS:
-        yield Finding(("ee:kinematics",), "notice", found, f"less than {100 * FITS:.0f} %")
+        yield Finding(("ee:kinematics",), "notice", (evidence,))
 
 
 def _with(q: Array, columns: Sequence[int], factor: float) -> Array:

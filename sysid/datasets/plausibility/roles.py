@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from sysid.datasets.plausibility.finding import Finding, listed
+from sysid.datasets.plausibility.finding import Evidence, Finding, listed
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording, Role
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
 
-#: Least travel of a motion: share of the axis's travel in all recordings, share of its stroke or limits, and standard deviations
-#: of the noise.
+#: Least travel of a motion: share of the axis's travel in all recordings, share of its stroke or limits, and standard
+#: deviations of the noise.
 TRAVEL, WIDTH, NOISES = 0.02, 0.005, 10.0
 WORDS: Mapping[Role, str] = {"fit": "fit", "select": "selection", "held_out": "test (held out)"}
 _NOISE_ROWS = 2**15
@@ -37,7 +37,7 @@ def role_findings(recordings: Sequence[Recording], machine: Machine, splits: Map
             found = f"axis {axis.name} does not move in the recordings of {listed(still)}"
         else:
             continue
-        yield Finding((f"{axis.name}:still",), "notice", found, "motion in fit, selection and test")
+        yield Finding((f"{axis.name}:still",), "notice", (Evidence(found, "motion in fit, selection and test"),))
 
 
 def _measured(recording: Recording, axis: Axis) -> bool:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.plausibility.finding import Cause, Finding
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.plausibility.mistakes import TIME, UnitMistake
-from sysid.datasets.plausibility.words import factor_text
+from sysid.datasets.plausibility.words import factor_text, plain
 from sysid.datasets.recording import Recording
 
 #: A stream that is slower or faster than the grid by more than this is implausible: honest streams lie within 1/20 and 20.
@@ -61,20 +61,21 @@ def time_findings(rates: Mapping[str, float], recordings: Sequence[Recording], r
         described = LOGGERS_HZ[0] <= typical <= LOGGERS_HZ[1] and not LOGGERS_HZ[0] <= rate_hz <= LOGGERS_HZ[1]
         causes = [] if described else [_time_cause(mistake)]
         if LOGGERS_HZ[0] <= typical <= LOGGERS_HZ[1]:
-            causes.append(Cause("`rate_hz` in machine.toml is another", rate_hz / typical, f"Write about {typical:.3g}"))
+            factor = rate_hz / typical
+            causes.append(Cause("`rate_hz` in machine.toml", (), factor_text(factor), factor, f"Write about {plain(typical)}"))
         files = ", ".join(f"{file} has {rate:.4g} samples a second" for file, rate in list(wrong.items())[:3])
         more = f" (and {len(wrong) - 3} files more)" if len(wrong) > 3 else ""
         files += f" and the longest recording {longest:.3g} s" if longest <= BRIEF_S else ""
-        finding = Finding(
-            ("time:rate",), "severe" if certain else "notice", files + more, f"about rate_hz = {rate_hz:g}", tuple(causes)
-        )
+        evidence = Evidence(files + more, f"about rate_hz = {rate_hz:g}")
+        finding = Finding(("time:rate",), "severe" if certain else "notice", (evidence,), tuple(causes))
         return [finding], 1.0 if described or not whole else mistake.factor
     if short and len(short) == len(motion):
         lengths = [len(recording) / recording.rate_hz for recording in short]
         found = f"recordings are {min(lengths):.3g} to {max(lengths):.3g} s long"
-        factor = UnitMistake(1e-3, "s", "ms")
+        seconds = UnitMistake(1e-3, "s", "ms")
         names = tuple(recording.name for recording in short)
-        return [Finding(("time:length",), "severe", found, f"at least {SHORTEST_S:g} s", (_time_cause(factor),), names)], 1.0
+        evidence = Evidence(found, f"at least {SHORTEST_S:g} s")
+        return [Finding(("time:length",), "severe", (evidence,), (_time_cause(seconds),), names)], 1.0
     return [], 1.0
 
 
@@ -89,6 +90,6 @@ def _nearest(ratio: float) -> UnitMistake:
 
 
 def _time_cause(mistake: UnitMistake) -> Cause:
-    text = f"the time stamps are in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
+    says = f"in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
     unit = {"µs": "us"}.get(mistake.is_, mistake.is_)
-    return Cause(text, mistake.factor, f'Set `time_unit = "{unit}"` in the recipe')
+    return Cause("the time stamps", (), says, mistake.factor, f'Set `time_unit = "{unit}"` in the recipe')

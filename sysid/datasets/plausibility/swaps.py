@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.plausibility.figures import AxisFigures
-from sysid.datasets.plausibility.finding import Cause, Finding, listed
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.plausibility.measures import cost_of
 from sysid.datasets.plausibility.response import correlation, motion_of
 from sysid.datasets.recording import Recording
@@ -104,12 +104,13 @@ def _finding(
         return figures[axis].axis.driven if quantity == "driven" else axis_signal(axis, quantity)
 
     axes = list(exchange.follows)
-    lines = [
-        f"{signal(axis, measured)} follows {other}.command, not {axis}.command" for axis, other in exchange.follows.items()
-    ]
+    evidence = tuple(
+        Evidence(f"{signal(axis, measured)} follows {other}.command, not {axis}.command", "each axis to follow its own command")
+        for axis, other in exchange.follows.items()
+    )
     named = tuple(
-        Cause(f"the columns of {listed([signal(axis, cause) for axis in axes])} are exchanged", 1.0, "Correct the recipe")
+        Cause("the columns", tuple(signal(axis, cause) for axis in axes), "exchanged", 1.0, "Correct the recipe")
         for cause in causes
     )
     keys = tuple(f"{signal(axis, measured)}:exchanged" for axis in axes)
-    return Finding(keys, "severe", "; ".join(lines), "each axis to follow its own command", named)
+    return Finding(keys, "severe", evidence, named)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 
+def plain(number: float) -> str:
+    """Three significant digits without an exponent from 1e-4 to 1e6: ``1100``, ``57.3``, ``0.0005``."""
+    return f"{float(f'{number:.3g}'):g}"
+
+
 def factor_text(factor: float) -> str:
     """``1000.0`` → "too large by a factor of 1000"; ``0.001`` → "too small by a factor of 1000"."""
-    size = factor if factor >= 1.0 else 1.0 / factor
-    return (
-        f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.3g}"
-        if size < 1000
-        else (f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size:.0f}")
-    )
+    size = plain(factor if factor >= 1.0 else 1.0 / factor)
+    return f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size}"
 
 
 def value(number: float, unit: str | None = None) -> str:
@@ -24,4 +25,4 @@ def interval(low: float, high: float, unit: str | None = None) -> str:
 
 def ratio_text(ratio: float) -> str:
     """``1000 times``, ``1/57.3 of``."""
-    return f"{ratio:.3g} times" if ratio >= 1.0 else f"1/{1.0 / ratio:.3g} of"
+    return f"{plain(ratio)} times" if ratio >= 1.0 else f"1/{plain(1.0 / ratio)} of"
