@@ -1,7 +1,7 @@
 """The wrong-unit matrix: seven mistakes in each of five kinds of signal, on datasets whose units are right.
 
-A mistake is applied to the tables or to the text of ``machine.toml`` and the URDF. Mistakes in the stamps go through ingest, since
-they change the tables that it makes.
+A mistake is applied to the tables or to the text of ``machine.toml`` and the URDF. Mistakes in the stamps go through ingest,
+since they change the tables that it makes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.datasets.plausibility import Finding, check_plausibility
-from sysid.machine import Machine, machine_from_files
+from sysid.machine import machine_from_files
 
 Array = npt.NDArray[np.float64]
 Change = Callable[[Array], Array]
@@ -97,31 +97,12 @@ def times(key: str, factor: float, axis: str = "") -> Callable[[str], str]:
 
 
 def urdf_lengths(factor: float) -> Callable[[str], str]:
-    """A URDF with other lengths: origins of joints, and limits of prismatic ones."""
+    """A URDF with other lengths: all its origins."""
 
-    def change(text: str) -> str:
-        return (
-            re.sub(
-                r'xyz="([^"]*)"(?=[^>]*/?>(?!\s*<mass))',
-                lambda match: 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"',
-                text,
-            )
-            if "<origin" in text
-            else text
-        )
+    def scaled(match: re.Match[str]) -> str:
+        return 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"'
 
-    def origins_only(text: str) -> str:
-        return re.sub(
-            r"<origin[^>]*/>",
-            lambda tag: re.sub(
-                r'xyz="([^"]*)"',
-                lambda match: 'xyz="' + " ".join(repr(float(word) * factor) for word in match[1].split()) + '"',
-                tag[0],
-            ),
-            text,
-        )
-
-    return origins_only
+    return lambda text: re.sub(r"<origin[^>]*>", lambda tag: re.sub(r'xyz="([^"]*)"', scaled, tag[0]), text)
 
 
 def with_other_stamps(dataset: Dataset, folder: Path, factor: float, change: Callable[[str], str] | None = None) -> Dataset:
@@ -283,5 +264,71 @@ def cut(dataset: Dataset, seconds: float) -> Dataset:
     return replace(dataset, recordings=(*shorter, *dataset.of_kind("poses")))
 
 
-def machine_of(text: str, name: str) -> Machine:
-    return machine_from_files({"machine.toml": text}, name)
+# -- machines ---------------------------------------------------------------------------------------------------------------
+
+
+def servo_arm(folder: Path) -> Dataset:
+    """The servo arm of the simulated test bench, with its end effector by the formula of a planar arm."""
+    from sysid.bench.joint_machines import write_joint_machine
+    from sysid.bench.joint_recipe import ServoArm, ServoAxis, Take
+
+    shoulder = ServoAxis("shoulder", (-0.5, 1.5), 0.3, 1.0, delay=0.02, time_constant=0.04)
+    elbow = ServoAxis("elbow", (-2.0, 0.5), 0.25, 0.6, delay=0.02, time_constant=0.03)
+    takes = tuple(Take(f"take-{k}", k, 20.0) for k in range(4))
+    write_joint_machine(ServoArm("servo_arm", "arm", 1, (shoulder, elbow), takes, noise=1e-4), folder / "arm")
+    dataset = ingest(folder / "arm", folder / "workspace")
+    recordings = []
+    for seed, recording in enumerate(dataset.recordings):
+        first = recording.values("shoulder.joint")
+        second = first + recording.values("elbow.joint")
+        noise = np.random.default_rng(seed).normal(0.0, 2e-4, (3, len(first)))
+        x, z = 0.3 * np.cos(first) + 0.25 * np.cos(second), 0.3 * np.sin(first) + 0.25 * np.sin(second)
+        table = recording.table.assign(**{"ee.x": x + noise[0], "ee.y": noise[1], "ee.z": z + noise[2]})
+        recordings.append(replace(recording, table=table))
+    return replace(dataset, recordings=tuple(recordings))
+
+
+def slide(folder: Path) -> Dataset:
+    """The slide of the simulated test bench, moved by a force."""
+    from sysid.bench.joint_machines import write_joint_machine
+    from sysid.bench.joint_recipe import Slide, Take
+
+    takes = tuple(Take(f"take-{k}", k, 10.0) for k in range(4))
+    machine = Slide("slide", "slide", 1, 80.0, takes, coulomb=15.0, viscous=150.0, noise=1e-6, force_noise=0.5)
+    write_joint_machine(machine, folder / "slide")
+    return ingest(folder / "slide", folder / "workspace")
+
+
+def crane_cells() -> list[Cell]:
+    """The shipped crane: cylinders, joints of both kinds, end effector."""
+
+    def in_degrees(dataset: Dataset, _: Path) -> Dataset:
+        return described(dataset, times("gain", DEGREES, "slew"))
+
+    gain = Cell("joint", "gain in degrees/s in machine.toml", DEGREES, ("`gain`",), in_degrees)
+    return [
+        *command_cells("boom", "stick"),
+        *cylinder_cells("boom", "stick"),
+        *joint_cells("boom", "stick", gain),
+        *ee_cells(),
+        *time_cells(),
+    ]
+
+
+def arm_cells() -> list[Cell]:
+    """The servo arm has no cylinder; its position axes have no gain and no sign in machine.toml."""
+    turned: Callable[[str], str] = lambda text: re.sub(  # noqa: E731
+        r'(lower|upper)="([-\d.]+)"', lambda match: f'{match[1]}="{float(match[2]) * DEGREES}"', text
+    )
+    limits = Cell("joint", "limits in degrees in the URDF", DEGREES, ("`limits`",), lambda d, _: described(d, str, turned))
+    return [*setpoint_cells("shoulder", "elbow"), *joint_cells("shoulder", "elbow", limits), *ee_cells(), *time_cells()]
+
+
+def slide_cells() -> list[Cell]:
+    """The slide has one axis (nothing to exchange), no cylinder and no end effector."""
+    return [*force_cells("carriage"), *length_joint_cells("carriage"), *time_cells()]
+
+
+def excavator_cells() -> list[Cell]:
+    """The RC excavator: three cylinders and their commands."""
+    return [*command_cells("boom", "stick"), *cylinder_cells("boom", "stick"), *time_cells()]

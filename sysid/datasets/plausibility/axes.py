@@ -64,7 +64,8 @@ def axis_finding(figures: AxisFigures) -> AxisFinding | None:
     if not wrong:
         return None
     wrong.sort(key=lambda measure: (_ORDER.index(measure.quantity), measure.kind != "sign"))
-    evidence = tuple(dict.fromkeys(Evidence(*_text(measure, figures)) for measure in wrong))
+    shown = [measure for measure in wrong if measure.kind != "description"] or wrong
+    evidence = tuple(dict.fromkeys(Evidence(*_text(measure, figures)) for measure in shown))
     key = f"{_owner(wrong[0], figures)}:{'range' if wrong[0].kind == 'use' else wrong[0].kind}"
     level = max(measure.level for measure in wrong)
     return AxisFinding(figures.axis.name, key, level, evidence, explanations_of(figures))

@@ -180,7 +180,7 @@ def _described(
     about = f"{names} in {place} of axis"
     cause = Cause(about, (axis,), what, mistake.factor, f"Write {names} in SI units")
     # Values in machine.toml are SI by definition: too small a value takes a conversion that was done twice.
-    return _single(quantities, mistake.factor, mistake.rarity + (1.0 if mistake.factor < 1.0 else 0.0), cause)
+    return _single(quantities, mistake.factor, mistake.rarity + (0.5 if mistake.factor < 1.0 else 0.0), cause)
 
 
 def _neutral(figures: AxisFigures, command: Span) -> Iterator[Explanation]:

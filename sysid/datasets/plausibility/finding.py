@@ -34,7 +34,8 @@ class Cause:
     @property
     def text(self) -> str:
         plural = len(self.subjects) > 1 or " and " in self.about or self.about.endswith("s")
-        words = (self.about, listed(self.subjects), "are" if plural else "is", self.says)
+        about = f"{self.about[:-4]}axes" if len(self.subjects) > 1 and self.about.endswith("axis") else self.about
+        words = (about, listed(self.subjects), "are" if plural else "is", self.says)
         return " ".join(word for word in words if word)
 
     def joined(self, other: Cause) -> Cause:

@@ -70,7 +70,8 @@ FORCE = _both(
     UnitMistake(100.0, "N·cm", "N·m", 1.0),
     UnitMistake(9.80665, "N", "kgf", 1.0),
 )
-INERTIA = _both(
+INERTIA = (
+    UnitMistake(0.001, "t", "kg"),
     UnitMistake(1000.0, "g", "kg"),
     UnitMistake(1e4, "kg·cm²", "kg·m²", 1.0),
     UnitMistake(1e6, "kg·mm²", "kg·m²", 1.5),

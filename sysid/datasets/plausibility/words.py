@@ -5,7 +5,8 @@ from __future__ import annotations
 
 def plain(number: float) -> str:
     """Three significant digits without an exponent from 1e-4 to 1e6: ``1100``, ``57.3``, ``0.0005``."""
-    return f"{float(f'{number:.3g}'):g}"
+    rounded = float(f"{number:.3g}")
+    return f"{rounded:.0f}" if abs(rounded) >= 1000.0 else f"{rounded:g}"
 
 
 def factor_text(factor: float) -> str:
