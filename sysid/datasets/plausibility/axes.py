@@ -32,11 +32,17 @@ class AxisFinding:
 
 
 def figures_of(
-    recordings: Sequence[Recording], machine: Machine, axis: Axis, rate_ratio: float | None, time_scale: float
+    recordings: Sequence[Recording],
+    machine: Machine,
+    axis: Axis,
+    units: Mapping[str, str],
+    rate_ratio: float | None,
+    time_scale: float,
 ) -> AxisFigures:
     """Figures of an axis.
 
     Args:
+        units: signal → SI unit that the logs or the recipe state.
         rate_ratio: sample rate of the streams / rate of the grid.
         time_scale: stamps / true time, where their unit is known to be wrong.
     """
@@ -45,7 +51,7 @@ def figures_of(
     own = axis.drives == "joint"
     return AxisFigures(
         axis=axis,
-        unit=machine.expected_unit(joint),
+        unit=machine.expected_unit(joint) or {"rad": "rad", "m": "m"}.get(units.get(joint, "")),
         command=span_of(motion, axis_signal(axis.name, "command")),
         driven=span_of(recordings, axis.driven),
         joint=None if own else span_of(recordings, joint),

@@ -29,7 +29,7 @@ def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
     The command line calls it at ingest, for ``--quality`` and before ``gap``; :func:`sysid.gap.find_gap` does not.
     """
     streams = dataset.quality.get("streams", {})
-    return findings_of(dataset.recordings, dataset.machine, dataset.splits, streams)
+    return findings_of(dataset.recordings, dataset.machine, dataset.splits, streams, dataset.units)
 
 
 def findings_of(
@@ -37,16 +37,18 @@ def findings_of(
     machine: Machine,
     splits: Mapping[str, Role],
     streams: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> tuple[Finding, ...]:
     """As :func:`check_plausibility`.
 
     Args:
         streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset), for its sample rate.
+        units: signal → SI unit that the logs or the recipe state, for joints of a machine without a URDF.
     """
     rates = rates_of(streams or {}, recordings)
     found, time_scale = time_findings(rates, recordings, machine.rate_hz)
     rate_ratio = float(np.median(list(rates.values()))) / machine.rate_hz if rates and not found else None
-    figures = {axis.name: figures_of(recordings, machine, axis, rate_ratio, time_scale) for axis in machine.axes}
+    figures = {axis.name: figures_of(recordings, machine, axis, units or {}, rate_ratio, time_scale) for axis in machine.axes}
     swaps, exchanged = swap_findings(recordings, figures, time_scale)
     own = [axis_finding(each) for name, each in figures.items() if name not in exchanged]
     single = [finding for finding in own if finding is not None]

@@ -18,6 +18,8 @@ from sysid.datasets.plausibility.figures import AxisFigures, Span
 
 #: Largest share of one measure in a cost [standard deviations]: one impossible figure does not outweigh all others.
 MAX_EXCESS = 10.0
+#: Cost at the ends of the usual range [nats]: it orders explanations that are otherwise equal.
+PREFERENCE = 0.1
 #: Least correlation for which a response is known, by actuation.
 LEAST_STRENGTH = {"velocity": 0.5, "position": 0.7, "force": 0.6}
 #: Peak of the commands below which a dead-band may take most of them.
@@ -51,6 +53,13 @@ class Measure:
         return min(beyond / self.sigma, MAX_EXCESS)
 
     @property
+    def cost(self) -> float:
+        """Minus log-likelihood, but for a constant; within the usual range its middle is preferred slightly."""
+        low, high = self.usual
+        from_middle = abs(2.0 * self.value - low - high) / (high - low) if math.isfinite(high - low) and high > low else 0.0
+        return 0.5 * self.excess**2 + PREFERENCE * min(from_middle, 1.0)
+
+    @property
     def level(self) -> int:
         """0: plausible; 1: notice; 2: severe."""
         return sum(not low <= self.value <= high for low, high in (self.notice, self.severe))
@@ -80,8 +89,8 @@ def measures_of(figures: AxisFigures) -> Iterator[Measure]:
 
 
 def cost_of(figures: AxisFigures) -> float:
-    """Minus log-likelihood of the figures, but for a constant: zero where all are usual."""
-    return sum(0.5 * measure.excess**2 for measure in measures_of(figures))
+    """Minus log-likelihood of the figures, but for a constant: next to zero where all are usual."""
+    return sum(measure.cost for measure in measures_of(figures))
 
 
 def _full_scale(command: Span) -> Measure:
