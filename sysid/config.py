@@ -22,6 +22,10 @@ T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
+#: Types of the errors of pydantic for keys that do not exist, and for keys that are missing.
+_UNKNOWN, _MISSING = ("extra_forbidden", "unexpected_keyword_argument"), ("missing", "missing_argument")
+
+
 class Strict:
     """Base class of settings dataclasses: unknown keys, NaN and infinity fail."""
 
@@ -90,13 +94,16 @@ def _adapter(cls: Any) -> TypeAdapter[Any]:
 
 
 def _as_settings_error(error: ValidationError, cls: type[Any], where: object) -> SettingsError:
-    problem = error.errors()[0]
+    problems = error.errors()
+    unknown = [each for each in problems if each["type"] in _UNKNOWN]
+    # A misspelt key is unknown and the right one is missing: the first says why.
+    problem = unknown[0] if unknown and problems[0]["type"] in _MISSING else problems[0]
     path = problem["loc"]
     key = _dotted(path)
-    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+    if problem["type"] in _UNKNOWN:
         valid = _keys_at(cls, path[:-1])
         return SettingsError(where, f"unknown key {key!r}", nearest(str(path[-1]), valid), "Correct or remove the key.")
-    if problem["type"] in ("missing", "missing_argument"):
+    if problem["type"] in _MISSING:
         return SettingsError(where, f"key {key!r} is missing", "it to be given")
     return SettingsError(where, f"{key} = {shown(problem['input'])}", expected_of(problem["msg"]))
 

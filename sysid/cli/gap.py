@@ -37,6 +37,12 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     default="all",
     help="simple: every effect in its simplest form only (one friction for both directions).",
 )
+@click.option(
+    "--accept",
+    multiple=True,
+    metavar="KEY",
+    help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
+)
 @json_option
 @click.pass_obj
 def gap(
@@ -49,15 +55,19 @@ def gap(
     world: bool | None,
     carry: bool,
     forms: Forms,
+    accept: tuple[str, ...],
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
+    from sysid.cli.plausibility import checked
     from sysid.datasets import Store
     from sysid.datasets.roles.needs import check_needs
     from sysid.errors import SettingsError
 
+    out = Printer(json_file)
     dataset = Store(location).load(reference)
     check_needs(dataset)  # before anything is compiled
+    checked(out, dataset, accept)
     from sysid.cli.own_simulator import load_simulator
     from sysid.gap import find_gap
     from sysid.gap.experiment import Planning
@@ -76,7 +86,6 @@ def gap(
             "A residual network is fitted to the error that the search leaves.",
         )
     tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
-    out = Printer(json_file)
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")
     linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names

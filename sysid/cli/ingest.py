@@ -77,7 +77,9 @@ def ingest(
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
     from sysid.cli.datasets import describe
+    from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
+    from sysid.datasets.plausibility import check_plausibility
 
     store = datasets.Store(workspace)
     before = store.manifest(to)["version"] if to is not None else 0
@@ -99,6 +101,9 @@ def ingest(
         for added in store.tables(dataset.reference)[-1].recordings:
             as_role = f" as {dataset.splits[added]}" if added in dataset.splits else ""
             out.line(f"added to {dataset.name}@{before}: {added}{as_role}")
+    findings = check_plausibility(dataset)
+    show_findings(out, findings)
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     out.line(f"Coverage and excitation: sysid --workspace {workspace} datasets {dataset.reference} --quality")
-    write_json(json_file, {**describe(dataset), **found, "seconds": seconds})
+    plausibility = [finding.to_json() for finding in findings]
+    write_json(json_file, {**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})

@@ -20,7 +20,9 @@ MAX_FLAGS = 12
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
+    from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
+    from sysid.datasets.plausibility import check_plausibility
     from sysid.datasets.quality import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
@@ -29,10 +31,12 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     dataset = workspace.dataset(reference)
     evidence = evidence_of(dataset)
     verdicts = excitation_report(dataset, workspace.plant(dataset))
+    findings = check_plausibility(dataset)
     flags = list(dataset.quality.get("flags", ()))
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
+    show_findings(out, findings)
     found = show_roles(out, dataset, location, needs=False)  # the verdicts have them
     show_excitation(out, verdicts, dataset)
     out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
@@ -43,6 +47,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
             "dataset": dataset.reference,
             "evidence": evidence.to_json(),
             "flags": flags,
+            "plausibility": [finding.to_json() for finding in findings],
             "readiness": verdicts.to_json(),
             **found,
         },

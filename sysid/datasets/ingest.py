@@ -13,11 +13,13 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
+from sysid.datasets.chunked import median_step
 from sysid.datasets.clocks.records import Alignment, KnownSkew, RecordingClocks, aligned, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_sources, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
+from sysid.datasets.plausibility.stamps import likely_unit
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
 from sysid.datasets.rates import rate_notes
@@ -243,7 +245,11 @@ def _recording(
     if (end - start) * 1e-9 * machine.rate_hz > MAX_ROWS:
         found = f"stamps that span {(end - start) * 1e-9 / 86400.0:.3g} days"
         expected = f"at most {MAX_ROWS} rows at {machine.rate_hz:g} Hz"
-        raise InputError(where, found, expected, "Choose another clock or time unit in the recipe, or cut the log.")
+        slowest = max(recording.machine, key=lambda channel: int(channel.stamps[-1]))
+        period = median_step(slowest.stamps) * 1e-9
+        cause = likely_unit(1.0 / period, machine.rate_hz) if period > 0.0 else ""
+        remedy = "Choose another clock or time unit in the recipe, or cut the log."
+        raise InputError(where, found, expected, f"{cause}. {remedy}" if cause else remedy)
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}
     for number, (name, channel) in enumerate(signals.items()):

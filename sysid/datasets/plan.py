@@ -56,6 +56,11 @@ def plan_of(
     machine_path = _machine_path(machine, own, recipe_path, roots)
     if machine_path is not None:
         description = load_machine(machine_path)
+        if description.effects:
+            # The catalogue takes a third of a second to import.
+            from sysid.effects.described import check_described
+
+            check_described(description)
     elif same is not None:
         description = same
     else:

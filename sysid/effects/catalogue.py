@@ -101,5 +101,8 @@ def form_for(effect: Effect, parameters: frozenset[str], where: object) -> Form:
     form = effect.form_of(parameters)
     if form is None:
         forms = " or ".join("{" + ", ".join(form.names) + "}" for form in effect.forms)
-        raise SettingsError(f"{where}: {effect.name}", f"parameters {{{', '.join(sorted(parameters))}}}", forms)
+        valid = {name for form in effect.forms for name in form.names}
+        unknown = sorted(parameters - valid)
+        remedy = f"{unknown[0]!r} is no parameter: {nearest(unknown[0], valid)}" if unknown else ""
+        raise SettingsError(f"{where}: {effect.name}", f"parameters {{{', '.join(sorted(parameters))}}}", forms, remedy)
     return form

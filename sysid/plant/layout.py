@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import CATALOGUE, Effect, effect_named, input_delay
+from sysid.effects.described import side_of
 from sysid.effects.effect import TargetKind
 from sysid.errors import SettingsError, nearest
 from sysid.plant.cache import CACHE_FOLDER
@@ -144,19 +145,6 @@ def slot_indices(
     read = signals_of(axis_names)
     carried = (target,) if effect.target == "signal" else [s for s in (streams or {})[target] if s in read]
     return [signal_place(tuple(axis_names), signal) + _SIGNAL[effect.name, side, slot][0] for signal in carried]
-
-
-def side_of(effect: Effect, side: str | None) -> str | None:
-    """The side, checked; the first admissible one where none is given."""
-    if not effect.sides:
-        if side is not None:
-            raise SettingsError(f"effect {effect.name}", f"side {side!r}", "no side: this effect has one place only")
-        return None
-    if side is None:
-        return effect.sides[0]
-    if side not in effect.sides:
-        raise SettingsError(f"effect {effect.name}", f"side {side!r}", nearest(side, effect.sides))
-    return side
 
 
 def parameter_indices(

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import parse_settings
-from sysid.effects import Parameter, effect_named, form_for
-from sysid.errors import SettingsError, StoreError, nearest
+from sysid.effects import Parameter, effect_named
+from sysid.effects.described import check_known_effect, side_of
+from sysid.errors import SettingsError, StoreError
 from sysid.foreign import shown
 from sysid.machine import (
     CylinderJointMap,
@@ -26,10 +27,9 @@ from sysid.machine import (
 )
 from sysid.networks.history import HistoryNetwork
 from sysid.parse import parse_json
-from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
+from sysid.plant.layout import Streams, neutral_vector, parameter_indices
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, PlantNumber, Uncertainty, uncertainty_from
-from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 Value = float | Sequence[float]
@@ -65,7 +65,7 @@ class Plant:
             if key in seen:
                 raise SettingsError(f"plant of {self.machine.name}", f"{item.name} on {item.target} twice", "one instance")
             seen.add(key)
-            check_effect(self.machine, item, self.streams)
+            check_known_effect(self.machine, item, tuple(self.streams))
         for residual in self.residuals:
             check_residual(self.machine, tuple(self.linkages), residual)
 
@@ -259,44 +259,6 @@ def _parameter(place: PlantNumber) -> Parameter:
 def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
     """Key of an instance: name, target, side."""
     return item.name, item.target, side_of(effect_named(item.name), item.side)
-
-
-def check_effect(machine: Machine, item: KnownEffect, streams: Streams | None = None) -> None:
-    """Name, target, side and parameters of one instance against the catalogue, the machine and its streams.
-
-    Raises:
-        SettingsError: any of them does not exist or does not fit.
-    """
-    where = f"machine {machine.name}: effect"
-    effect = effect_named(item.name, where)
-    form = form_for(effect, frozenset(item.parameters), where)
-    if effect.target == "axis" and effect.actuations:
-        axis = machine.axis(item.target)
-        if axis.actuation not in effect.actuations:
-            raise SettingsError(
-                f"{where} {item.name}", f"target {item.target!r} is {axis.actuation}-actuated", " or ".join(effect.actuations)
-            )
-    for parameter in form.parameters:
-        value = np.atleast_1d(np.asarray(item.parameters[parameter.name], dtype=np.float64))
-        low, high = parameter.bounds
-        if value.shape != (len(parameter.components),) or not np.all((value >= low) & (value <= high)):
-            raise SettingsError(
-                f"{where} {item.name} on {item.target}",
-                f"{parameter.name} = {item.parameters[parameter.name]}",
-                f"{len(parameter.components)} number(s) in [{low}, {high}] {parameter.unit}",
-            )
-        if effect.target == "signal" and item.target not in predicted_signals(machine):
-            found, valid = f"target {item.target!r}", predicted_signals(machine)
-            raise SettingsError(f"{where} {item.name}", found, nearest(item.target, valid))
-        parameter_indices(machine.axis_names, item.name, item.target, item.side, parameter.name, streams)
-
-
-def predicted_signals(machine: Machine) -> tuple[str, ...]:
-    """Signals that a plant of this machine may predict and a sensor may measure."""
-    drives = (axis.driven for axis in machine.axes)
-    joints = (axis_signal(name, "joint") for name in machine.axis_names)
-    speeds = (axis_signal(name, "speed") for name in machine.axis_names)
-    return tuple(dict.fromkeys((*drives, *joints, *point_signals("ee"), *point_signals("tool"), *speeds)))
 
 
 def effects_toml(effects: Sequence[KnownEffect]) -> str:

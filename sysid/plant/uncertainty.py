@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import effect_named
+from sysid.effects.described import side_of
 from sysid.errors import SettingsError
-from sysid.plant.layout import side_of
 
 Array = npt.NDArray[np.float64]
 Side = Literal["drive", "structure"] | None

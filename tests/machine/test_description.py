@@ -102,3 +102,8 @@ def test_units_that_a_log_must_have(signal: str, unit: str) -> None:
 def test_a_joint_without_a_urdf_may_be_either() -> None:
     assert slide().expected_unit("slide.joint") is None
     assert slide().expected_unit("slide.command") is None
+
+
+def test_a_misspelt_key_is_named_before_the_key_that_it_leaves_missing() -> None:
+    with pytest.raises(SettingsError, match=r"unknown key 'axes\[0\]\.actuaton'; expected 'actuation'\?"):
+        changed('actuation = "velocity"', 'actuaton = "velocity"')

@@ -1,0 +1,192 @@
+"""Findings about one axis: command range, positions, response, linkage, and sizes in its description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sysid.datasets.plausibility.explain import Explanation, explanations_of, signal_of
+from sysid.datasets.plausibility.figures import AxisFigures, pairs_of, span_of
+from sysid.datasets.plausibility.finding import Evidence, Finding
+from sysid.datasets.plausibility.measures import Measure, measures_of
+from sysid.datasets.plausibility.response import motion_of, response_of
+from sysid.datasets.plausibility.words import interval, plain, ratio_text, value
+from sysid.datasets.recording import Recording
+from sysid.machine import Axis, Machine
+from sysid.signals import axis_signal
+
+#: The figure that gives a finding its key, where several are implausible.
+_ORDER = ("command", "driven", "joint", "response", "ends", "expected")
+
+
+@dataclass(frozen=True)
+class AxisFinding:
+    """A finding about one axis, before equal ones of several axes are merged."""
+
+    axis: str
+    key: str
+    level: int
+    evidence: tuple[Evidence, ...]
+    explanations: tuple[Explanation, ...]
+
+
+def figures_of(
+    recordings: Sequence[Recording],
+    machine: Machine,
+    axis: Axis,
+    units: Mapping[str, str],
+    rate_ratio: float | None,
+    time_scale: float,
+) -> AxisFigures:
+    """Figures of an axis.
+
+    Args:
+        units: signal → SI unit that the logs or the recipe state.
+        rate_ratio: sample rate of the streams / rate of the grid.
+        time_scale: stamps / true time, where their unit is known to be wrong.
+    """
+    motion = [recording for recording in recordings if recording.kind == "motion"]
+    joint = axis_signal(axis.name, "joint")
+    own = axis.drives == "joint"
+    return AxisFigures(
+        axis=axis,
+        unit=machine.expected_unit(joint) or {"rad": "rad", "m": "m"}.get(units.get(joint, "")),
+        command=span_of(motion, axis_signal(axis.name, "command")),
+        driven=span_of(recordings, axis.driven),
+        joint=None if own else span_of(recordings, joint),
+        ends=axis.limits if own else axis.stroke,
+        joint_ends=None if own else axis.limits,
+        response=response_of(motion_of(motion, axis, axis.driven, time_scale), axis),
+        expected={"velocity": axis.gain, "position": 1.0, "force": axis.inertia or 1.0}[axis.actuation],
+        pairs=pairs_of(recordings, axis),
+        rate_ratio=rate_ratio,
+    )
+
+
+def axis_finding(figures: AxisFigures) -> AxisFinding | None:
+    """What is implausible about an axis, and why; None where nothing is."""
+    wrong = [measure for measure in measures_of(figures) if measure.level > 0]
+    if not wrong:
+        return None
+    wrong.sort(key=lambda measure: (_ORDER.index(measure.quantity), measure.kind != "sign"))
+    shown = [measure for measure in wrong if measure.kind != "description"] or wrong
+    evidence = tuple(dict.fromkeys(Evidence(*_text(measure, figures)) for measure in shown))
+    key = f"{_owner(wrong[0], figures)}:{'range' if wrong[0].kind == 'use' else wrong[0].kind}"
+    level = max(measure.level for measure in wrong)
+    return AxisFinding(figures.axis.name, key, level, evidence, explanations_of(figures))
+
+
+def merged(findings: Sequence[AxisFinding]) -> list[Finding]:
+    """One finding for all axes with the same mistake."""
+    groups: dict[object, list[AxisFinding]] = {}
+    for finding in findings:
+        causes = tuple(explanation.key for explanation in finding.explanations)
+        same = (finding.key.rpartition(":")[2], finding.level, causes) if causes else (finding.key,)
+        groups.setdefault(same, []).append(finding)
+    return [_merged(group) for group in groups.values()]
+
+
+def _merged(group: Sequence[AxisFinding]) -> Finding:
+    first = group[0]
+    causes = []
+    for number, explanation in enumerate(first.explanations):
+        cause = explanation.cause
+        for other in group[1:]:
+            cause = cause.joined(other.explanations[number].cause)
+        causes.append(cause)
+    return Finding(
+        keys=tuple(finding.key for finding in group),
+        severity="severe" if first.level > 1 else "notice",
+        evidence=tuple(evidence for finding in group for evidence in finding.evidence),
+        causes=tuple(causes),
+    )
+
+
+def ranged(findings: Sequence[AxisFinding]) -> set[str]:
+    """Axes whose range or description is implausible: whether they move in a role says nothing."""
+    return {finding.axis for finding in findings if finding.key.rpartition(":")[2] in ("range", "description", "response")}
+
+
+def corrections_of(findings: Sequence[AxisFinding]) -> Mapping[str, float]:
+    """Axis → factor by which its joint is too large, where that is the likeliest cause."""
+    found = {}
+    for finding in findings:
+        if finding.explanations:
+            quantity, factor = finding.explanations[0].key
+            if quantity in ("joint", "driven", "command+driven"):
+                found[finding.axis] = factor
+    return found
+
+
+def _owner(measure: Measure, figures: AxisFigures) -> str:
+    if measure.quantity in ("command", "driven", "joint"):
+        return signal_of(figures, measure.quantity)
+    return figures.axis.name
+
+
+def _text(measure: Measure, figures: AxisFigures) -> tuple[str, str]:
+    """What was found, and what was expected."""
+    axis = figures.axis
+    place = "m" if axis.drives == "cylinder" else figures.unit
+    if measure.kind == "linkage":
+        return _linkage_text(figures)
+    if measure.kind == "description":
+        return _description_text(measure, figures, place)
+    if measure.kind in ("range", "use"):
+        return _range_text(measure, figures, place)
+    assert figures.response is not None
+    driven, command = axis.driven, axis_signal(axis.name, "command")
+    if measure.kind == "sign":
+        text = f"{driven} moves against {command} (correlation −{figures.response.strength:.2f})"
+        return text, "motion in the direction of the command"
+    ratio = abs(figures.ratio or 1.0)
+    if axis.actuation == "velocity":
+        speed = value(abs(figures.response.value), f"{place}/s" if place else "1/s")
+        return f"{driven} moves at {speed} at full command, {ratio_text(ratio)} `gain`", f"about gain = {axis.gain:g}"
+    if axis.actuation == "position":
+        return f"{driven} moves by {plain(ratio)} where {command} moves by 1", "about 1"
+    mass = value(abs(figures.response.value), "kg" if place == "m" else None)
+    return (
+        f"{driven} accelerates as a mass or inertia of {mass} would, {ratio_text(ratio)} `inertia`",
+        f"about {axis.inertia:g}",
+    )
+
+
+def _range_text(measure: Measure, figures: AxisFigures, place: str | None) -> tuple[str, str]:
+    axis, signal = figures.axis, signal_of(figures, measure.quantity)
+    span = {"command": figures.command, "driven": figures.driven, "joint": figures.joint}[measure.quantity]
+    assert span is not None
+    if measure.quantity == "command" and axis.actuation == "velocity":
+        return f"{signal} runs from {span.low:.4g} to {span.high:.4g}", "−1 to 1"
+    unit = figures.unit if measure.quantity == "joint" else place
+    ends = figures.joint_ends if measure.quantity == "joint" else figures.ends
+    assert ends is not None
+    name = "stroke" if axis.drives == "cylinder" and measure.quantity == "driven" else "limits"
+    return f"{signal} runs from {span.low:.4g} to {value(span.high, unit)}", f"{name} = {interval(*ends, unit)}"
+
+
+def _linkage_text(figures: AxisFigures) -> tuple[str, str]:
+    name = figures.axis.name
+    if figures.pairs is not None:
+        return f"{name}.joint does not follow {name}.cylinder through `linkage`", f"the angle of the triangle of {name}"
+    assert figures.driven is not None
+    assert figures.joint is not None
+    assert figures.ends is not None
+    assert figures.joint_ends is not None
+    stroke = figures.driven.width / (figures.ends[1] - figures.ends[0])
+    joint = figures.joint.width / (figures.joint_ends[1] - figures.joint_ends[0])
+    text = f"{name}.cylinder uses {100 * stroke:.3g} % of its stroke and {name}.joint {100 * joint:.3g} % of its limits"
+    return text, "similar shares"
+
+
+def _description_text(measure: Measure, figures: AxisFigures, place: str | None) -> tuple[str, str]:
+    axis = figures.axis
+    low, high = (plain(math.exp(edge)) for edge in measure.notice)
+    unit = place or ""
+    if measure.quantity == "ends":
+        assert figures.ends is not None
+        name = "stroke" if axis.drives == "cylinder" else "limits"
+        text = f"{name} = {interval(*figures.ends, unit)} of axis {axis.name} in machine.toml"
+        return text, f"a width between {low} and {high} {unit}"
+    return f"gain = {value(axis.gain, f'{unit}/s')} of axis {axis.name} in machine.toml", f"{low} to {high} {unit}/s"

@@ -1,0 +1,62 @@
+"""All checks of plausibility of a dataset.
+
+They compare what is known twice: positions with stroke and limits, speeds with ``gain``, cylinders with joints, joints with
+the end effector, commands with the motion that follows, stamps with ``rate_hz``. They are computed from the tables whenever
+they are needed and not stored, so that they hold for versions of any age and for changed roles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
+from sysid.datasets.plausibility.columns import column_findings
+from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.plausibility.points import point_findings
+from sysid.datasets.plausibility.roles import role_findings
+from sysid.datasets.plausibility.stamps import rates_of, time_findings
+from sysid.datasets.plausibility.swaps import swap_findings
+from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.machine import Machine
+
+
+def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
+    """What is implausible in a dataset, severe findings first.
+
+    The command line calls it at ingest, for ``--quality`` and before ``gap``; :func:`sysid.gap.find_gap` does not.
+    """
+    streams = dataset.quality.get("streams", {})
+    return findings_of(dataset.recordings, dataset.machine, dataset.splits, streams, dataset.units)
+
+
+def findings_of(
+    recordings: Sequence[Recording],
+    machine: Machine,
+    splits: Mapping[str, Role],
+    streams: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> tuple[Finding, ...]:
+    """As :func:`check_plausibility`.
+
+    Args:
+        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset), for its sample rate.
+        units: signal → SI unit that the logs or the recipe state, for joints of a machine without a URDF.
+    """
+    rates = rates_of(streams or {}, recordings)
+    found, time_scale = time_findings(rates, recordings, machine.rate_hz)
+    rate_ratio = float(np.median(list(rates.values()))) / machine.rate_hz if rates and not found else None
+    figures = {axis.name: figures_of(recordings, machine, axis, units or {}, rate_ratio, time_scale) for axis in machine.axes}
+    swaps, exchanged = swap_findings(recordings, figures, time_scale)
+    own = [axis_finding(each) for name, each in figures.items() if name not in exchanged]
+    single = [finding for finding in own if finding is not None]
+    found += swaps
+    found += merged(single)
+    found += point_findings(recordings, machine, corrections_of(single), exchanged)
+    found += column_findings(recordings, machine)
+    still = {f"{name}:still" for name in ranged(single)}
+    if time_scale == 1.0:
+        found += [finding for finding in role_findings(recordings, machine, splits) if finding.keys[0] not in still]
+    return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))

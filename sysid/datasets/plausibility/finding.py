@@ -1,0 +1,143 @@
+"""What a check of plausibility found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any, Literal
+
+from sysid.errors import InputError, nearest
+
+#: ``severe``: certain to be wrong, `sysid gap` does not run. ``notice``: unusual; it may be right.
+Severity = Literal["severe", "notice"]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A mistake that explains a finding: ``<about> <subjects> is <says>``.
+
+    Args:
+        about: before the subjects, such as "`gain` of axis"; may stand alone.
+        subjects: signals or axes with the mistake.
+        says: what they are, after "is" or "are".
+        factor: by which the value as it was read is too large; −1 for a sign, 1 where no factor is concerned.
+        remedy: what to change.
+    """
+
+    about: str
+    subjects: tuple[str, ...]
+    says: str
+    factor: float = 1.0
+    remedy: str = ""
+
+    @property
+    def text(self) -> str:
+        plural = len(self.subjects) > 1 or " and " in self.about or self.about.endswith("s")
+        about = f"{self.about[:-4]}axes" if len(self.subjects) > 1 and self.about.endswith("axis") else self.about
+        words = (about, listed(self.subjects), "are" if plural else "is", self.says)
+        return " ".join(word for word in words if word)
+
+    def joined(self, other: Cause) -> Cause:
+        """This cause for the subjects of an equal one as well."""
+        return replace(self, subjects=tuple(dict.fromkeys((*self.subjects, *other.subjects))))
+
+    def to_json(self) -> dict[str, Any]:
+        return {"text": self.text, "factor": self.factor, "subjects": list(self.subjects), "remedy": self.remedy}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was found, and what was expected: numbers with units."""
+
+    found: str
+    expected: str
+
+    @property
+    def text(self) -> str:
+        return f"{self.found}; expected {self.expected}"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One implausible thing in a dataset.
+
+    Args:
+        keys: stable names, ``<axis or signal>:<kind>``, which ``--accept`` takes. Several where axes have the same mistake.
+        causes: the likeliest first. Several where the data cannot decide between them; empty where no known mistake fits.
+        recordings: those concerned; empty: all.
+    """
+
+    keys: tuple[str, ...]
+    severity: Severity
+    evidence: tuple[Evidence, ...]
+    causes: tuple[Cause, ...] = ()
+    recordings: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The finding without its keys: evidence, recordings, causes."""
+        lines = [evidence.text for evidence in self.evidence]
+        if self.recordings:
+            lines.append(f"in {listed(self.recordings)}")
+        for number, cause in enumerate(self.causes):
+            lines.append(f"{'or' if number else 'likely cause'}: {cause.text}{f'. {cause.remedy}' if cause.remedy else ''}")
+        return tuple(lines)
+
+    def accepted(self, patterns: Iterable[str]) -> bool:
+        """Whether the patterns name every key."""
+        patterns = tuple(patterns)
+        return all(any(fnmatchcase(key, pattern) for pattern in patterns) for key in self.keys)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "keys": list(self.keys),
+            "severity": self.severity,
+            "evidence": [asdict(evidence) for evidence in self.evidence],
+            "causes": [cause.to_json() for cause in self.causes],
+            "recordings": list(self.recordings),
+        }
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """``a, b and c``; more than ``most`` are counted."""
+    if len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def not_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> tuple[Finding, ...]:
+    """The severe findings that ``accept`` does not name.
+
+    Args:
+        accept: keys, or globs such as ``boom.*``.
+
+    Raises:
+        InputError: a pattern that names no finding.
+    """
+    keys = sorted(key for finding in findings for key in finding.keys)
+    for pattern in accept:
+        if not any(fnmatchcase(key, pattern) for key in keys):
+            known = nearest(pattern, keys) if keys else "none, since nothing implausible was found"
+            raise InputError(f"--accept {pattern}", "no finding has this key", known)
+    return tuple(finding for finding in findings if finding.severity == "severe" and not finding.accepted(accept))
+
+
+def refuse_severe(findings: Sequence[Finding], accept: Sequence[str], where: object) -> None:
+    """Stop where severe findings are not accepted.
+
+    Raises:
+        InputError: severe findings that ``accept`` does not name, or a pattern that names no finding.
+    """
+    left = not_accepted(findings, accept)
+    if left:
+        options = " ".join(f"--accept '{key}'" for finding in left for key in finding.keys)
+        raise InputError(
+            where,
+            f"{len(left)} severe finding{'s' if len(left) > 1 else ''}: {'; '.join(_brief(finding) for finding in left)}",
+            remedy=f"Correct the recipe or machine.toml and ingest again. If the values are right, add {options}",
+        )
+
+
+def _brief(finding: Finding) -> str:
+    return finding.causes[0].text if finding.causes else finding.evidence[0].text
