@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import page_walk
+import pandas as pd
 import pytest
 from page_walk import Step, departures, prepare, walk
 
@@ -55,7 +55,10 @@ def test_a_page_works_word_by_word_with_its_long_commands(name: str, tmp_path: P
 
 
 def test_every_machine_has_a_page_that_is_followed() -> None:
-    assert {f"datasets/{path.parent.name}/README.md" for path in ROOT.glob("datasets/*/machine.toml")} <= set(PAGES)
+    pages = {path.parent.name for path in ROOT.glob("datasets/*/machine.toml")}
+    assert {f"datasets/{name}/README.md" for name in pages} <= set(PAGES)
+    listed = (ROOT / "datasets/README.md").read_text("utf-8")
+    assert [name for name in pages if f"]({name}/README.md)" not in listed] == []
 
 
 def test_the_excavator_page_works_word_by_word_and_what_it_says_of_its_logs_is_true(
