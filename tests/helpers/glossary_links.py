@@ -14,7 +14,7 @@ GLOSSARY = Path(__file__).parents[2] / "docs" / "glossary.md"
 #: Anchor of the glossary → how the term appears in prose. Everyday words are as narrow as their technical use.
 TERMS = {
     "dataset-version": r"dataset versions?",
-    "split": r"held[- ]out recordings?|(?:fit|selection) recordings?|recordings? .{0,20}held out",
+    "split": r"held[- ]out|(?:fit|selection) recordings?",
     "plant": r"plants?",
     "stage": r"stages?",
     "free-run": r"free[- ]runs?",
