@@ -49,6 +49,7 @@ def test_a_page_works_word_by_word(name: str, tmp_path: Path, request: pytest.Fi
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", [name for name in PAGES if "```sh slow" in (ROOT / name).read_text("utf-8")])
 def test_a_page_works_word_by_word_with_its_long_commands(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     assert any(step.block.is_slow for step in steps(name, tmp_path, request, slow=True))
