@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from importlib.resources import files as package_files
 from pathlib import Path
+from string import Template
 
 import click
 
@@ -18,65 +20,28 @@ FOLDERS = {
     "reports": "Reference results, each with its command, seed and versions. Shown by sysid.reports.",
 }
 
-MACHINE = """\
-# The machine: its axes in kinematic order, and the effects of the nominal simulation. SI units throughout.
-schema = 1
-name = "{name}"
-rate_hz = 100.0                  # grid that all signals are resampled to
-# urdf = "{name}.urdf"           # geometry; needed for the end effector, the tool and gravity
-# tip = "boom_tip"               # URDF link whose origin is the end effector
-# tool = "gripper"               # URDF link of a hanging tool, if it is measured
-
-[[axes]]
-name = "boom"                    # signals are called boom.command, boom.cylinder, boom.joint
-actuation = "velocity"           # velocity (valve) | position (servo) | force
-drives = "cylinder"              # what the command moves: cylinder | joint
-gain = 0.050                     # speed at command 1.0 [m/s]
-stroke = [0.0, 0.165]            # cylinder ends [m]
-# joint = "boom_joint"           # URDF joint; its limits are the axis limits
-limits = [-0.4, 1.4]             # without a URDF: joint limits [rad]
-
-# [noise]                        # standard deviation per signal from the data sheet; else estimated from still phases
-# "boom.cylinder" = 1e-4
-
-# [[effects]]                    # what the nominal simulation already contains
-# name = "first_order_lag"
-# target = "boom"
-# parameters = {{ time_constant = 0.06 }}
-"""
-
-RECIPE = """\
-# Which topic or column is which signal. Not needed where CSV headers are the canonical names (boom.command, boom.cylinder [mm])
-schema = 1
-name = "{name}"
-machine = "machine.toml"         # relative to this file; paths never leave this folder
-logs = "logs"                    # logs/<recording>/<files>, each file with its own clock
-
-# [splits]                       # else chosen automatically, by recording
-# held_out = ["day-2-*"]         # used only for the final proof
-
-[[streams]]
-files = "*.csv"                  # inside each recording's folder: logs/<recording>/
-reader = "csv"                   # mcap | motive | csv | mat; by suffix if left out
-domain = "machine"               # files of one clock share a domain; every other domain is aligned to "machine"
-[streams.signals]
-"boom.command" = {{ field = "joystick_y", scale = 0.01 }}          # per cent → 1
-"boom.cylinder" = {{ field = "draw_wire_1", unit = "mm" }}
-"""
+#: Kinds of machine, by how it is driven; each has two files in ``templates/``.
+KINDS = ("hydraulic", "servo", "force")
 
 
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
+@click.option(
+    "--kind",
+    type=click.Choice(KINDS),
+    default="hydraulic",
+    show_default=True,
+    help="What the commands are: valve openings (hydraulic), positions (servo), forces or torques (force).",
+)
 @json_option
-def init(directory: Path, name: str | None, json_file: str | None) -> None:
+def init(directory: Path, name: str | None, kind: str, json_file: str | None) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _as_name(directory.resolve().name)
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")
     files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
-    files[f"datasets/{name}/machine.toml"] = MACHINE.format(name=name)
-    files[f"datasets/{name}/recipe.toml"] = RECIPE.format(name=name)
+    files |= {f"datasets/{name}/{file}.toml": template(kind, file, name) for file in ("machine", "recipe")}
     files[".gitignore"] = "/workspace/\n"
     made, kept, root = [], [], Root(directory)
     for relative, text in files.items():
@@ -95,7 +60,13 @@ def init(directory: Path, name: str | None, json_file: str | None) -> None:
     folder = directory / "datasets" / name
     out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      sysid ingest {folder}")
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
+    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "kind": kind, "made": made, "kept": kept})
+
+
+def template(kind: str, file: str, name: str) -> str:
+    """The text of ``machine`` or ``recipe`` for a machine ``name`` of one of :data:`KINDS`."""
+    text = package_files("sysid.cli").joinpath("templates", f"{kind}-{file}.toml").read_text("utf-8")
+    return Template(text).substitute(name=name)
 
 
 def _as_name(text: str) -> str:
