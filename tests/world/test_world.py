@@ -99,6 +99,18 @@ def test_bodies_stand_where_the_compiled_plant_says(effect: KnownEffect) -> None
     assert worst(run, plain, POINTS) > 1e-3
 
 
+def test_the_world_predicts_the_speeds_that_are_measured() -> None:
+    plant = crane(KnownEffect("sensor_scale", "slew.speed", {"scale": 1.1}))
+    source = driven(plant)
+    source = replace(source, table=source.table.assign(**{"slew.speed": 0.0, "boom.speed": 0.0}))
+    run = free_run(plant, source)
+    with World(plant, ground=FREE) as world:
+        found = world.rollout(source)
+    assert list(found.columns) == list(run.columns)
+    assert worst(found, run, ["slew.speed", "boom.speed"]) < 1e-6
+    assert float(np.ptp(run["slew.speed"])) > 0.05
+
+
 def test_the_tool_swings_as_identified() -> None:
     plant = crane(SWAY)
     source = driven(plant)

@@ -329,3 +329,25 @@ def test_input_and_output_effects_act_as_in_the_plant() -> None:
         if signal != "time":
             apart = np.abs(adapted[signal].to_numpy() - plant[signal].to_numpy()).max()
             assert apart < 3.0 * noise[str(signal)], signal
+
+
+def test_a_measured_speed_is_compared_with_that_of_the_simulator() -> None:
+    """Its own speed where it returns one, else the rate of the joint that it returns."""
+
+    class Rotates:
+        def simulate(self, recording: Recording) -> pd.DataFrame:
+            angle = 0.3 * np.cumsum(recording.values("lift.command")) / recording.rate_hz
+            return pd.DataFrame({"lift.joint": angle})
+
+    class StatesItsSpeed(Rotates):
+        def simulate(self, recording: Recording) -> pd.DataFrame:
+            return super().simulate(recording).assign(**{"lift.speed": 0.123})
+
+    dataset = lift_data()
+    recordings = tuple(replace(r, table=r.table.assign(**{"lift.speed": 0.0})) for r in dataset.recordings)
+    dataset = replace(dataset, recordings=recordings)
+    run = adapt_simulator(Rotates(), dataset).simulate(recordings[0])
+    angle = run["lift.joint"].to_numpy()
+    np.testing.assert_allclose(run["lift.speed"][1:-1], (angle[2:] - angle[:-2]) * 25.0, atol=1e-12)
+    assert np.ptp(run["lift.speed"]) > 0.1
+    assert (adapt_simulator(StatesItsSpeed(), dataset).simulate(recordings[0])["lift.speed"] == 0.123).all()
