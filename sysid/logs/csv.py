@@ -219,7 +219,7 @@ class _CheckedRows:
         keep &= ~text.str.startswith(REMARKS).to_numpy(dtype=bool)
         cells = self.dialect.cells
         if cells and cells[0]:
-            for row in np.flatnonzero((text.str.strip() == cells[0]).to_numpy(dtype=bool)):
+            for row in np.flatnonzero((text.str.strip() == cells[0]).to_numpy(dtype=bool)).tolist():
                 if all(str(table.iat[row, i]).strip() == cell for i, cell in enumerate(cells) if cell and i < table.shape[1]):
                     keep[row] = False
                     self._repeated += 1
@@ -286,10 +286,10 @@ def _seconds(cells: pd.Series, first: str, decimal: str) -> npt.NDArray[np.float
     if decimal == ",":
         text = text.str.replace(",", ".", regex=False)
     if "-" not in first:
-        return pd.to_timedelta(text, errors="coerce").dt.total_seconds().to_numpy(dtype=np.float64)
+        return np.asarray(pd.to_timedelta(text, errors="coerce").dt.total_seconds(), dtype=np.float64)
     stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     epoch = pd.Timestamp(0, tz="UTC")
-    return ((stamps - epoch) / pd.Timedelta(1, "s")).to_numpy(dtype=np.float64)
+    return np.asarray((stamps - epoch) / pd.Timedelta(1, "s"), dtype=np.float64)
 
 
 def _expected_rows(path: Path) -> int:

@@ -186,6 +186,7 @@ class _Split:
 def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line], options: ReadOptions) -> Dialect:
     first = next((i for i, row in enumerate(split.rows) if split.is_data(row)), None)
     before = [row for row in split.rows[: len(split.rows) if first is None else first] if _has_text(row, split)]
+    header: _Row | None
     if first is None:  # no numbers at all
         header, units, begin = (before or split.rows)[0], None, None
     else:

@@ -236,3 +236,12 @@ def test_no_name_breaks_the_draft() -> None:
         assert tomllib.loads(text)["streams"][0]["files"] == "x.mcap"
 
     check()
+
+
+def test_logs_that_need_a_named_reader_are_found_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run.json").write_text(json.dumps([{"time": 0.1 * k, "boom": k} for k in range(20)]))
+    assert run("ingest", "--inspect", tmp_path) == 2
+    assert "run.json is no log unless its reader is named" in capsys.readouterr().err
+    seen = inspected(capsys, tmp_path, "--reader", "json")
+    assert seen["files"][0]["streams"][0]["samples"] == 20
+    assert tomllib.loads(seen["recipe"])["streams"][0]["reader"] == "json"
