@@ -24,6 +24,12 @@ FOLDERS = {
 KINDS = ("hydraulic", "servo", "force")
 
 
+def template(kind: str, file: str, name: str) -> str:
+    """The text of ``machine`` or ``recipe`` for a machine ``name`` of one of :data:`KINDS`."""
+    text = package_files("sysid.cli").joinpath("templates", f"{kind}-{file}.toml").read_text("utf-8")
+    return Template(text).substitute(name=name)
+
+
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
@@ -60,13 +66,7 @@ def init(directory: Path, name: str | None, kind: str, json_file: str | None) ->
     folder = directory / "datasets" / name
     out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      sysid ingest {folder}")
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "kind": kind, "made": made, "kept": kept})
-
-
-def template(kind: str, file: str, name: str) -> str:
-    """The text of ``machine`` or ``recipe`` for a machine ``name`` of one of :data:`KINDS`."""
-    text = package_files("sysid.cli").joinpath("templates", f"{kind}-{file}.toml").read_text("utf-8")
-    return Template(text).substitute(name=name)
+    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
 
 
 def _as_name(text: str) -> str:

@@ -40,7 +40,7 @@ def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "My Crane").iterdir()} == {"datasets", "pipelines", "rl", "reports", ".gitignore"}
     made = json.loads((tmp_path / "made.json").read_text())
     assert f"datasets/{machine.name}/recipe.toml" in made["made"]
-    assert made["kind"] == "hydraulic", "what no --kind means"
+    assert {axis.actuation for axis in machine.axes} == {"velocity"}, "what no --kind means: hydraulic"
 
 
 @pytest.mark.parametrize("kind", KINDS)
