@@ -39,8 +39,6 @@ def datasets() -> None:
 @click.pass_obj
 def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
-    from sysid.datasets import Store
-
     if quality:
         from sysid.cli.quality import show_quality
 
@@ -48,13 +46,17 @@ def show(location: str, reference: str | None, quality: bool, json_file: str | N
         return
 
     out = Printer(json_file)
-    store = Store(location)
     if reference is not None:
+        from sysid.datasets import Store
+
+        store = Store(location)
         dataset = store.load(reference)
         show_dataset(out, dataset)
         write_json(json_file, {**describe(dataset), "tables": tables(store, dataset.reference)})
         return
-    entries = store.list()
+    from sysid.datasets.versions.index import VersionIndex
+
+    entries = VersionIndex(location).list()
     write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
     if not entries:
         out.line(f"No datasets in {location} yet: sysid ingest PATH creates one.")
