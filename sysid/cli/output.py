@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from sysid.cli.progress_bar import progress_bar as progress_bar
 from sysid.errors import SettingsError
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
@@ -61,32 +62,6 @@ class Printer:
         for row in rows:
             table.add_row(*(Text(visible(cell, MAX_CELL)) for cell in row))
         self.console.print(table)
-
-
-@contextlib.contextmanager
-def progress_bar(title: str) -> Iterator[Progress]:
-    """A callback that drives a progress bar on stderr, and does nothing if stderr is no terminal."""
-    if not sys.stderr.isatty():
-        yield lambda done, text: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        TextColumn("[bold]{task.fields[title]}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-    )
-    with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, title=escape(visible(title, MAX_CELL)))
-
-        def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MAX_CELL)))
-
-        yield report
 
 
 def rerun_command(path: Path) -> str:
