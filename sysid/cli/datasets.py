@@ -15,7 +15,18 @@ if TYPE_CHECKING:
 
 
 class ReferenceGroup(click.Group):
-    """A group whose first argument may be a reference instead of a verb: ``sysid datasets NAME`` is ``… show NAME``."""
+    """A group whose first argument may be a reference instead of a verb: ``sysid datasets NAME`` is ``… show NAME``.
+
+    Its help lists the options of ``show`` too, since they are given without the verb.
+    """
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        shown = self.commands["show"]
+        options = [entry for entry in shown.params if isinstance(entry, click.Option)]
+        records = [entry.get_help_record(click.Context(shown)) for entry in options]
+        with formatter.section("Options of the list, and of NAME[@VERSION]"):
+            formatter.write_dl([record for record in records if record is not None])
+        super().format_options(ctx, formatter)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args or (args[0] not in self.commands and args[0] not in ctx.help_option_names):

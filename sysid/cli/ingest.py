@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
 
@@ -98,5 +98,5 @@ def ingest(
             as_role = f" as {dataset.splits[added]}" if added in dataset.splits else ""
             out.line(f"added to {dataset.name}@{before}: {added}{as_role}")
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
-    out.line(f"Coverage and excitation: sysid --workspace {workspace} datasets {dataset.reference} --quality")
+    out.line(f"Coverage and excitation: {command('datasets', dataset.reference, '--quality', workspace=workspace)}")
     write_json(json_file, {**describe(dataset), "seconds": seconds})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
 import sys
 import time
@@ -68,7 +69,13 @@ def rerun_command(path: Path) -> str:
     """The command that shows a Rerun file; the viewer of the SDK need not be on the PATH."""
     beside = Path(sys.executable).with_name("rerun")
     viewer = "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
-    return f"{viewer} {path}"
+    return shlex.join((viewer, str(path)))
+
+
+def command(*words: object, workspace: str | Path | None = None) -> str:
+    """A command to copy: ``sysid [--workspace DIR] WORDS``, quoted as a shell needs it."""
+    place = ("--workspace", workspace) if workspace is not None else ()
+    return shlex.join(map(str, ("sysid", *place, *words)))
 
 
 class PipelineProgress:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sysid.cli import output
 from sysid.cli.interruption import leave_interrupts
 from sysid.cli.output import Printer, closed_stdout_ignored, json_option, open_standard_streams, write_json
 
@@ -132,7 +133,7 @@ def run(
         _print_outcome(printer, assembly, outcome, ranges)
         if isinstance(mode, Commission) and kept is not None:
             _commissioned(printer, mode, kept)
-        printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
+        printer.line(f"{flight.path}   (a recording: {output.command('ingest', folder, '--recipe', folder / 'recipe.toml')})")
     if missing := unwritten or failed:
         raise missing
     if outcome.ended == "fault" or (isinstance(mode, Commission) and not mode.passed):

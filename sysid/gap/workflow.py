@@ -21,6 +21,7 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stages import Forms
+from sysid.gap.written import written_effects
 from sysid.plant import Plant, compile_plant
 from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
@@ -127,6 +128,10 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
+        written=written_effects(
+            case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
+        ),
+        near_misses=tuple(outcome.near_misses),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(

@@ -23,6 +23,7 @@ from sysid.gap.result import (
     GapResult,
     Map,
     NamedEffect,
+    NearMissResult,
     Promotion,
     ResidualModelResult,
     Share,
@@ -30,6 +31,7 @@ from sysid.gap.result import (
     Traces,
     Unnamed,
     WorldGap,
+    WrittenEffect,
 )
 from sysid.parse import parse_json
 from sysid.root import Root
@@ -176,6 +178,8 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         experiments=experiments,
         settings=values["settings"],
         carried=_many(ResidualModelResult, values.get("carried", [])),
+        written=_many(WrittenEffect, values.get("written", [])),
+        near_misses=_many(NearMissResult, values.get("near_misses", [])),
         world_gap=_world_gap(values.get("world_gap")),
         machine_diff=values.get("machine_diff", ""),
         promotion=_promotion(values.get("promotion")),
