@@ -107,6 +107,9 @@ def gap(
         folder = workspace.keep_gap(dataset, result).parent
         show_gap(out, result, dataset, verbose)
         show_world(out, result, dataset)
+        if result.experiments:
+            out.line()
+            out.line("Planned recordings:")
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
             entry(out, f"{experiment.name}: {experiment.words}", "  ", verbose)
             out.line(f"    {planned['file']}")

@@ -25,8 +25,6 @@ SHARE = (
     "replace each other (dead time and lag) have small shares each, even if their sum is large."
 )
 KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}
-#: Effects whose values add up to the delay of an axis, with their parameter [s].
-DELAYS = {"input_delay": "delay", "first_order_lag": "time_constant"}
 
 
 def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
@@ -51,7 +49,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
         out.line(f"Written into {result.plant_after}: {count}")
     else:
         out.line(f"A repair (--add) would write {count}:")
-    out.table(("effect", "value", "95 % interval", "share", ""), rows, right=(3,))
+    out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
     entry(out, SHARE, "", True)
     reasons: dict[str, list[str]] = {}
     for item in result.written:
@@ -65,21 +63,15 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
     from sysid.reports.display import quantity
 
-    known = {(e.name, e.target): float(e.parameters[DELAYS[e.name]]) for e in dataset.machine.effects if e.name in DELAYS}  # type: ignore[arg-type]
-    before, after = dict(known), dict(known)
-    for item in result.written:
-        if item.name in DELAYS:
-            after[item.name, item.target] = float(item.parameters[DELAYS[item.name]])
-            if item.before:
-                before[item.name, item.target] = float(item.before[DELAYS[item.name]])
-    rows = []
-    for axis in dataset.machine.axis_names:
-        parts = [[values.get((name, axis), 0.0) for name in DELAYS] for values in (before, after)]
-        if parts[0] != parts[1]:
-            columns = [*zip(*parts, strict=True), tuple(map(sum, parts))]
-            rows.append(
-                (axis, *(f"{quantity(a, 's')} → {quantity(b, 's')}" if a != b else quantity(b, "s") for a, b in columns))
-            )
+    def change(ends: tuple[float, float]) -> str:
+        texts = [quantity(value, "s") for value in ends]
+        return texts[1] if texts[0] == texts[1] else " → ".join(texts)
+
+    rows = [
+        (item.axis, change(item.dead_time), change(item.lag), change(item.total))
+        for item in result.delays
+        if item.dead_time[0] != item.dead_time[1] or item.lag[0] != item.lag[1]
+    ]
     if rows:
         out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
 
@@ -89,9 +81,11 @@ def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose:
     from sysid.reports.words import effect_place
 
     written = {(item.name, item.target, item.side) for item in result.written}
-    others = [miss for miss in result.near_misses if (miss.name, miss.target, miss.side) not in written]
-    clear = [miss for miss in others if miss.distance >= DISTANT] if not verbose else others
-    clear.sort(key=lambda miss: -miss.distance)
+    found: dict[tuple[str, str, str | None], NearMissResult] = {}
+    for miss in sorted(result.near_misses, key=lambda miss: -miss.distance):  # a pump shows at several stages
+        found.setdefault((miss.name, miss.target, miss.side), miss)
+    others = [miss for key, miss in found.items() if key not in written]
+    clear = others if verbose else [miss for miss in others if miss.distance >= DISTANT]
     shown = clear if verbose else clear[:MISSES]
     if shown:
         out.line("Near misses, which are not written:")
@@ -125,11 +119,10 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
 
     machine, steps = dataset.machine, list[str]()
     for planned in result.experiments:
-        shown = listed(
-            list(dict.fromkeys(effect_place(e.name, e.target, machine) for p in planned.purposes for e in p.effects))
-        )
+        effects = [effect for purpose in planned.purposes for effect in purpose.effects]
+        places = listed(list(dict.fromkeys(effect_place(effect.name, effect.target, machine) for effect in effects)))
         again = f", {planned.repeats} times" if planned.repeats > 1 else ""
-        steps.append(f"Record {planned.name}.toml ({planned.about}, {planned.seconds:.0f} s{again}): {shown}.")
+        steps.append(f"Record {planned.name}.toml ({planned.about}, {planned.seconds:.0f} s{again}): {places}.")
     for tie in result.ambiguous:
         names = " or ".join(effect_place(name, target, machine) for name, target in tie)
         motions = dict.fromkeys(effect_named(name).need.advice.format(axis=target) for name, target in tie)

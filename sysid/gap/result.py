@@ -99,12 +99,27 @@ class WrittenEffect:
 
 
 @dataclass(frozen=True)
+class AxisDelay:
+    """Dead time and lag of an axis in the plant under test and in the repaired one, each (before, after) [s]."""
+
+    axis: str
+    dead_time: tuple[float, float]
+    lag: tuple[float, float]
+
+    @property
+    def total(self) -> tuple[float, float]:
+        """Dead time and lag together: the delay of a slow ramp."""
+        return self.dead_time[0] + self.lag[0], self.dead_time[1] + self.lag[1]
+
+
+@dataclass(frozen=True)
 class NearMissResult:
     """An effect of a model that predicts about as well as the chosen one, and the condition for a name that it fails.
 
     Args:
         parameters, interval95: fitted values [SI] and their 95 % intervals.
-        distance: of its values from those of the plant under test, in standard deviations; the largest of its parameters.
+        distance: of its values from those of the plant under test and from zero, in standard deviations; the largest of its
+            parameters. Small where the recordings do not determine it.
     """
 
     name: str
@@ -329,6 +344,7 @@ class GapResult:
     ``machine_diff`` is the change of ``machine.toml`` by the repair, as a unified diff; a stored repair has a ``promotion``.
     ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
     named ones first; ``near_misses`` those that lack one condition for a name.
+    ``delays`` has the axes of which a dead time or a lag is known.
     """
 
     dataset: str
@@ -358,6 +374,7 @@ class GapResult:
     carried: tuple[ResidualModelResult, ...] = ()
     written: tuple[WrittenEffect, ...] = ()
     near_misses: tuple[NearMissResult, ...] = ()
+    delays: tuple[AxisDelay, ...] = ()
 
     @property
     def repaired(self) -> bool:
@@ -393,6 +410,7 @@ class GapResult:
             "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
             "written": [asdict(item) for item in self.written],
+            "delays": [asdict(item) for item in self.delays],
             "near_misses": [asdict(item) for item in self.near_misses],
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],

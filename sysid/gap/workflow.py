@@ -21,7 +21,7 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stages import Forms
-from sysid.gap.written import written_effects
+from sysid.gap.written import axis_delays, written_effects
 from sysid.plant import Plant, compile_plant
 from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
@@ -132,6 +132,7 @@ def find_gap(
             case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
         ),
         near_misses=tuple(outcome.near_misses),
+        delays=axis_delays(case.plant, outcome.repaired),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(

@@ -10,13 +10,14 @@ import numpy as np
 from sysid.effects import effect_named
 from sysid.gap.case import Stage
 from sysid.gap.decision import Z
-from sysid.gap.result import NamedEffect, NearMissResult, WrittenEffect
+from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 from sysid.plant.layout import side_of
 from sysid.plant.plant import effect_key
 
 Key = tuple[str, str, str | None]
+DEAD_TIME, LAG = ("input_delay", "delay"), ("first_order_lag", "time_constant")
 _ORDER = ("named", "tied", "adjusted")
 
 
@@ -41,6 +42,22 @@ def written_effects(
     return tuple(sorted(found, key=lambda item: _ORDER.index(item.kind)))
 
 
+def axis_delays(before: Plant, after: Plant) -> tuple[AxisDelay, ...]:
+    """Dead time and lag of every axis that has one, before or after."""
+    found = []
+    for axis in after.machine.axis_names:
+        dead, lag = ((_value(before, *place, axis), _value(after, *place, axis)) for place in (DEAD_TIME, LAG))
+        if any((*dead, *lag)):
+            found.append(AxisDelay(axis, dead, lag))
+    return tuple(found)
+
+
+def _value(plant: Plant, name: str, parameter: str, axis: str) -> float:
+    known = plant.effect(name, axis, None)
+    value = known.parameters[parameter] if known is not None else 0.0
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
 def near_misses(stage: Stage) -> tuple[NearMissResult, ...]:
     """The near misses of a stage, in the order of its decision."""
     fitted = stage.found.stage_fit
@@ -53,7 +70,8 @@ def near_misses(stage: Stage) -> tuple[NearMissResult, ...]:
         half = Z * miss.deviations
         values = dict(zip(unknowns, map(float, miss.values), strict=True))
         ends = zip(map(float, miss.values - half), map(float, miss.values + half), strict=True)
-        away = np.abs(miss.values - nominal) / np.maximum(miss.deviations, 1e-12)
+        size = np.minimum(np.abs(miss.values - nominal), np.abs(miss.values))
+        away = size / np.maximum(miss.deviations, 1e-12)
         distance = float(np.max(np.nan_to_num(away, nan=0.0, posinf=0.0)))
         found.append(
             NearMissResult(
@@ -88,11 +106,9 @@ def _intervals(item: KnownEffect, plant: Plant) -> dict[str, tuple[Any, Any]]:
             low, high = bounds[place.parameter]
             ends = float(np.clip(value - Z * deviation, low, high)), float(np.clip(value + Z * deviation, low, high))
             found.setdefault(place.parameter, []).append(ends)
+    single = {key: isinstance(item.parameters[key], (int, float)) for key in found}
     return {
-        key: ends[0]
-        if isinstance(item.parameters[key], (int, float))
-        else (tuple(a for a, _ in ends), tuple(b for _, b in ends))
-        for key, ends in found.items()
+        key: ends[0] if single[key] else (tuple(a for a, _ in ends), tuple(b for _, b in ends)) for key, ends in found.items()
     }
 
 

@@ -17,6 +17,7 @@ from sysid.files import json_text
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
+    AxisDelay,
     ComparedModel,
     Excitation,
     Gap,
@@ -179,6 +180,7 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         settings=values["settings"],
         carried=_many(ResidualModelResult, values.get("carried", [])),
         written=_many(WrittenEffect, values.get("written", [])),
+        delays=_many(AxisDelay, values.get("delays", [])),
         near_misses=_many(NearMissResult, values.get("near_misses", [])),
         world_gap=_world_gap(values.get("world_gap")),
         machine_diff=values.get("machine_diff", ""),
