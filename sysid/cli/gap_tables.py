@@ -212,14 +212,17 @@ def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
 
 
 def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
+    from sysid.reports.display import digits_for
     from sysid.reports.effect_units import shown
 
-    def text(value: float) -> str:
-        return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, 2, dataset.units)
+    def text(value: float, digits: int) -> str:
+        return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, digits, dataset.units)
 
     low, high = miss.interval95[key]
     half = 0.5 * (high - low)
-    return f"{text(miss.parameters[key])} ± {text(half)}" if math.isfinite(half) else text(miss.parameters[key])
+    if not math.isfinite(half):
+        return text(miss.parameters[key], 3)
+    return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
 
 
 def unnamed_texts(result: GapResult) -> Sequence[str]:

@@ -20,8 +20,7 @@ WORK = {
     "sleep": "time.sleep(60)",
     "pool": "with ThreadPoolExecutor(2) as pool: list(pool.map(time.sleep, [60, 60]))",
     "swallow": "while True:\n        try: time.sleep(60)\n        except KeyboardInterrupt: pass",
-    "children": "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n    print(child.pid, flush=True)\n"
-    "    child.wait()",
+    "children": "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).wait()",
 }
 SCRIPT = """
 import signal, subprocess, sys, time

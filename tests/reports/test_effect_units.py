@@ -65,7 +65,8 @@ def test_a_turning_force_axis_without_urdf_has_newton_metres_where_its_joint_is_
     text = 'schema = 1\nname = "m"\nrate_hz = 50.0\n'
     for name, actuation in (("arm", "force"), ("pitch", "position"), ("boom", "velocity")):
         inertia = "inertia = 1.0\n" if actuation == "force" else ""
-        text += f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\nlimits = [-1.0, 1.0]\ngain = 1.0\n{inertia}'
+        text += f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\n'
+        text += f"limits = [-1.0, 1.0]\ngain = 1.0\n{inertia}"
     machine = machine_from_files({"machine.toml": text}, "test")
     turning, sliding = {"arm.joint": "rad", "pitch.joint": "rad"}, {"arm.joint": "m", "pitch.joint": "m"}
     assert parameter_unit("coulomb_friction", "force", "arm", machine, turning) == "N·m"
