@@ -21,7 +21,7 @@ STEPS, MISSES = 3, 5
 #: Standard deviations between the value of a listed near miss and the simulation.
 DISTANT = 2.0
 SHARE = (
-    "Share: how much of the closed error of its stage returns without this effect, the others refitted. Effects that can "
+    "Share: how much of the closable error of its stage returns without this effect, the others refitted. Effects that can "
     "replace each other (dead time and lag) have small shares each, even if their sum is large."
 )
 KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}

@@ -409,9 +409,9 @@ class GapResult:
             "shares": [asdict(item) for item in self.shares],
             "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
-            "written": [asdict(item) for item in self.written],
+            "written": [_given(item) for item in self.written],
             "delays": [asdict(item) for item in self.delays],
-            "near_misses": [asdict(item) for item in self.near_misses],
+            "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
@@ -420,6 +420,11 @@ class GapResult:
             "carried": [asdict(item) for item in self.carried],
             "promotion": None if self.promotion is None else {"promoted": self.promotion.promoted, **asdict(self.promotion)},
         }
+
+
+def _given(item: WrittenEffect | NearMissResult) -> dict[str, Any]:
+    """Its fields that have a value: side and share are absent where there is none."""
+    return {key: value for key, value in asdict(item).items() if value is not None}
 
 
 def _effect_json(effect: NamedEffect) -> dict[str, Any]:
