@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +16,7 @@ def test_the_share_of_a_stage_rises_with_every_fit_and_stays_below_one(fits: int
     count = FitCount(lambda share, text: shares.append(share), "command stage of boom")
     for _ in range(fits):
         count("backlash(boom)")
-    assert all(a < b for a, b in zip(shares, shares[1:], strict=False))
+    assert all(a < b for a, b in pairwise(shares))
     assert 0.0 < shares[0] <= 0.9 / TYPICAL_FITS
     assert shares[-1] < 1.0
 
