@@ -86,8 +86,8 @@ def _written(
 ) -> WrittenEffect:
     earlier = dict(before.parameters) if before is not None else {}
     if name is not None:
-        values, ends = dict(name.given), {key: name.interval95[key] for key in name.given}
-        return WrittenEffect(item.name, item.target, "named", values, earlier, ends, name.gap_share, side=item.side)
+        ends = {key: name.interval95[key] for key in name.given}
+        return WrittenEffect(item.name, item.target, "named", name.given, earlier, ends, name.gap_share, side=item.side)
     kind: Literal["tied", "adjusted"] = "tied" if (item.name, item.target) in tied else "adjusted"
     values, ends = dict(item.parameters), _intervals(item, plant)
     reason = why if kind == "adjusted" else ""
