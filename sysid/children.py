@@ -1,4 +1,4 @@
-"""Child Python processes that do not import modules from the current folder.
+"""Child Python processes: they do not import modules from the current folder, and they end with their parent.
 
 ``python -m``, ``python -c`` and the processes of :mod:`multiprocessing` search the current folder first, so that a ``numpy.py``
 beside a user's logs would be executed. ``-P`` (``PYTHONSAFEPATH``, Python 3.11) removes that folder from the path.
@@ -6,12 +6,15 @@ beside a user's logs would be executed. ``-P`` (``PYTHONSAFEPATH``, Python 3.11)
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 SAFE_PATH = "PYTHONSAFEPATH"
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def python_command(*words: str) -> list[str]:
@@ -36,3 +39,37 @@ def safe_children() -> Iterator[None]:
             del os.environ[SAFE_PATH]
         else:
             os.environ[SAFE_PATH] = before
+
+
+def end_with_parent(parent: int) -> None:
+    """In a worker process: it ends with its parent, and only the parent reacts to Ctrl-C, which a terminal sends to both.
+
+    Args:
+        parent: process id of the parent, which may have ended already.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def end_children() -> None:
+    """Kill the child processes, except those in a session of their own, which are meant to outlive this one."""
+    own = os.getsid(0)
+    for child in _children():
+        with contextlib.suppress(OSError):
+            if os.getsid(child) == own:
+                os.kill(child, signal.SIGKILL)
+
+
+def _children() -> list[int]:
+    """Process ids of the children of all threads; empty where the system does not list them."""
+    found: list[int] = []
+    with contextlib.suppress(OSError):
+        for task in os.listdir("/proc/self/task"):
+            with contextlib.suppress(OSError), open(f"/proc/self/task/{task}/children", encoding="ascii") as file:
+                found += map(int, file.read().split())
+    return found

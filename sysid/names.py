@@ -6,6 +6,7 @@ A name is checked where it is read (manifest, registry row, recipe, command line
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import Any
 
 from sysid.errors import SettingsError
@@ -15,6 +16,24 @@ from sysid.foreign import shown
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 #: Largest length of a name [bytes]: below the file system's 255, because a version number and a suffix are added.
 MAX_BYTES = 200
+
+
+#: Letters that Unicode does not decompose into a Latin one, or whose custom is another one than to drop the accent.
+_LETTERS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "æ": "ae", "ø": "oe", "å": "aa", "œ": "oe", "ł": "l", "đ": "d", "ð": "d",
+     "þ": "th", "ı": "i"}
+)  # fmt: skip
+
+
+def slug(text: str, otherwise: str) -> str:
+    """A name of lower-case letters, digits, ``-`` and ``_`` for any text: ``Kran Größe 1`` → ``kran-groesse-1``.
+
+    Args:
+        otherwise: the name where the text holds no Latin letter and no digit.
+    """
+    composed = unicodedata.normalize("NFC", text).lower().translate(_LETTERS)
+    plain = "".join(letter for letter in unicodedata.normalize("NFKD", composed) if not unicodedata.combining(letter))
+    return re.sub(r"[^a-z0-9_-]+", "-", plain.lower()).strip("-_")[:MAX_BYTES].strip("-_") or otherwise
 
 
 def check_name(name: Any, role: str = "model name") -> str:
@@ -41,7 +60,8 @@ def check_dataset_name(name: Any, role: str = "dataset name", remedy: str = "") 
     """
     if not isinstance(name, str) or not is_dataset_name(name):
         expected = f"letters, digits, '-', '_' and '.', at most {MAX_BYTES} bytes"
-        raise SettingsError(role, shown(name), expected, remedy)
+        nearby = slug(name, "") if isinstance(name, str) else ""
+        raise SettingsError(role, shown(name), expected, remedy or (f"Such as {nearby}." if nearby else ""))
     return name
 
 

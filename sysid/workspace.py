@@ -22,6 +22,7 @@ from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.gap.experiment.excitation_verdict import excitation_report
+from sysid.location import LOCAL, checked_location, local_folder
 from sysid.names import check_dataset_name
 from sysid.networks import (
     ActuatorNetwork,
@@ -56,12 +57,12 @@ class Workspace:
     """
 
     location: str | Path = "./workspace"
-    local: Path = Path("./workspace")
+    local: Path = LOCAL
 
     @property
     def folder(self) -> Path:
         """The folder of models, results and reports."""
-        return self.local if "://" in str(self.location) else Path(self.location)
+        return local_folder(self.location, self.local)
 
     @property
     def root(self) -> Root:
@@ -303,7 +304,4 @@ def open_workspace(location: str | os.PathLike[str]) -> Workspace:
     Raises:
         SettingsError: ``location`` is a file.
     """
-    text = os.fspath(location)
-    if "://" not in text and Path(text).exists() and not Path(text).is_dir():
-        raise SettingsError(f"--workspace {text}", "is a file", "a folder")
-    return Workspace(text)
+    return Workspace(checked_location(location))

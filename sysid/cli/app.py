@@ -90,10 +90,11 @@ def app(ctx: click.Context, workspace: str) -> None:
     ctx.obj = workspace
 
 
-def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit.
+def run_verb(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line with child processes that are safe, and exit.
 
-    Exit status: 0 done, 1 the computer failed (disk full, no permission), 2 a mistake of the user, 130 interrupted.
+    Raises:
+        KeyboardInterrupt: Ctrl-C; nothing is printed about it yet.
     """
     with safe_children():
         status = run_command(None if argv is None else list(argv))
@@ -113,8 +114,8 @@ def run_command(argv: list[str] | None) -> int:
         error.show(shown)
         click.echo(visible(shown.getvalue(), keep="\n"), err=True, nl=False)
         return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        return _complain("interrupted; no partial result is visible, and the command can be repeated", 130)
+    except click.Abort:  # click's name for an interrupt
+        raise KeyboardInterrupt from None
     except BrokenPipeError:
         # The reader of the output has closed it (`sysid datasets | head`).
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -15,7 +15,18 @@ if TYPE_CHECKING:
 
 
 class ReferenceGroup(click.Group):
-    """A group whose first argument may be a reference instead of a verb: ``sysid datasets NAME`` is ``… show NAME``."""
+    """A group whose first argument may be a reference instead of a verb: ``sysid datasets NAME`` is ``… show NAME``.
+
+    Its help lists the options of ``show`` too, since they are given without the verb.
+    """
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        shown = self.commands["show"]
+        options = [entry for entry in shown.params if isinstance(entry, click.Option)]
+        records = [entry.get_help_record(click.Context(shown)) for entry in options]
+        with formatter.section("Options of the list, and of NAME[@VERSION]"):
+            formatter.write_dl([record for record in records if record is not None])
+        super().format_options(ctx, formatter)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args or (args[0] not in self.commands and args[0] not in ctx.help_option_names):
@@ -39,8 +50,6 @@ def datasets() -> None:
 @click.pass_obj
 def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
-    from sysid.datasets import Store
-
     if quality:
         from sysid.cli.quality import show_quality
 
@@ -48,13 +57,17 @@ def show(location: str, reference: str | None, quality: bool, json_file: str | N
         return
 
     out = Printer(json_file)
-    store = Store(location)
     if reference is not None:
+        from sysid.datasets import Store
+
+        store = Store(location)
         dataset = store.load(reference)
         show_dataset(out, dataset)
         write_json(json_file, {**describe(dataset), "tables": tables(store, dataset.reference)})
         return
-    entries = store.list()
+    from sysid.datasets.versions.index import VersionIndex
+
+    entries = VersionIndex(location).list()
     write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
     if not entries:
         out.line(f"No datasets in {location} yet: sysid ingest PATH creates one.")

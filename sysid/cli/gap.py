@@ -6,7 +6,8 @@ from typing import Literal
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.gap_tables import entry
+from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.tables import show_gap, show_localised, show_repair, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
@@ -43,6 +44,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     metavar="KEY",
     help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
 )
+@click.option("--verbose", is_flag=True, help="Every near miss and next step, at full length.")
 @json_option
 @click.pass_obj
 def gap(
@@ -56,6 +58,7 @@ def gap(
     carry: bool,
     forms: Forms,
     accept: tuple[str, ...],
+    verbose: bool,
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
@@ -64,18 +67,6 @@ def gap(
     from sysid.datasets.roles.needs import check_needs
     from sysid.errors import SettingsError
 
-    out = Printer(json_file)
-    dataset = Store(location).load(reference)
-    check_needs(dataset)  # before anything is compiled
-    checked(out, dataset, accept)
-    from sysid.cli.own_simulator import load_simulator
-    from sysid.gap import find_gap
-    from sysid.gap.experiment import Planning
-    from sysid.plant import Plant
-    from sysid.reports import write_report
-    from sysid.workspace import open_workspace
-
-    workspace = open_workspace(location)
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
@@ -85,14 +76,21 @@ def gap(
             "one of them",
             "A residual network is fitted to the error that the search leaves.",
         )
-    tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
-    if isinstance(tested, Plant) and plant is not None and "@" not in plant:
-        out.line(f"`{plant}` means {tested.reference}.")
-    linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names
-    for axis in dataset.machine.axes:
-        if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
-            out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} fits one.")
+    out = Printer(json_file)
+    dataset = Store(location).load(reference)
+    check_needs(dataset)  # before anything is compiled
+    checked(out, dataset, accept)
     with progress_bar("gap") as progress:
+        progress(0.0, "loading")  # the numerical libraries, which takes seconds
+        from sysid.cli.own_simulator import load_simulator
+        from sysid.gap import find_gap
+        from sysid.gap.experiment import Planning
+        from sysid.plant import Plant
+        from sysid.reports import write_report
+        from sysid.workspace import open_workspace
+
+        workspace = open_workspace(location)
+        tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
         result = find_gap(
             dataset,
             tested,
@@ -105,6 +103,13 @@ def gap(
             progress=progress,
             planning=Planning(),
         )
+    if isinstance(tested, Plant) and plant is not None and "@" not in plant:
+        out.line(f"`{plant}` means {tested.reference}.")
+    linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names
+    for axis in dataset.machine.axes:
+        if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
+            fit = command("fit", "actuator", dataset.name, workspace=location)
+            out.line(f"{axis.name}: no linkage, so its joint is not simulated; {fit} fits one.")
     folder = None
     if localise:
         show_localised(out, result, dataset)
@@ -112,11 +117,14 @@ def gap(
         out.line(f"With the maps: {page}")
     else:
         folder = workspace.keep_gap(dataset, result).parent
-        show_gap(out, result, dataset)
+        show_gap(out, result, dataset, verbose)
         show_world(out, result, dataset)
+        if result.experiments:
+            out.line()
+            out.line("Planned recordings:")
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
-            out.line(f"record: {experiment.words}")
-            out.line(f"        {planned['file']}")
+            entry(out, f"{experiment.name}: {experiment.words}", "  ", True)
+            out.line(f"    {planned['file']}")
         if result.plant_after:
             show_repair(out, result, dataset, folder, location)
         elif simulator is not None:
@@ -126,5 +134,5 @@ def gap(
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
-        out.line(f"Report: sysid --workspace {location} report {dataset.reference}")
+        out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
     write_json(json_file, result.to_json(folder))

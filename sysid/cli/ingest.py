@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
 
@@ -104,6 +104,6 @@ def ingest(
     findings = check_plausibility(dataset)
     show_findings(out, findings)
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
-    out.line(f"Coverage and excitation: sysid --workspace {workspace} datasets {dataset.reference} --quality")
+    out.line(f"Coverage and excitation: {command('datasets', dataset.reference, '--quality', workspace=workspace)}")
     plausibility = [finding.to_json() for finding in findings]
     write_json(json_file, {**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})

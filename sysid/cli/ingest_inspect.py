@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, progress_bar, size_text, write_json
+from sysid.cli.output import Printer, command, progress_bar, size_text, write_json
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 
@@ -63,7 +63,7 @@ def inspect_paths(
     for summary in summaries:
         _show(out, summary)
     if draft is not None:
-        out.line(f"drafted {draft}: fill in the parts in <…>, then sysid ingest PATH --recipe {draft}")
+        out.line(f"drafted {draft}: fill in the parts in <…>, then {command('ingest', 'PATH', '--recipe', draft)}")
     else:
         out.line("A recipe to fill in (--draft R.toml writes it to a file):")
         out.line()

@@ -9,8 +9,9 @@ from string import Template
 
 import click
 
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
+from sysid.names import slug
 from sysid.root import Root
 
 FOLDERS = {
@@ -43,7 +44,7 @@ def template(kind: str, file: str, name: str) -> str:
 @json_option
 def init(directory: Path, name: str | None, kind: str, json_file: str | None) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
-    name = name or _as_name(directory.resolve().name)
+    name = name or _name_of(directory)
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")
     files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
@@ -65,9 +66,12 @@ def init(directory: Path, name: str | None, kind: str, json_file: str | None) ->
         out.line(f"kept  {directory / relative}")
     folder = directory / "datasets" / name
     out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
-    out.line(f"      sysid ingest {folder}")
+    out.line(f"      {command('ingest', folder)}")
     write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
 
 
-def _as_name(text: str) -> str:
-    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-") or "machine"
+def _name_of(directory: Path) -> str:
+    """The name of a folder's machine; where an earlier version has made one with another name, that one."""
+    text = directory.resolve().name
+    before = re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-") or "machine"
+    return before if (directory / "datasets" / before / "machine.toml").is_file() else slug(text, "machine")

@@ -17,7 +17,7 @@ from sysid.foreign import visible
 if TYPE_CHECKING:
     from sysid.cli.loopback import Page
     from sysid.model_versions import ModelVersions
-    from sysid.registry import DamagedModel, ModelVersion
+    from sysid.registry import DamagedModel, ModelVersion, Registry
 
 RESIDUAL_NOTE = "contains unnamed_residual: a bounded network fitted to the recordings, without a physical cause."
 ANYWAY = "'WHY'"
@@ -39,9 +39,8 @@ def models() -> None:
 def show(location: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
     """List model versions, or show one."""
     from sysid.registry import DamagedModel
-    from sysid.workspace import open_workspace
 
-    registry = open_workspace(location).models
+    registry = _registry(location)
     out = Printer(json_file)
     if reference is not None:
         version = registry.find(reference)
@@ -93,9 +92,7 @@ def repair(location: str, accept: bool, json_file: str | None) -> None:
     """
     from dataclasses import asdict
 
-    from sysid.workspace import open_workspace
-
-    found = open_workspace(location).models.repair(accept)
+    found = _registry(location).repair(accept)
     out = Printer(json_file)
     for line in found.done:
         out.line(line)
@@ -265,6 +262,14 @@ def _serve(pages: dict[str, Page], port: int, show_it: bool) -> None:
         server.serve_forever()
 
 
+def _registry(location: str) -> Registry:
+    """The registry alone: the workspace imports everything that it may store."""
+    from sysid.location import checked_location, local_folder
+    from sysid.registry import Registry
+
+    return Registry(local_folder(checked_location(location)))
+
+
 def _versions(location: str) -> ModelVersions:
     from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
@@ -274,7 +279,7 @@ def _versions(location: str) -> ModelVersions:
 
 def _show_decisions(out: Printer, version: ModelVersion) -> None:
     if version.decisions:
-        from sysid.versions.card import decision_row
+        from sysid.registry.decision import decision_row
 
         for decision in version.decisions:
             when, what, by, why = decision_row(decision)

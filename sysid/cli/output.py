@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
 import sys
 import time
@@ -13,6 +14,7 @@ from typing import Any
 
 import click
 
+from sysid.cli.progress_bar import progress_bar as progress_bar
 from sysid.errors import SettingsError
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
@@ -63,37 +65,17 @@ class Printer:
         self.console.print(table)
 
 
-@contextlib.contextmanager
-def progress_bar(title: str) -> Iterator[Progress]:
-    """A callback that drives a progress bar on stderr, and does nothing if stderr is no terminal."""
-    if not sys.stderr.isatty():
-        yield lambda done, text: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        TextColumn("[bold]{task.fields[title]}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-    )
-    with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, title=escape(visible(title, MAX_CELL)))
-
-        def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MAX_CELL)))
-
-        yield report
-
-
 def rerun_command(path: Path) -> str:
     """The command that shows a Rerun file; the viewer of the SDK need not be on the PATH."""
     beside = Path(sys.executable).with_name("rerun")
     viewer = "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
-    return f"{viewer} {path}"
+    return shlex.join((viewer, str(path)))
+
+
+def command(*words: object, workspace: str | Path | None = None) -> str:
+    """A command to copy: ``sysid [--workspace DIR] WORDS``, quoted as a shell needs it."""
+    place = ("--workspace", workspace) if workspace is not None else ()
+    return shlex.join(map(str, ("sysid", *place, *words)))
 
 
 class PipelineProgress:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, write_json
+from sysid.cli.output import Printer, command, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     show_findings(out, findings)
     found = show_roles(out, dataset, location, needs=False)  # the verdicts have them
     show_excitation(out, verdicts, dataset)
-    out.line(f"Pictures: sysid --workspace {location} report {dataset.reference}")
+    out.line(f"Pictures: {command('report', dataset.reference, workspace=location)}")
     write_json(
         json_file,
         {
@@ -125,6 +125,7 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:
     """For every effect and location: ready, not enough, or not observable with these sensors."""
     from sysid.reports.verdicts import amount, by_effect, by_reason, place, request_text, spread
+    from sysid.reports.words import effect_title
 
     for note in found.notes:
         out.line(f"note: {note}")
@@ -137,16 +138,16 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
         f"Excitation of the effects: {len(ready)} ready, {len(lacking)} not enough, {len(hidden)} cannot be shown ({counted})"
     )
     if lacking:
-        rows = [(v.name, place(v), amount(v), v.unit) for v in lacking]
+        rows = [(effect_title(v.name, v.target, dataset.machine), place(v), amount(v), v.unit) for v in lacking]
         out.table(("not enough", "where", "have of need", "of what"), rows, right=(2,))
         for request in found.requests:
             out.line(f"  → {request_text(request, dataset.machine)}")
         out.line()
     if ready:
-        firsts = [(group, group.verdicts[0]) for group in by_effect(ready)]
-        lines = [(first.name, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
+        firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
+        lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
         out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
-    for reason, groups in by_reason(hidden):
+    for reason, groups in by_reason(hidden, dataset.machine):
         out.line(f"cannot be shown: {reason}")
         for group in groups:
-            out.line(f"  {group.verdicts[0].name}: {group.places}")
+            out.line(f"  {group.title}: {group.places}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, command, json_option, write_json
 
 
 @click.command()
@@ -27,6 +27,6 @@ def report(location: str, reference: str | None, path: Path | None, json_file: s
     out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
     if inputs.gap is None:
-        out.line(f"The report has no comparison with a simulation yet: sysid --workspace {location} gap {dataset.name}")
+        out.line(f"The report has no comparison with a simulation yet: {command('gap', dataset.name, workspace=location)}")
     verdict = inputs.gap.verdict if inputs.gap is not None else None
     write_json(json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})

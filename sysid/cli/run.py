@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sysid.cli import output
+from sysid.cli.interruption import leave_interrupts
 from sysid.cli.output import Printer, closed_stdout_ignored, json_option, open_standard_streams, write_json
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ def run(
         _print_outcome(printer, assembly, found.outcome, found.ranges)
         write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
         return
+    leave_interrupts()  # from here on the machine decides how a run stops
     line = connect(assembly, registry)
     transport = line.transport
     for text in line.remarks:
@@ -130,7 +133,7 @@ def run(
         _print_outcome(printer, assembly, outcome, ranges)
         if isinstance(mode, Commission) and kept is not None:
             _commissioned(printer, mode, kept)
-        printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
+        printer.line(f"{flight.path}   (a recording: {output.command('ingest', folder, '--recipe', folder / 'recipe.toml')})")
     if missing := unwritten or failed:
         raise missing
     if outcome.ended == "fault" or (isinstance(mode, Commission) and not mode.passed):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
+
+from sysid.cli.output import command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -132,36 +135,35 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
 
 
-def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """The verdict, named effects with intervals, ambiguous and unnamed errors, and the gap of every signal."""
-    from sysid.reports.display import digits_for, percent
-    from sysid.reports.effect_units import UNDETERMINED, shown, shown_parameters
-    from sysid.reports.words import effect_sentence, headline
+def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = False) -> None:
+    """The verdict, everything that the repair writes, unnamed errors, near misses, the gap of every signal, next steps.
+
+    Args:
+        verbose: every near miss and next step, at full length.
+    """
+    from sysid.cli import gap_tables
+    from sysid.reports.effect_units import shown_parameters
+    from sysid.reports.words import effect_place, effect_sentence, headline
 
     machine = dataset.machine
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
-    rows = []
     for effect in result.effects:
-        texts = shown_parameters(effect.name, effect.target, effect.given, machine)
-        out.line(f"  {effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))}")
-        for name, value in effect.parameters.items():
-            low, high = effect.interval95[name]
-            digits = 4 if isinstance(low, (list, tuple)) else digits_for(low, high)
-            value_shown, *ends = (shown(effect.name, name, effect.target, v, machine, digits) for v in (value, low, high))
-            if name in effect.undetermined:
-                value_shown = UNDETERMINED
-            rows.append((effect.name, effect.target, name, value_shown, " … ".join(ends), percent(effect.gap_share)))
-    if rows:
-        out.table(("effect", "target", "parameter", "value", "95 % interval", "share of gap"), rows, right=(3, 4, 5))
+        texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
+        sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))
+        gap_tables.entry(out, sentence, "  ", True)
+    out.line()
+    gap_tables.show_written(out, result, dataset)
+    gap_tables.show_delays(out, result, dataset)
     for tie in result.ambiguous:
-        out.line("  cannot be distinguished: " + " / ".join(f"{name} ({target})" for name, target in tie))
-    for item in result.unnamed:
-        out.line(f"  unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
+        names = " / ".join(effect_place(name, target, machine) for name, target in tie)
+        gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ", True)
+    for text in gap_tables.unnamed_texts(result):
+        gap_tables.entry(out, text, "  ", verbose)
     show_residual_models(out, result, dataset)
+    gap_tables.show_near_misses(out, result, dataset, verbose)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
-    for step in result.next_experiment:
-        out.line(f"next: {step}")
-    out.line(f"held-out recordings: {', '.join(result.held_out_recordings)}")
+    gap_tables.entry(out, f"Held-out recordings: {', '.join(result.held_out_recordings)}", "", verbose)
+    gap_tables.show_next_steps(out, result, dataset, verbose)
 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
@@ -201,7 +203,6 @@ def show_repair(
         folder: of the result and its ``machine.diff``.
         workspace: for the printed commands.
     """
-    command = "sysid" if workspace is None else f"sysid --workspace {workspace}"
     name = result.plant_after.partition("@")[0]
     out.line(f"{result.plant_after} = {result.plant_before} repaired. Change of machine.toml (SI units):")
     out.line()
@@ -215,7 +216,7 @@ def show_repair(
                 f"describe; it is only in {result.plant_after}."
             )
     if folder is not None and result.machine_diff:
-        out.line(f"Apply it: patch machine.toml {folder / 'machine.diff'}, and ingest again.")
+        out.line(f"Apply it: patch machine.toml {shlex.quote(str(folder / 'machine.diff'))}, and ingest again.")
     found = result.promotion
     if found is None:
         return
@@ -225,13 +226,15 @@ def show_repair(
         instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
         out.line(f"Promoted: `{name}` alone now means {found.version}{instead}.")
         back = found.previous if found.previous != found.version else result.plant_before
-        out.line(f"Undo it:  {command} models promote {back}   ({back} and machine.toml are unchanged)")
+        out.line(
+            f"Undo it:  {command('models', 'promote', back, workspace=workspace)}   ({back} and machine.toml are unchanged)"
+        )
     else:
         out.line(f"Not promoted: {found.reason}.")
         champion = f"`{name}` alone still means {found.current}" if found.current else "No version of this name is promoted"
-        anyway = f"{command} models promote {found.version} --anyway 'WHY'"
+        anyway = f"{command('models', 'promote', found.version, workspace=workspace)} --anyway 'WHY'"
         out.line(f"{champion}; {found.version} is stored. To promote it regardless: {anyway}")
-    out.line(f"`sysid gap {dataset.name}` without --plant still tests the simulation that machine.toml describes.")
+    out.line(f"`{command('gap', dataset.name)}` without --plant still tests the simulation that machine.toml describes.")
 
 
 def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:

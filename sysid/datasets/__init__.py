@@ -1,15 +1,24 @@
-"""Dataset versions: streams of logs, aligned, resampled, described and stored."""
+"""Dataset versions: streams of logs, aligned, resampled, described and stored.
 
-from sysid.datasets.ingest import ingest
-from sysid.datasets.recording import ClockRecord, Dataset, Kind, Recording, Role, Source
-from sysid.datasets.versions.append import append
-from sysid.datasets.versions.assemble import Entry
-from sysid.datasets.versions.diff import DatasetDiff, diff
-from sysid.datasets.versions.frame import frame_of, load
-from sysid.datasets.versions.lineage import Lineage, lineage
-from sysid.datasets.versions.store import Store
-from sysid.datasets.versions.tables import PartTables
-from sysid.datasets.versions.vacuum import VacuumResult, vacuum
+The modules are imported when a name is used, so that listing versions needs none of the numerical libraries.
+"""
+
+from typing import TYPE_CHECKING
+
+from sysid.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from sysid.datasets.clock_record import ClockRecord
+    from sysid.datasets.ingestion import ingest
+    from sysid.datasets.recording import Dataset, Kind, Recording, Role, Source
+    from sysid.datasets.versions.append import append
+    from sysid.datasets.versions.diff import DatasetDiff, diff
+    from sysid.datasets.versions.frame import frame_of, load
+    from sysid.datasets.versions.index import Entry
+    from sysid.datasets.versions.lineage import Lineage, lineage
+    from sysid.datasets.versions.store import Store
+    from sysid.datasets.versions.tables import PartTables
+    from sysid.datasets.versions.vacuum import VacuumResult, vacuum
 
 __all__ = [
     "ClockRecord",
@@ -32,3 +41,20 @@ __all__ = [
     "load",
     "vacuum",
 ]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "clock_record": ["ClockRecord"],
+        "ingestion": ["ingest"],
+        "recording": ["Dataset", "Kind", "Recording", "Role", "Source"],
+        "versions.append": ["append"],
+        "versions.diff": ["DatasetDiff", "diff"],
+        "versions.frame": ["frame_of", "load"],
+        "versions.index": ["Entry"],
+        "versions.lineage": ["Lineage", "lineage"],
+        "versions.store": ["Store"],
+        "versions.tables": ["PartTables"],
+        "versions.vacuum": ["VacuumResult", "vacuum"],
+    },
+)

@@ -13,12 +13,15 @@ ABSENT = 1e4
 EFFECT = Effect(
     name="command_rate_limit",
     title="Command rate limit",
+    titles={"position": "Speed limit of the servo"},
     sentences=("The command of the {target} changes by at most {rate} a second.",),
     part="valve",
     stage="command",
     target="axis",
     slots=(Slot("rate", ABSENT),),
-    forms=(Form((Parameter("rate", "1/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0), 0.02, "largest change of the command"),)),),
+    forms=(
+        Form((Parameter("rate", "command/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0), 0.02, "largest change of the command"),)),
+    ),
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",

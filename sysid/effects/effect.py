@@ -28,7 +28,7 @@ class Parameter:
 
     Args:
         name: as in the contract.
-        unit: SI; ``drive`` or ``signal`` stands for m or rad, the unit of the target.
+        unit: SI; ``drive`` or ``signal`` stands for m or rad, the unit of the target; ``command`` for the unit of its command.
         bounds: (low, high) of a fit.
         starts: start values of a fit.
         negligible: a negligible change, from which steps and tolerances of fits derive.
@@ -89,6 +89,7 @@ class Effect:
     Args:
         name: as in the contract.
         title: its name in reports and on the console.
+        titles: its name on axes of an actuation where the title does not fit: see :meth:`title_on`.
         sentences: templates over ``{target}`` and the parameters; a report uses the first one whose parameters are all known.
         beside: another effect on the same target → the sentence to use if that one changes the meaning of this one's value.
         part: its place on the machine; without hydraulics a drive replaces valve and cylinder.
@@ -126,6 +127,7 @@ class Effect:
     source: str
     excited_by: str
     need: Need
+    titles: Mapping[Actuation, str] = field(default_factory=dict, hash=False)
     beside: Mapping[str, str] = field(default_factory=dict, hash=False)
     confused_with: Mapping[str, str] = field(default_factory=dict, hash=False)
     actuations: tuple[Actuation, ...] = ()
@@ -137,6 +139,10 @@ class Effect:
     rate_independent: bool = False
     fitted: bool = True
     surrogate_test: float | None = None
+
+    def title_on(self, actuation: Actuation | None) -> str:
+        """Its name on an axis of this actuation; None: no axis, or of several actuations."""
+        return self.titles.get(actuation, self.title) if actuation is not None else self.title
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""

@@ -7,7 +7,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="inertia_error",
     title="Wrong inertia",
-    sentences=("The {target} is {ratio} times as heavy as the simulation assumes.",),
+    sentences=("The inertia of the {target} is {ratio} times what the simulation assumes.",),
     part="joint",
     stage="force",
     target="axis",

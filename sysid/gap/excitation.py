@@ -129,7 +129,7 @@ def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Tr
     return None
 
 
-def advice(item: Excitation) -> str:
+def advice(item: Excitation, machine: Machine) -> str:
     """The recording that would excite the effect; the same for all effects of an axis that did not move."""
     if item.unit in TRAVEL_UNITS:
         axis = split_signal(item.target)[0] or item.target
@@ -138,14 +138,20 @@ def advice(item: Excitation) -> str:
             f"its sensors is identifiable. Record {axis} moving over its range in both directions."
         )
     have = f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
-    return f"{item.name} on {item.target}: {have}. {_advice(item.name, item.target)}"
+    return f"{_title(item.name, item.target, machine)}: {have}. {_advice(item.name, item.target)}"
 
 
-def advice_on_tie(tie: Sequence[tuple[str, str]]) -> str:
+def advice_on_tie(tie: Sequence[tuple[str, str]], machine: Machine) -> str:
     """The recordings that would distinguish effects that fit equally well: those that excite each of them."""
-    names = " or ".join(f"{name} on {target}" for name, target in tie)
+    names = " or ".join(_title(name, target, machine) for name, target in tie)
     recordings = dict.fromkeys(_advice(name, target) for name, target in tie)
     return f"{names} cannot be distinguished. {' '.join(recordings)}"
+
+
+def _title(name: str, target: str, machine: Machine) -> str:
+    """``Servo lag of pitch``: the title for the actuation of the axis."""
+    axis = axis_of(target, machine)
+    return f"{effect_named(name).title_on(machine.axis(axis).actuation if axis is not None else None)} of {target}"
 
 
 def _advice(name: str, target: str) -> str:

@@ -21,10 +21,11 @@ from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
-from sysid.gap.result import Alternative, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
+from sysid.gap.written import near_misses
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
 
@@ -46,6 +47,8 @@ class ProofOutcome:
     unnamed: list[Unnamed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     carried: list[ResidualModelResult] = field(default_factory=list)
+    near_misses: list[NearMissResult] = field(default_factory=list)
+    refused: dict[tuple[str, str, str | None], str] = field(default_factory=dict)  # (name, target, side) → why not named
 
 
 def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
@@ -62,6 +65,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         elif result.named:
             outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
+        outcome.near_misses += near_misses(stage)
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
         if (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
@@ -270,7 +274,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         elif _may_be_absent(result, candidate, limits):
             refused[candidate.label] = "its interval contains its absence"
         if candidate.label in refused:
-            why = refused[candidate.label]
+            why = outcome.refused[candidate.key] = refused[candidate.label]
             outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
             adjusted.append(candidate)
             continue

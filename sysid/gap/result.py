@@ -74,6 +74,65 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
+class WrittenEffect:
+    """An effect whose values the repair writes into the plant, with a name or without.
+
+    Args:
+        kind: ``named``; ``tied``, which represents effects that the recordings cannot distinguish; ``adjusted``, fitted beside
+            the named ones without a name of its own.
+        parameters: SI values in the repaired plant.
+        before: those of the plant under test, where it contains the effect; else empty.
+        interval95: by parameter; without those whose uncertainty is unknown.
+        gap_share: of a named effect; else None.
+        why: of an adjusted one, the condition for a name that it fails.
+    """
+
+    name: str
+    target: str
+    kind: Literal["named", "tied", "adjusted"]
+    parameters: Mapping[str, Any]
+    before: Mapping[str, Any] = field(default_factory=dict)
+    interval95: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    gap_share: float | None = None
+    why: str = ""
+    side: str | None = None
+
+
+@dataclass(frozen=True)
+class AxisDelay:
+    """Dead time and lag of an axis in the plant under test and in the repaired one, each (before, after) [s]."""
+
+    axis: str
+    dead_time: tuple[float, float]
+    lag: tuple[float, float]
+
+    @property
+    def total(self) -> tuple[float, float]:
+        """Dead time and lag together: the delay of a slow ramp."""
+        return self.dead_time[0] + self.lag[0], self.dead_time[1] + self.lag[1]
+
+
+@dataclass(frozen=True)
+class NearMissResult:
+    """An effect of a model that predicts about as well as the chosen one, and the condition for a name that it fails.
+
+    Args:
+        parameters, interval95: fitted values [SI] and their 95 % intervals.
+        distance: of its values from those of the plant under test and from zero, in standard deviations; the largest of its
+            parameters. Small where the recordings do not determine it.
+    """
+
+    name: str
+    target: str
+    stage: str
+    parameters: Mapping[str, float]
+    interval95: Mapping[str, tuple[float, float]]
+    distance: float
+    lacks: str
+    side: str | None = None
+
+
+@dataclass(frozen=True)
 class Probe:
     """Cross-correlation of a residual with a measured variable ``lag`` seconds earlier.
 
@@ -283,7 +342,9 @@ class GapResult:
 
     ``experiments`` are recordings planned to resolve open hypotheses; ``next_experiment`` lists recordings to make as text.
     ``machine_diff`` is the change of ``machine.toml`` by the repair, as a unified diff; a stored repair has a ``promotion``.
-    ``carried`` are residual networks, which are not effects.
+    ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
+    named ones first; ``near_misses`` those that lack one condition for a name.
+    ``delays`` has the axes of which a dead time or a lag is known.
     """
 
     dataset: str
@@ -311,6 +372,9 @@ class GapResult:
     machine_diff: str = ""
     promotion: Promotion | None = None
     carried: tuple[ResidualModelResult, ...] = ()
+    written: tuple[WrittenEffect, ...] = ()
+    near_misses: tuple[NearMissResult, ...] = ()
+    delays: tuple[AxisDelay, ...] = ()
 
     @property
     def repaired(self) -> bool:
@@ -345,6 +409,9 @@ class GapResult:
             "shares": [asdict(item) for item in self.shares],
             "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
+            "written": [_given(item) for item in self.written],
+            "delays": [asdict(item) for item in self.delays],
+            "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
@@ -353,6 +420,11 @@ class GapResult:
             "carried": [asdict(item) for item in self.carried],
             "promotion": None if self.promotion is None else {"promoted": self.promotion.promoted, **asdict(self.promotion)},
         }
+
+
+def _given(item: WrittenEffect | NearMissResult) -> dict[str, Any]:
+    """Its fields that have a value: side and share are absent where there is none."""
+    return {key: value for key, value in asdict(item).items() if value is not None}
 
 
 def _effect_json(effect: NamedEffect) -> dict[str, Any]:

@@ -189,8 +189,8 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
 
 def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
     """Recordings that would distinguish ties and excite effects that are not excited."""
-    ties = (advice_on_tie(tie) for tie in proof.outcome.ties)
-    lacking = (advice(e) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
+    ties = (advice_on_tie(tie, study.case.plant.machine) for tie in proof.outcome.ties)
+    lacking = (advice(e, study.case.plant.machine) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
     return tuple(dict.fromkeys((*ties, *lacking)))  # the same for all effects of an axis that did not move
 
 

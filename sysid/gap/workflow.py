@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -20,7 +21,9 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stages import Forms
+from sysid.gap.written import axis_delays, written_effects
 from sysid.plant import Plant, compile_plant
+from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
 
 if TYPE_CHECKING:
@@ -77,8 +80,9 @@ def find_gap(
         raise SettingsError(
             "find_gap", "carry and localise_only", "one of them", "A residual network needs the residual of a search."
         )
+    first = "localising" if is_compiled() else "compiling the simulation (once after an installation), localising"
+    report(0.0, first)
     study = steps.open_study(dataset, plant, seed)
-    report(0.02, "localising")
     located = steps.localise(study)
     case, proposal, after_reference, promotion = study.case, ExperimentProposal(), "", None
     own = registry is not None and case.adapter is None
@@ -86,17 +90,22 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, ProofOutcome(case.plant))
     else:
-        study = steps.search(study, forms, part(report, 0.05, 0.85))
-        report(0.87, "proving on held-out recordings")
-        proof = steps.prove(study, add if world is None else world, part(report, 0.88, 0.92), carry=carry)
+        study = steps.search(study, forms, part(report, 0.02, 0.75))
+        report(0.75, "proving on held-out recordings")
+        proof = steps.prove(study, add if world is None else world, part(report, 0.75, 0.85), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.adapter is None and not localise_only:
-        report(0.93, "planning the next experiment")
+        report(0.85, "planning the next experiment")
         hypotheses = open_hypotheses(case, stages, outcome)
-        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: report(0.93, f"planning: {text}"))
+        planned = itertools.count()
+
+        def on_hypothesis(text: str) -> None:
+            report(0.85 + 0.15 * min(1.0, next(planned) / max(1, len(hypotheses))), f"planning: {text}")
+
+        proposal = propose(case, outcome.repaired, hypotheses, planning, on_hypothesis)
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
@@ -119,6 +128,11 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
+        written=written_effects(
+            case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
+        ),
+        near_misses=tuple(outcome.near_misses),
+        delays=axis_delays(case.plant, outcome.repaired),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(

@@ -43,3 +43,8 @@ def use_cache_folder() -> Path:
 
 
 CACHE_FOLDER = use_cache_folder()
+
+
+def is_compiled() -> bool:
+    """Whether an earlier process has compiled for these sources; the first one takes up to a minute more."""
+    return any(CACHE_FOLDER.rglob("*.nbi"))

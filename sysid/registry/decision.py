@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
@@ -101,3 +102,18 @@ _DECISION = TypeAdapter(PromotionDecision)
 def now_ms() -> int:
     """Milliseconds since 1970."""
     return time.time_ns() // 1_000_000
+
+
+def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
+    """Time, decision, what decided it, and reason, as text."""
+    when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
+    instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
+    what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'none'} stays"
+    evaluated_by = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
+    evaluated_by = f"policy {evaluated_by}" if decision.judged.get("by") == "policy" else evaluated_by
+    if decision.word:
+        overruled = f" (overruled: {decision.reason})" if decision.reason else ""
+        return when, what, "user", f"{decision.word}{overruled}"
+    passed = sum(check.status == "passed" for check in decision.checks)
+    result = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
+    return when, what, evaluated_by, decision.reason or str(decision.judged.get("as", "")) or result

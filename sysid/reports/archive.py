@@ -17,12 +17,14 @@ from sysid.files import json_text
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
+    AxisDelay,
     ComparedModel,
     Excitation,
     Gap,
     GapResult,
     Map,
     NamedEffect,
+    NearMissResult,
     Promotion,
     ResidualModelResult,
     Share,
@@ -30,6 +32,7 @@ from sysid.gap.result import (
     Traces,
     Unnamed,
     WorldGap,
+    WrittenEffect,
 )
 from sysid.parse import parse_json
 from sysid.root import Root
@@ -176,6 +179,9 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         experiments=experiments,
         settings=values["settings"],
         carried=_many(ResidualModelResult, values.get("carried", [])),
+        written=_many(WrittenEffect, values.get("written", [])),
+        delays=_many(AxisDelay, values.get("delays", [])),
+        near_misses=_many(NearMissResult, values.get("near_misses", [])),
         world_gap=_world_gap(values.get("world_gap")),
         machine_diff=values.get("machine_diff", ""),
         promotion=_promotion(values.get("promotion")),

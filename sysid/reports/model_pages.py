@@ -10,13 +10,13 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
+from sysid.registry.decision import decision_row
 from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import page
 from sysid.reports.words import signal_name
 from sysid.validate import ErrorMap
 from sysid.versions import Card
-from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
 
 STYLES = ("page.css", "models.css")

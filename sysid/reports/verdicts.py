@@ -37,20 +37,20 @@ def place(verdict: ExcitationVerdict) -> str:
     return f"{words.owner_name(verdict.target)} {SIDES.get(verdict.side or '', '')}".rstrip()
 
 
-def by_effect(verdicts: Sequence[ExcitationVerdict]) -> list[VerdictGroup]:
-    """One group for each effect, in the order of the chain."""
+def by_effect(verdicts: Sequence[ExcitationVerdict], machine: Machine) -> list[VerdictGroup]:
+    """One group for each effect and title, in the order of the chain."""
     found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
-        found.setdefault(verdict.name, []).append(verdict)
-    return [VerdictGroup(words.effect_title(name), tuple(group)) for name, group in found.items()]
+        found.setdefault(words.effect_title(verdict.name, verdict.target, machine), []).append(verdict)
+    return [VerdictGroup(title, tuple(group)) for title, group in found.items()]
 
 
-def by_reason(verdicts: Sequence[ExcitationVerdict]) -> list[tuple[str, list[VerdictGroup]]]:
+def by_reason(verdicts: Sequence[ExcitationVerdict], machine: Machine) -> list[tuple[str, list[VerdictGroup]]]:
     """Reason → effects that are not observable because of it, the reason with most effects first."""
     found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
         found.setdefault(verdict.text, []).append(verdict)
-    groups = [(reason, by_effect(group)) for reason, group in found.items()]
+    groups = [(reason, by_effect(group, machine)) for reason, group in found.items()]
     return sorted(groups, key=lambda item: -sum(len(group.verdicts) for group in item[1]))
 
 

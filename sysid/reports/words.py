@@ -6,6 +6,7 @@ import string
 from collections.abc import Collection, Mapping
 
 from sysid.effects import BY_NAME
+from sysid.machine import Machine
 
 #: Stage → what is compared, in the order of the signal chain.
 STAGES: dict[str, tuple[str, str]] = {
@@ -35,8 +36,17 @@ ADVICE = {
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
-def effect_title(name: str) -> str:
-    return BY_NAME[name].title if name in BY_NAME else name.replace("_", " ").capitalize()
+def effect_title(name: str, target: str = "", machine: Machine | None = None) -> str:
+    """The title of an effect, as its file gives it for the actuation of the axis ``target``."""
+    if name not in BY_NAME:
+        return name.replace("_", " ").capitalize()
+    axis = machine is not None and target in machine.axis_names
+    return BY_NAME[name].title_on(machine.axis(target).actuation if machine is not None and axis else None)
+
+
+def effect_place(name: str, target: str, machine: Machine) -> str:
+    """``Dead time of boom``; ``Sensor bias of boom.joint``."""
+    return f"{effect_title(name, target, machine)} of {OWNERS.get(target, target)}"
 
 
 def effect_sentence(name: str, target: str, parameters: Mapping[str, str], beside: Collection[str] = ()) -> str:

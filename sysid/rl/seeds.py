@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
-from sysid.children import safe_children
+from sysid.children import end_with_parent, safe_children
 from sysid.progress import Progress, silent
 
 T = TypeVar("T")
@@ -32,7 +33,12 @@ def side_by_side(
     """
     count = min(workers or len(os.sched_getaffinity(0)), len(calls))
     context = multiprocessing.get_context("spawn")
-    with safe_children(), context.Manager() as manager, ProcessPoolExecutor(count, context) as pool:
+    with (
+        safe_children(),
+        context.Manager() as manager,
+        ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool,
+        _killed_on_interrupt(),
+    ):
         shares = manager.dict()
         futures = [pool.submit(_run, work, call, shares, number) for number, call in enumerate(calls)]
         done, watched = threading.Event(), 0.0
@@ -46,6 +52,18 @@ def side_by_side(
                 for future in futures:
                     future.cancel()
         return [future.result() for future in futures]
+
+
+@contextlib.contextmanager
+def _killed_on_interrupt() -> Iterator[None]:
+    """On an interrupt, kill the processes started within and do not wait for them: checkpoints survive a kill at any moment."""
+    before = set(multiprocessing.active_children())
+    try:
+        yield
+    except KeyboardInterrupt:
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        raise
 
 
 def _run(work: Callable[..., T], call: tuple[Any, ...], shares: Any, number: int) -> T:

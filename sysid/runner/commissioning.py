@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -78,7 +79,7 @@ def require_commissioned(assembly: Assembly, recipe: Path) -> str:
         f"{recipe}: commissioning",
         missing,
         "a machine whose wiring, signs, scales and zeros were checked one axis at a time",
-        f'First: sysid run {recipe} --commission. To run without it: [commission] waived = "why".',
+        f'First: sysid run {shlex.quote(str(recipe))} --commission. To run without it: [commission] waived = "why".',
     )
 
 

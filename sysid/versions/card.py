@@ -12,7 +12,8 @@ from typing import Any
 
 from sysid.networks import Model
 from sysid.networks.policy import PolicyNetwork
-from sysid.registry import NETWORKS, ModelVersion, PromotionDecision
+from sysid.registry import NETWORKS, ModelVersion
+from sysid.registry.decision import decision_row
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import Card, CardBlock
 from sysid.versions.card_network import (
@@ -79,21 +80,6 @@ def card_of(
     blocks.append(CardBlock("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
     blocks.append(CardBlock("How to load it", tuple(_loading(version)), code=_code(version)))
     return Card(version.reference, f"{version.kind}{aliases}, made {made}, content {version.digest[:12]}", tuple(blocks))
-
-
-def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
-    """Time, decision, what decided it, and reason, as text."""
-    when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
-    instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
-    what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'none'} stays"
-    evaluated_by = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
-    evaluated_by = f"policy {evaluated_by}" if decision.judged.get("by") == "policy" else evaluated_by
-    if decision.word:
-        overruled = f" (overruled: {decision.reason})" if decision.reason else ""
-        return when, what, "user", f"{decision.word}{overruled}"
-    passed = sum(check.status == "passed" for check in decision.checks)
-    result = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
-    return when, what, evaluated_by, decision.reason or str(decision.judged.get("as", "")) or result
 
 
 def _lineage(found: ModelLineage) -> CardBlock:

@@ -15,9 +15,9 @@ PACKAGE = ROOT / "sysid"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("release", "errors", "foreign", "parse", "children"),
+    ("release", "errors", "foreign", "parse", "children", "lazy"),
     ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers"),
-    ("config", "root"),
+    ("config", "root", "location"),
     ("logs", "machine"),
     ("effects",),
     ("datasets",),
@@ -167,3 +167,54 @@ def test_help_is_light() -> None:
     )
     assert "click" in loaded
     assert not loaded & {*HEAVY, "rich", "jinja2", "pydantic"}
+
+
+def loaded_by_verb(*words: str) -> set[str]:
+    call = f"main({list(words)!r})"
+    return loaded_after(f"from sysid.cli import main\ntry:\n    {call}\nexcept SystemExit as stop:\n    assert not stop.code")
+
+
+@pytest.fixture(scope="module")
+def small_workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One dataset and one promoted plant."""
+    from one_axis_logs import MACHINE, record
+
+    from sysid.datasets import ingest
+    from sysid.plant import nominal_plant
+    from sysid.registry import Check, PromotionDecision
+    from sysid.workspace import open_workspace
+
+    folder = tmp_path_factory.mktemp("light")
+    for seed in range(3):
+        record(folder / f"logs/r{seed}", seed)
+    (folder / "machine.toml").write_text(MACHINE, "utf-8")
+    dataset = ingest([folder / "logs"], folder / "workspace", folder / "machine.toml")
+    workspace = open_workspace(folder / "workspace")
+    made = workspace.models.register("demo", "plant", nominal_plant(dataset.machine).to_files(), {"dataset": dataset.reference})
+    decision = PromotionDecision(True, "", (Check("names", "passed", "all"),), decided_ms=1)
+    workspace.models.promote(made.reference, decision=decision)
+    return folder / "workspace"
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["models", "models demo", "models --kind plant", "datasets", "datasets --help", "models --help"],
+)
+def test_lists_are_light(small_workspace: Path, words: str) -> None:
+    """They print a few lines, and do not wait for the numerical libraries."""
+    loaded = loaded_by_verb("--workspace", str(small_workspace), *words.split())
+    assert "click" in loaded
+    assert not loaded & {*HEAVY, "sqlalchemy", "jinja2", "alembic"}
+
+
+def test_init_is_light(tmp_path: Path) -> None:
+    assert not loaded_by_verb("init", str(tmp_path / "crane")) & {*HEAVY, "sqlalchemy", "jinja2"}
+
+
+def test_every_public_name_of_a_lazy_package_exists() -> None:
+    import sysid.datasets
+
+    for name in sysid.datasets.__all__:
+        assert getattr(sysid.datasets, name).__module__.startswith("sysid.datasets") or name in ("Kind", "Role"), name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = sysid.datasets.nothing

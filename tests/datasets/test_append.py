@@ -70,7 +70,7 @@ def test_only_what_is_new_is_read_and_written(logs: Path, tmp_path: Path, monkey
     before = content(workspace)
     record(logs / "r3", 3)
     read: list[str] = []
-    module = sys.modules["sysid.datasets.ingest"]  # the package's attribute of this name is the function
+    module = sys.modules["sysid.datasets.ingestion"]
     monkeypatch.setattr(module, "read_channels", lambda f, *a: (read.append(f.name), read_channels(f, *a))[1])
     second = append(logs, workspace, "demo")
     assert read == ["r3"]

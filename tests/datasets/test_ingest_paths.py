@@ -131,7 +131,7 @@ def test_a_log_that_changes_while_it_is_read_is_refused(
     tmp_path: Path, logs: Path, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = logs / "r2/log.csv"
-    module = importlib.import_module("sysid.datasets.ingest")
+    module = importlib.import_module("sysid.datasets.ingestion")
     read_channels = module.read_channels
 
     def read(files: Any, *others: Any) -> Any:

@@ -154,7 +154,7 @@ def test_no_effect_of_an_axis_that_stands_still_is_excited() -> None:
         if target is not None and "velocity" in (effect.actuations or ("velocity",)):
             item = excitation_at(effect, target, [made], arm())
             assert not item.sufficient, effect.name
-            assert advice(item) == (
+            assert advice(item, arm()) == (
                 "boom did not move (0 % of its range, at least 0.1 needed), so that no effect on it or on its "
                 "sensors is identifiable. "
                 "Record boom moving over its range in both directions."
@@ -178,7 +178,7 @@ def test_an_axis_that_stands_still_gets_no_name_and_one_line_of_advice() -> None
     assert {(e.name, e.target) for e in result.effects} == {("gain_error", "slew")}
     assert not any(e.sufficient for e in result.excitation if e.target in ("wrist", "wrist.joint"))
     assert sum(text.startswith("wrist did not move (") for text in result.next_experiment) == 1
-    assert not any(text.startswith("sensor_bias on wrist") for text in result.next_experiment)
+    assert not any("Sensor bias of wrist" in text for text in result.next_experiment)
 
 
 def test_motion_of_the_tip() -> None:
@@ -198,8 +198,8 @@ def test_a_missing_signal_counts_as_nothing() -> None:
 
 def test_advice_says_what_there_is_and_what_to_record() -> None:
     item = excitation_of(candidate("backlash", "slew"), [recording(slew_joint=np.linspace(0, 1, 100))], arm())
-    assert advice(item) == (
-        "backlash on slew: 0 reversals, about 8 needed. "
+    assert advice(item, arm()) == (
+        "Backlash of slew: 0 reversals, about 8 needed. "
         "Record 20 slow reversals of slew, with at least 5 % of its range between them."
     )
 
@@ -220,4 +220,4 @@ def test_an_effect_that_nothing_excites_is_not_tried_but_reported() -> None:
     lacking = {(e.name, e.target) for e in result.excitation if not e.sufficient}
     assert {("backlash", "slew"), ("valve_deadband", "slew"), ("asymmetric_gain", "slew")} <= lacking
     assert not {(e.name, e.target) for e in result.effects} & lacking
-    assert any(text.startswith("backlash on slew: 0 reversals") for text in result.next_experiment)
+    assert any(text.startswith("Backlash of slew: 0 reversals") for text in result.next_experiment)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sysid.datasets.recording import Dataset
-from sysid.machine import Axis
+from sysid.machine import Axis, machine_from_files
 from sysid.reports.effect_units import parameter_unit, remainder_unit, shown
 
 
@@ -59,3 +59,19 @@ def test_what_is_left_over_has_the_unit_of_the_signal_that_its_stage_predicts(
 ) -> None:
     units = {**crane.units, "slew.command": "N·m"}
     assert remainder_unit(stage, target, crane.machine, units) == unit
+
+
+def test_a_turning_force_axis_without_urdf_has_newton_metres_where_its_joint_is_measured_in_radians() -> None:
+    text = 'schema = 1\nname = "m"\nrate_hz = 50.0\n'
+    for name, actuation in (("arm", "force"), ("pitch", "position"), ("boom", "velocity")):
+        inertia = "inertia = 1.0\n" if actuation == "force" else ""
+        text += f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\n'
+        text += f"limits = [-1.0, 1.0]\ngain = 1.0\n{inertia}"
+    machine = machine_from_files({"machine.toml": text}, "test")
+    turning, sliding = {"arm.joint": "rad", "pitch.joint": "rad"}, {"arm.joint": "m", "pitch.joint": "m"}
+    assert parameter_unit("coulomb_friction", "force", "arm", machine, turning) == "N·m"
+    assert parameter_unit("coulomb_friction", "force", "arm", machine, sliding) == "N"
+    assert parameter_unit("command_rate_limit", "rate", "pitch", machine, turning) == "rad/s"
+    assert parameter_unit("command_rate_limit", "rate", "pitch", machine, sliding) == "m/s"
+    assert parameter_unit("command_rate_limit", "rate", "boom", machine, turning) == "1/s"
+    assert parameter_unit("sensor_bias", "bias", "arm.joint", machine, turning) == "rad"

@@ -131,12 +131,13 @@ def test_amounts_never_round_up_to_enough() -> None:
     assert spread(VerdictGroup("", (verdict(have=12.1), verdict(have=12.4)))) == "12"
 
 
-def test_groups_name_each_place_once() -> None:
+def test_groups_name_each_place_once(crane_machine: Machine) -> None:
     sides = [verdict(side="drive"), verdict(target="boom", side="drive"), verdict(side="structure")]
-    (group,) = by_effect(sides)
+    (group,) = by_effect(sides, crane_machine)
     assert group.places == "slew, boom ahead of the sensor; slew behind the sensor"
     hidden = [replace(verdict(have=None), text="no URDF"), replace(verdict("stiction", have=None), text="not measured")] * 2
-    assert [(why, len(groups)) for why, groups in by_reason([*hidden, hidden[0]])] == [("no URDF", 1), ("not measured", 1)]
+    reasons = by_reason([*hidden, hidden[0]], crane_machine)
+    assert [(why, len(groups)) for why, groups in reasons] == [("no URDF", 1), ("not measured", 1)]
 
 
 def test_shares_of_a_range_come_with_their_size(crane_machine: Machine) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, check_sources, discover
-from sysid.datasets.ingest import DESCRIBED, STORED, read_and_align
+from sysid.datasets.ingestion import DESCRIBED, STORED, read_and_align
 from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source

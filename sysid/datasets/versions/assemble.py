@@ -1,4 +1,4 @@
-"""Manifest and tables → the version in memory, and its entry in a list."""
+"""Manifest and tables → the version in memory."""
 
 from __future__ import annotations
 
@@ -16,37 +16,6 @@ from sysid.machine import machine_from_files
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of :meth:`Store.list`; ``damage``: why a version cannot be read, then the other fields are empty."""
-
-    name: str
-    version: int
-    digest: str = ""
-    created: str = ""
-    machine: str = ""
-    recordings: int = 0
-    seconds: float = 0.0
-    damage: str = ""
-
-    @property
-    def reference(self) -> str:
-        return f"{self.name}@{self.version}"
-
-
-def entry_of(manifest: Manifest) -> Entry:
-    motion = [item for item in manifest["recordings"] if item["kind"] == "motion"]
-    return Entry(
-        name=manifest["name"],
-        version=manifest["version"],
-        digest=manifest["digest"],
-        created=manifest["created"],
-        machine=manifest["machine_name"],
-        recordings=len(manifest["recordings"]),
-        seconds=sum(item["rows"] / item["rate_hz"] for item in motion),
-    )
 
 
 def dataset_of(manifest: Manifest, samples: Sequence[pa.Table]) -> Dataset:

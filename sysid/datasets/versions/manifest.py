@@ -13,15 +13,18 @@ import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from sysid.datasets.recording import ClockRecord, Dataset
+from sysid.datasets.clock_record import ClockRecord
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
 from sysid.files import plain
 from sysid.foreign import MAX_NAME, shown, visible
 from sysid.parse import parse_json
 from sysid.release import __version__
+
+if TYPE_CHECKING:
+    from sysid.datasets.recording import Dataset
 
 Manifest = dict[str, Any]
 

@@ -18,33 +18,27 @@ import dataclasses
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
-from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
-from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained
-from sysid.datasets.versions.local_files import LocalFiles
+from sysid.datasets.versions.assemble import dataset_of
+from sysid.datasets.versions.files import OvertakenError, TakenError, explained
+from sysid.datasets.versions.index import VersionIndex, manifest_path, numbers_of
 from sysid.datasets.versions.manifest import (
     Manifest,
     PartRecord,
     appended,
-    from_text,
     new_manifest,
     new_part,
     resplit,
     split_digest,
     to_text,
 )
-from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
-from sysid.errors import SettingsError, StoreError, nearest
-from sysid.foreign import shown
-from sysid.names import check_dataset_name
+from sysid.errors import StoreError
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 
@@ -57,32 +51,8 @@ _STATE = "no version was made, existing ones are complete"
 
 
 @dataclass(frozen=True)
-class Store:
+class Store(VersionIndex):
     """The datasets of one workspace: a folder, or the URL of an object store (``s3://…``, ``gs://…``, ``file:///…``)."""
-
-    workspace: str | Path
-
-    @cached_property
-    def files(self) -> Files:
-        if "://" not in str(self.workspace):
-            return LocalFiles(Path(self.workspace))
-        return ObjectFiles(str(self.workspace).rstrip("/"))
-
-    def list(self) -> tuple[Entry, ...]:
-        """All versions of all datasets, by name and number; those that cannot be read with their damage."""
-        entries = [Entry(name, 0, damage="is a link, which is not followed") for name in self.files.links("datasets")]
-        for name in self.files.folders("datasets"):
-            try:
-                versions = self.versions(check_dataset_name(name))
-            except (StoreError, SettingsError) as error:
-                entries.append(Entry(name, 0, damage=str(error)))
-                continue
-            for version in versions:
-                try:
-                    entries.append(entry_of(self.read_manifest(name, version)))
-                except StoreError as error:
-                    entries.append(Entry(name, version, damage=str(error)))
-        return tuple(entries)
 
     def load(self, reference: str) -> Dataset:
         """``"name"`` (its newest version) or ``"name@3"``.
@@ -132,43 +102,6 @@ class Store:
             )
             for number, part in enumerate(manifest["parts"])
         )
-
-    def manifest(self, reference: str) -> Manifest:
-        """The manifest of a version in the newest schema (``docs/guide/versions.md``).
-
-        Raises:
-            StoreError: no such dataset or version, or a damaged manifest.
-            SettingsError: no valid name of a dataset.
-        """
-        name, _, number = reference.partition("@")
-        versions = self.versions(check_dataset_name(name))
-        if not versions and not self._removed(name):
-            names = [folder for folder in self.files.folders("datasets") if self.versions(folder)]
-            where = f"workspace {self.workspace}"
-            raise StoreError(where, f"no dataset {name!r}", nearest(name, names), "Run `sysid ingest`.")
-        if (number or not versions) and (not is_number(number) or int(number) not in versions):
-            listed = ", ".join(map(str, versions)) or "none is left"
-            if is_number(number) and int(number) in self._removed(name):
-                remedy = "Ingest the same logs again: they become a new version of the same content."
-                raise StoreError(f"dataset {name}", f"version {number} was removed by vacuum", f"one of: {listed}", remedy)
-            raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
-        return self.read_manifest(name, int(number) if number else versions[-1])
-
-    def read_manifest(self, name: str, version: int, removed: bool = False) -> Manifest:
-        """:meth:`manifest` of a stored version, or of a ``removed`` one."""
-        path = manifest_path(name, version, removed)
-        try:
-            manifest = from_text(self.files.read(path), path)
-        except FileNotFoundError:
-            raise StoreError(path, "is gone", "a manifest", "It was removed by hand, or just now.") from None
-        if (manifest["name"], manifest["version"]) != (name, version):
-            found = f"the manifest of {shown(manifest['name'])}@{manifest['version']}"
-            raise StoreError(path, found, f"that of {name}@{version}", "It was copied or renamed by hand: move it back.")
-        return manifest
-
-    def versions(self, name: str) -> Sequence[int]:
-        """Numbers of the versions of ``name``, increasing."""
-        return _numbers(self.files.names(f"datasets/{name}/versions"), ".json")
 
     def find_digest(self, name: str, digest: str) -> int | None:
         """The newest version of ``name`` with this content and all its tables; None where there is none."""
@@ -303,7 +236,7 @@ class Store:
         """Publish the manifest under the next number, which it returns; without locks another writer may claim it first."""
         while True:
             taken = self.files.claimed(f"datasets/{name}/versions")
-            version = max([*_numbers(taken, ".json"), *_numbers(taken, ".removed.json")], default=0) + 1
+            version = max([*numbers_of(taken, ".json"), *numbers_of(taken, ".removed.json")], default=0) + 1
             try:
                 self.files.publish(manifest_path(name, version), to_text(build(version)))
             except TakenError:
@@ -325,26 +258,8 @@ class Store:
             return ()
         return [folder for folder in self.files.folders(f"datasets/{name}/data") if folder not in used]
 
-    def _removed(self, name: str) -> Sequence[int]:
-        return _numbers(self.files.names(f"datasets/{name}/versions"), ".removed.json")
-
     def _has_tables(self, manifest: Manifest) -> bool:
         return all(is_there(self.files, part, which) for part in manifest["parts"] for which in ("samples", "channels"))
 
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
-
-
-def manifest_path(name: str, version: int, removed: bool = False) -> str:
-    """Path of the manifest of a stored or ``removed`` version in its workspace."""
-    return f"datasets/{name}/versions/{version:06d}{'.removed' if removed else ''}.json"
-
-
-def _numbers(names: Sequence[str], ending: str) -> Sequence[int]:
-    numbers = [name.removesuffix(ending) for name in names if name.endswith(ending)]
-    return sorted(int(number) for number in numbers if is_number(number))
-
-
-def is_number(text: str) -> bool:
-    """Whether ``text`` is a version number; ``²`` is a digit too, and Python converts at most 4300 digits."""
-    return text.isascii() and text.isdigit() and len(text) < 10

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from sysid.datasets.versions.files import explained
-from sysid.datasets.versions.store import Store, is_number, manifest_path
+from sysid.datasets.versions.index import is_number, manifest_path
+from sysid.datasets.versions.store import Store
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.names import is_dataset_name
 

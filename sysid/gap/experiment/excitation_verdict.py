@@ -157,12 +157,12 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
 
 def _verdict_of(candidate: Candidate, stage: Stage, machine: Machine) -> ExcitationVerdict:
     item = excitation_of(candidate, stage.split.seen, machine)
-    return _counted(item, candidate.effect, stage.problem.stage, candidate.side)
+    return _counted(item, candidate.effect, stage.problem.stage, candidate.side, machine)
 
 
-def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> ExcitationVerdict:
+def _counted(item: Excitation, effect: Effect, stage: str, side: str | None, machine: Machine) -> ExcitationVerdict:
     status: VerdictStatus = "ready" if item.sufficient else "lacking"
-    text, wanted = advice(item), effect.need.advice.format(axis=item.target)
+    text, wanted = advice(item, machine), effect.need.advice.format(axis=item.target)
     if item.sufficient:
         text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
     return ExcitationVerdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
@@ -171,7 +171,7 @@ def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> 
 def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
     """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.sensor_resolution`)."""
     effect = sensor_quantisation.EFFECT
-    return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None)
+    return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None, machine)
 
 
 def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:

@@ -24,7 +24,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     machine = inputs.dataset.machine
     counted = {_column(v, machine) for v in found.verdicts if v.status != "hidden"}
     columns, others = [name for name in machine.axis_names if name in counted], "" in counted
-    reasons = by_reason(found.of("hidden"))
+    reasons = by_reason(found.of("hidden"), inputs.dataset.machine)
     return {
         "ready": len(found.of("ready")),
         "lacking": len(found.of("lacking")),
@@ -35,7 +35,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "requests": [
             {
                 "text": request_text(request, machine),
-                "effects": ", ".join(dict.fromkeys(words.effect_title(n) for n, _ in request.effects)),
+                "effects": ", ".join(dict.fromkeys(words.effect_title(n, t, machine) for n, t in request.effects)),
             }
             for request in found.requests
         ],
@@ -62,7 +62,7 @@ def _rows(found: ExcitationReport, machine: Machine, columns: Sequence[str], oth
             continue
         names = [*columns, ""] if others else columns
         cells = [_cell([v for v in verdicts if _column(v, machine) == column], named=column == "") for column in names]
-        title = words.effect_title(name)
+        title = words.effect_title(name, verdicts[0].target, machine)
         rows.append(
             {
                 "title": title,

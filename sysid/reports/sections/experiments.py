@@ -16,7 +16,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         return None
     rows = [
         {
-            "effect": words.effect_title(item.name),
+            "effect": words.effect_title(item.name, item.target, inputs.dataset.machine),
             "target": words.owner_name(item.target),
             "have": f"{display.number(item.have)} {item.unit}".strip(),
             "need": f"{display.number(item.need)} {item.unit}".strip(),
@@ -31,7 +31,10 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "lacking": [row for row in rows if not row["sufficient"]],
         "enough": [row for row in rows if row["sufficient"]],
         "ties": [
-            " or ".join(f"{words.effect_title(name)} ({words.owner_name(target)})" for name, target in tie)
+            " or ".join(
+                f"{words.effect_title(name, target, inputs.dataset.machine)} ({words.owner_name(target)})"
+                for name, target in tie
+            )
             for tie in gap.ambiguous
         ],
         "unnamed": [

@@ -37,7 +37,7 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
         known = nominal.get(name)
         rows.append(
             {
-                "effect": words.effect_title(effect.name) if not rows else "",
+                "effect": words.effect_title(effect.name, effect.target, machine) if not rows else "",
                 "target": words.owner_name(effect.target) if not rows else "",
                 "parameter": name.replace("_", " "),
                 "value": UNDETERMINED

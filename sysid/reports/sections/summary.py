@@ -138,9 +138,9 @@ def signal_gaps(
 
 def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """One card per number on the drawing: named effects, ambiguous sets, unnamed errors."""
-    cards = [_effect(number, effect, gap, machine) for number, effect in enumerate(gap.effects, 1)]
+    cards = [_effect(number, effect, gap, machine, units) for number, effect in enumerate(gap.effects, 1)]
     for tie in gap.ambiguous:
-        names = " or ".join(f"{words.effect_title(name)} ({words.owner_name(target)})" for name, target in tie)
+        names = " or ".join(f"{words.effect_title(name, target, machine)} ({words.owner_name(target)})" for name, target in tie)
         cards.append(
             _card(len(cards) + 1, "Ambiguous", "", names + ".", ["These recordings cannot distinguish them."], sure=False)
         )
@@ -173,19 +173,19 @@ def _card(number: int, title: str, target: str, sentence: str, quiet: list[str],
     return {"number": number, "title": title, "target": target, "sentence": sentence, "quiet": quiet, "sure": sure}
 
 
-def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) -> dict[str, Any]:
-    shown = shown_parameters(effect.name, effect.target, effect.given, machine)
+def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, units: Mapping[str, str]) -> dict[str, Any]:
+    shown = shown_parameters(effect.name, effect.target, effect.given, machine, units)
     where = place_text(part_of(effect.name, effect.target, machine), effect.target)
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
     quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the error of its stage."]
     quiet += confidence(effect, gap.candidates)
     if effect.aliases:
-        others = ", ".join(f"{words.effect_title(name)} ({target})" for name, target in effect.aliases)
+        others = ", ".join(f"{words.effect_title(name, target, machine)} ({target})" for name, target in effect.aliases)
         quiet.append(f"Cannot be distinguished from: {others}.")
     sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target))
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
-    return _card(number, words.effect_title(effect.name), target, sentence, quiet, sure=True)
+    return _card(number, words.effect_title(effect.name, effect.target, machine), target, sentence, quiet, sure=True)
 
 
 def _still_open(gap: GapResult) -> list[str]:

@@ -1,0 +1,230 @@
+"""Console output of a gap result: what a repair writes, near misses, delays, and the most useful next steps."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from sysid.cli.output import Printer
+    from sysid.datasets import Dataset
+    from sysid.gap import GapResult
+    from sysid.gap.result import NearMissResult, WrittenEffect
+
+#: Columns and lines of an entry, unless everything is requested.
+WIDTH, LINES = 80, 2
+#: Next steps and near misses that are listed, unless everything is requested.
+STEPS, MISSES = 3, 5
+#: Standard deviations between the value of a listed near miss and the simulation.
+DISTANT = 2.0
+SHARE = (
+    "Share: how much of the closable error of its stage returns without this effect, the others refitted. Effects that can "
+    "replace each other (dead time and lag) have small shares each, even if their sum is large."
+)
+KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}
+
+
+def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """One row for every parameter that the repair writes into the plant: named, adjusted without a name, changed."""
+    if not result.written:
+        return
+    from sysid.reports.display import NOTHING, percent
+    from sysid.reports.words import effect_place
+
+    rows: list[tuple[str, ...]] = []
+    for item in result.written:
+        title = effect_place(item.name, item.target, dataset.machine)
+        share = percent(item.gap_share) if item.gap_share is not None else NOTHING
+        for number, (key, value) in enumerate(item.parameters.items()):
+            value_text, interval = _value_texts(item, key, value, dataset)
+            first = (title, share, KINDS[item.kind]) if number == 0 else ("", "", "")
+            rows.append((first[0], f"{key.replace('_', ' ')} {value_text}", interval, *first[1:]))
+        for key in _undetermined(result, item):
+            rows.append(("", f"{key.replace('_', ' ')} not determined", "", "", ""))
+    count = f"{len(result.written)} effect{'' if len(result.written) == 1 else 's'}"
+    if result.plant_after:
+        out.line(f"Written into {result.plant_after}: {count}")
+    else:
+        out.line(f"A repair (--add) would write {count}:")
+    out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
+    entry(out, SHARE, "", True)
+    reasons: dict[str, list[str]] = {}
+    for item in result.written:
+        if item.kind == "adjusted":
+            reasons.setdefault(plain_reason(item.why), []).append(effect_place(item.name, item.target, dataset.machine))
+    for why, titles in reasons.items():
+        entry(out, f"No name, because {why}: {', '.join(titles)}.", "", True)
+
+
+def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
+    from sysid.reports.display import quantity
+
+    def change(ends: tuple[float, float]) -> str:
+        texts = [quantity(value, "s") for value in ends]
+        return texts[1] if texts[0] == texts[1] else " → ".join(texts)
+
+    rows = [
+        (item.axis, change(item.dead_time), change(item.lag), change(item.total))
+        for item in result.delays
+        if item.dead_time[0] != item.dead_time[1] or item.lag[0] != item.lag[1]
+    ]
+    if rows:
+        out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
+
+
+def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
+    """Effects that are not written and lack one condition for a name, with it; the clearest first."""
+    from sysid.reports.words import effect_place
+
+    written = {(item.name, item.target, item.side) for item in result.written}
+    found: dict[tuple[str, str, str | None], NearMissResult] = {}
+    for miss in sorted(result.near_misses, key=lambda miss: -miss.distance):  # a pump shows at several stages
+        found.setdefault((miss.name, miss.target, miss.side), miss)
+    others = [miss for key, miss in found.items() if key not in written]
+    clear = others if verbose else [miss for miss in others if miss.distance >= DISTANT]
+    shown = clear if verbose else clear[:MISSES]
+    if shown:
+        out.line("Near misses, which are not written:")
+    for miss in shown:
+        values = ", ".join(f"{key.replace('_', ' ')} {_miss_text(miss, key, dataset)}" for key in miss.parameters)
+        title = effect_place(miss.name, miss.target, dataset.machine)
+        entry(out, f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ", verbose)
+    if shown and len(others) > len(shown):
+        out.line(f"  ({len(others) - len(shown)} more, less clear: --verbose)")
+
+
+def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
+    """The most useful recordings to make: planned ones, then those for ties, then those for most axes."""
+    steps = next_steps(result, dataset)
+    if not steps:
+        return
+    out.line()
+    out.line("Next, the most useful first:" if len(steps) > 1 else "Next:")
+    for number, step in enumerate(steps if verbose else steps[:STEPS], 1):
+        entry(out, step, f"  {number}. ", verbose)
+    if not verbose and len(steps) > STEPS:
+        out.line(f"  ({len(steps) - STEPS} more: --verbose)")
+
+
+def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
+    """One text for each recording to make; effects that the same motion excites are grouped over their axes."""
+    from sysid.effects import effect_named
+    from sysid.gap.excitation import TRAVEL_UNITS, axis_of
+    from sysid.gap.experiment.experiment import listed
+    from sysid.reports.words import effect_place, effect_title
+
+    machine, steps = dataset.machine, list[str]()
+    for planned in result.experiments:
+        effects = [effect for purpose in planned.purposes for effect in purpose.effects]
+        places = listed(list(dict.fromkeys(effect_place(effect.name, effect.target, machine) for effect in effects)))
+        again = f", {planned.repeats} times" if planned.repeats > 1 else ""
+        steps.append(f"Record {planned.name}.toml ({planned.about}, {planned.seconds:.0f} s{again}): {places}.")
+    for tie in result.ambiguous:
+        names = " or ".join(effect_place(name, target, machine) for name, target in tie)
+        motions = dict.fromkeys(effect_named(name).need.advice.format(axis=target) for name, target in tie)
+        steps.append(f"{' '.join(motions)} These recordings cannot distinguish {names}.")
+    still: dict[str, None] = {}
+    groups: dict[tuple[str, str], dict[str, None]] = {}
+    for item in result.excitation:
+        if item.sufficient:
+            continue
+        axis = axis_of(item.target, machine) or item.target
+        if item.unit in TRAVEL_UNITS:
+            still[axis] = None
+        else:
+            key = effect_named(item.name).need.advice, effect_title(item.name, axis, machine)
+            groups.setdefault(key, {})[item.target] = None
+    if still:
+        axes = listed(list(still))
+        steps.append(f"Record {axes} moving over {'its range' if len(still) == 1 else 'their ranges'}: not moved so far.")
+    by_motion: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for (motion, title), targets in groups.items():
+        by_motion.setdefault((motion, tuple(targets)), []).append(title)
+    for (motion, places), titles in sorted(by_motion.items(), key=lambda item: -len(item[0][1]) * len(item[1])):
+        of = listed([titles[0], *(title[0].lower() + title[1:] for title in titles[1:])])
+        steps.append(f"{motion.format(axis=listed(list(places)))} {of}: not enough motion so far.")
+    return steps
+
+
+def entry(out: Printer, text: str, bullet: str, whole: bool) -> None:
+    """Text wrapped to :data:`WIDTH` columns, cut after :data:`LINES` lines unless ``whole``."""
+    for line in wrapped(text, bullet, whole):
+        out.line(line)
+
+
+def wrapped(text: str, bullet: str = "", whole: bool = False) -> list[str]:
+    """The lines of :func:`entry`."""
+    limit = None if whole else LINES
+    lines = textwrap.wrap(
+        text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet), max_lines=limit, placeholder=" …"
+    )
+    return [line.rstrip() for line in lines]
+
+
+def plain_reason(why: str) -> str:
+    """The condition that an effect without a name fails, in plain words."""
+    from sysid.gap import decision
+
+    if "region of practical equivalence" in why:
+        return "its interval includes values too small to matter"
+    return {
+        decision.NOT_EXCITED: "the recordings do not excite it enough",
+        decision.LITTLE: "it lowers the error by little compared with what remains",
+        decision.LOST: "it lowers the error on held-out recordings by too little",
+        decision.REPLACED: "another effect in its place predicts as well",
+        decision.WITHOUT: "the simulation predicts as well without it",
+        decision.REPAIRS: "it may stand in for the wrong formula of a similar effect",
+        "its interval contains its absence": "its interval includes the value without it",
+        "": "it was fitted beside the others",
+    }.get(why, why)
+
+
+def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
+    """A value with the known one that it replaces, and its interval."""
+    from sysid.reports.display import NOTHING, digits_for, interval
+    from sysid.reports.effect_units import parameter_unit, shown
+
+    machine, units = dataset.machine, dataset.units
+    ends = item.interval95.get(key)
+    single = ends is not None and not isinstance(ends[0], (list, tuple))
+    digits = digits_for(float(ends[0]), float(ends[1])) if ends is not None and single else 3
+    text = shown(item.name, key, item.target, value, machine, digits, units)
+    if key in item.before:
+        text += f" (was {shown(item.name, key, item.target, item.before[key], machine, 3, units)})"
+    if ends is None:
+        return text, NOTHING
+    if not single:
+        low, high = (shown(item.name, key, item.target, end, machine, 4, units) for end in ends)
+        return text, f"{low} to {high}"
+    if not (math.isfinite(float(ends[0])) and math.isfinite(float(ends[1]))):
+        return text, NOTHING
+    return text, interval(float(ends[0]), float(ends[1]), parameter_unit(item.name, key, item.target, machine, units))
+
+
+def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
+    for effect in result.effects:
+        if (effect.name, effect.target, effect.side) == (item.name, item.target, item.side):
+            yield from effect.undetermined
+
+
+def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
+    from sysid.reports.display import digits_for
+    from sysid.reports.effect_units import shown
+
+    def text(value: float, digits: int) -> str:
+        return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, digits, dataset.units)
+
+    low, high = miss.interval95[key]
+    half = 0.5 * (high - low)
+    if not math.isfinite(half):
+        return text(miss.parameters[key], 3)
+    return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
+
+
+def unnamed_texts(result: GapResult) -> Sequence[str]:
+    """The unnamed errors as text."""
+    return [f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}" for item in result.unnamed]

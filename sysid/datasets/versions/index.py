@@ -1,0 +1,136 @@
+"""The versions of a workspace by their manifests, without their tables.
+
+Listing them must be quick, so that nothing here imports numpy, pandas or the table formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from sysid.datasets.versions.files import Files
+from sysid.datasets.versions.local_files import LocalFiles
+from sysid.datasets.versions.manifest import Manifest, from_text
+from sysid.datasets.versions.object_files import ObjectFiles
+from sysid.errors import SettingsError, StoreError, nearest
+from sysid.foreign import shown
+from sysid.names import check_dataset_name
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of :meth:`VersionIndex.list`; ``damage``: why a version cannot be read, then the other fields are empty."""
+
+    name: str
+    version: int
+    digest: str = ""
+    created: str = ""
+    machine: str = ""
+    recordings: int = 0
+    seconds: float = 0.0
+    damage: str = ""
+
+    @property
+    def reference(self) -> str:
+        return f"{self.name}@{self.version}"
+
+
+def entry_of(manifest: Manifest) -> Entry:
+    motion = [item for item in manifest["recordings"] if item["kind"] == "motion"]
+    return Entry(
+        name=manifest["name"],
+        version=manifest["version"],
+        digest=manifest["digest"],
+        created=manifest["created"],
+        machine=manifest["machine_name"],
+        recordings=len(manifest["recordings"]),
+        seconds=sum(item["rows"] / item["rate_hz"] for item in motion),
+    )
+
+
+@dataclass(frozen=True)
+class VersionIndex:
+    """The dataset versions of one workspace: a folder, or the URL of an object store (``s3://…``, ``gs://…``, ``file:///…``)."""
+
+    workspace: str | Path
+
+    @cached_property
+    def files(self) -> Files:
+        if "://" not in str(self.workspace):
+            return LocalFiles(Path(self.workspace))
+        return ObjectFiles(str(self.workspace).rstrip("/"))
+
+    def list(self) -> tuple[Entry, ...]:
+        """All versions of all datasets, by name and number; those that cannot be read with their damage."""
+        entries = [Entry(name, 0, damage="is a link, which is not followed") for name in self.files.links("datasets")]
+        for name in self.files.folders("datasets"):
+            try:
+                versions = self.versions(check_dataset_name(name))
+            except (StoreError, SettingsError) as error:
+                entries.append(Entry(name, 0, damage=str(error)))
+                continue
+            for version in versions:
+                try:
+                    entries.append(entry_of(self.read_manifest(name, version)))
+                except StoreError as error:
+                    entries.append(Entry(name, version, damage=str(error)))
+        return tuple(entries)
+
+    def manifest(self, reference: str) -> Manifest:
+        """The manifest of a version in the newest schema (``docs/guide/versions.md``).
+
+        Raises:
+            StoreError: no such dataset or version, or a damaged manifest.
+            SettingsError: no valid name of a dataset.
+        """
+        name, _, number = reference.partition("@")
+        versions = self.versions(check_dataset_name(name))
+        if not versions and not self.removed(name):
+            names = [folder for folder in self.files.folders("datasets") if self.versions(folder)]
+            where = f"workspace {self.workspace}"
+            raise StoreError(where, f"no dataset {name!r}", nearest(name, names), "Run `sysid ingest`.")
+        if (number or not versions) and (not is_number(number) or int(number) not in versions):
+            listed = ", ".join(map(str, versions)) or "none is left"
+            if is_number(number) and int(number) in self.removed(name):
+                remedy = "Ingest the same logs again: they become a new version of the same content."
+                raise StoreError(f"dataset {name}", f"version {number} was removed by vacuum", f"one of: {listed}", remedy)
+            raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
+        return self.read_manifest(name, int(number) if number else versions[-1])
+
+    def read_manifest(self, name: str, version: int, removed: bool = False) -> Manifest:
+        """:meth:`manifest` of a stored version, or of a ``removed`` one."""
+        path = manifest_path(name, version, removed)
+        try:
+            manifest = from_text(self.files.read(path), path)
+        except FileNotFoundError:
+            raise StoreError(path, "is gone", "a manifest", "It was removed by hand, or just now.") from None
+        if (manifest["name"], manifest["version"]) != (name, version):
+            found = f"the manifest of {shown(manifest['name'])}@{manifest['version']}"
+            raise StoreError(path, found, f"that of {name}@{version}", "It was copied or renamed by hand: move it back.")
+        return manifest
+
+    def versions(self, name: str) -> Sequence[int]:
+        """Numbers of the versions of ``name``, increasing."""
+        return numbers_of(self.files.names(f"datasets/{name}/versions"), ".json")
+
+    def removed(self, name: str) -> Sequence[int]:
+        """Numbers of the versions of ``name`` that vacuum removed, increasing."""
+        return numbers_of(self.files.names(f"datasets/{name}/versions"), ".removed.json")
+
+
+def manifest_path(name: str, version: int, removed: bool = False) -> str:
+    """Path of the manifest of a stored or ``removed`` version in its workspace."""
+    return f"datasets/{name}/versions/{version:06d}{'.removed' if removed else ''}.json"
+
+
+def numbers_of(names: Sequence[str], ending: str) -> Sequence[int]:
+    """Version numbers of manifests with this ending, increasing."""
+    numbers = [name.removesuffix(ending) for name in names if name.endswith(ending)]
+    return sorted(int(number) for number in numbers if is_number(number))
+
+
+def is_number(text: str) -> bool:
+    """Whether ``text`` is a version number; ``²`` is a digit too, and Python converts at most 4300 digits."""
+    return text.isascii() and text.isdigit() and len(text) < 10

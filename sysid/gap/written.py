@@ -1,0 +1,120 @@
+"""Everything that a repair writes into the plant, and the effects that were nearly named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from sysid.effects import effect_named
+from sysid.gap.case import Stage
+from sysid.gap.decision import Z
+from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
+from sysid.machine import KnownEffect
+from sysid.plant import Plant
+from sysid.plant.layout import side_of
+from sysid.plant.plant import effect_key
+
+Key = tuple[str, str, str | None]
+DEAD_TIME, LAG = ("input_delay", "delay"), ("first_order_lag", "time_constant")
+_ORDER = ("named", "tied", "adjusted")
+
+
+def written_effects(
+    before: Plant,
+    after: Plant,
+    named: Sequence[NamedEffect],
+    ties: Sequence[Sequence[tuple[str, str]]],
+    misses: Sequence[NearMissResult],
+    refused: Mapping[Key, str],
+) -> tuple[WrittenEffect, ...]:
+    """The effects in which ``after`` differs from ``before``: named, representing a tie, adjusted without a name."""
+    known = {effect_key(item): item for item in before.effects}
+    names = {_key(effect.name, effect.target, effect.side): effect for effect in named}
+    why = {_key(miss.name, miss.target, miss.side): miss.lacks for miss in misses} | dict(refused)
+    tied = {tie[0] for tie in ties}
+    found = [
+        _written(item, known.get(effect_key(item)), names.get(effect_key(item)), tied, why.get(effect_key(item), ""), after)
+        for item in after.effects
+        if _values(known.get(effect_key(item))) != _values(item)
+    ]
+    return tuple(sorted(found, key=lambda item: _ORDER.index(item.kind)))
+
+
+def axis_delays(before: Plant, after: Plant) -> tuple[AxisDelay, ...]:
+    """Dead time and lag of every axis that has one, before or after."""
+    found = []
+    for axis in after.machine.axis_names:
+        dead, lag = ((_value(before, *place, axis), _value(after, *place, axis)) for place in (DEAD_TIME, LAG))
+        if any((*dead, *lag)):
+            found.append(AxisDelay(axis, dead, lag))
+    return tuple(found)
+
+
+def _value(plant: Plant, name: str, parameter: str, axis: str) -> float:
+    known = plant.effect(name, axis, None)
+    value = known.parameters[parameter] if known is not None else 0.0
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
+def near_misses(stage: Stage) -> tuple[NearMissResult, ...]:
+    """The near misses of a stage, in the order of its decision."""
+    fitted = stage.found.stage_fit
+    found = []
+    for miss in fitted.decision.near_misses if fitted is not None else ():
+        candidate = miss.candidate
+        name, target, side = candidate.key
+        unknowns = [unknown.key for unknown in candidate.unknowns]
+        nominal = np.array([unknown.nominal for unknown in candidate.unknowns])
+        half = Z * miss.deviations
+        values = dict(zip(unknowns, map(float, miss.values), strict=True))
+        ends = zip(map(float, miss.values - half), map(float, miss.values + half), strict=True)
+        size = np.minimum(np.abs(miss.values - nominal), np.abs(miss.values))
+        away = size / np.maximum(miss.deviations, 1e-12)
+        distance = float(np.max(np.nan_to_num(away, nan=0.0, posinf=0.0)))
+        found.append(
+            NearMissResult(
+                name, target, stage.label, values, dict(zip(unknowns, ends, strict=True)), distance, miss.lacks, side
+            )
+        )
+    return tuple(found)
+
+
+def _written(
+    item: KnownEffect, before: KnownEffect | None, name: NamedEffect | None, tied: set[tuple[str, str]], why: str, plant: Plant
+) -> WrittenEffect:
+    earlier = dict(before.parameters) if before is not None else {}
+    if name is not None:
+        ends = {key: name.interval95[key] for key in name.given}
+        return WrittenEffect(item.name, item.target, "named", name.given, earlier, ends, name.gap_share, side=item.side)
+    kind: Literal["tied", "adjusted"] = "tied" if (item.name, item.target) in tied else "adjusted"
+    values, ends = dict(item.parameters), _intervals(item, plant)
+    reason = why if kind == "adjusted" else ""
+    return WrittenEffect(item.name, item.target, kind, values, earlier, ends, why=reason, side=item.side)
+
+
+def _intervals(item: KnownEffect, plant: Plant) -> dict[str, tuple[Any, Any]]:
+    """95 % intervals of a normal distribution, within the bounds of the parameters."""
+    bounds = {p.name: p.bounds for form in effect_named(item.name).forms for p in form.parameters}
+    deviations = np.sqrt(np.diag(plant.uncertainty.covariance))
+    found: dict[str, list[tuple[float, float]]] = {}
+    for place, deviation in zip(plant.uncertainty.places, deviations, strict=True):
+        if place.key == effect_key(item) and np.isfinite(deviation):
+            given = item.parameters[place.parameter]
+            value = float(given if isinstance(given, (int, float)) else given[place.component])
+            low, high = bounds[place.parameter]
+            ends = float(np.clip(value - Z * deviation, low, high)), float(np.clip(value + Z * deviation, low, high))
+            found.setdefault(place.parameter, []).append(ends)
+    single = {key: isinstance(item.parameters[key], (int, float)) for key in found}
+    return {
+        key: ends[0] if single[key] else (tuple(a for a, _ in ends), tuple(b for _, b in ends)) for key, ends in found.items()
+    }
+
+
+def _values(item: KnownEffect | None) -> dict[str, Any] | None:
+    return None if item is None else dict(item.parameters)
+
+
+def _key(name: str, target: str, side: str | None) -> Key:
+    return name, target, side_of(effect_named(name), side)

@@ -1,0 +1,106 @@
+"""Progress: one line in a terminal of any width, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid.cli import progress_bar
+from sysid.cli.progress_bar import LINE, PlainLines, cut
+
+SCRIPT = """
+import time
+from sysid.cli.progress_bar import progress_bar
+with progress_bar("train a policy with a very long name, 12 seeds") as progress:
+    progress(0.5, "command stage of boom: " + "a very long list of effects, " * 20)
+    time.sleep(0.5)
+"""
+
+
+@pytest.mark.parametrize("columns", [80, 60])
+def test_in_a_terminal_bar_and_time_stay_on_one_line(columns: int) -> None:
+    source, sink = pty.openpty()
+    fcntl.ioctl(sink, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    environment = {**os.environ, "TERM": "xterm"}
+    environment.pop("COLUMNS", None)
+    process = subprocess.Popen([sys.executable, "-c", SCRIPT], stderr=sink, env=environment)
+    os.close(sink)
+    seen = b""
+    while True:
+        try:
+            seen += os.read(source, 4096)
+        except OSError:
+            break
+    os.close(source)
+    assert process.wait() == 0
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", seen.decode())
+    drawn = [line for line in re.split(r"[\r\n]+", plain) if "50%" in line]
+    assert drawn
+    assert all(len(line.rstrip()) <= columns for line in drawn)
+    assert all(re.search(r"50% +0:00:0\d +command", line) for line in drawn), "share, time and step beside one another"
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time that the lines see."""
+    now = [0.0]
+    monkeypatch.setattr(progress_bar.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_without_a_terminal_a_step_is_a_line_and_not_every_update(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = PlainLines("gap")
+    for second in range(120):
+        clock[0] = float(second)
+        for fit in range(50):
+            lines.report(second / 120, f"stage {second // 60}: fit {fit}")
+        lines.look()
+    lines.end(complete=True)
+    written = capsys.readouterr().err.splitlines()
+    assert [re.search(r"after (\d+) s", line)[1] for line in written] == ["1", "31", "60", "90", "119"]  # type: ignore[index]
+    assert written[0].startswith("gap:   1 % after 1 s  stage 0: fit ")
+    assert written[-1] == "gap: done  after 119 s"
+
+
+def test_long_silent_work_gives_a_line_every_half_minute(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    lines = PlainLines("fit")
+    lines.report(0.1, "one")
+    for second in range(100):
+        clock[0] = float(second)
+        lines.look()
+    assert len(capsys.readouterr().err.splitlines()) == 4
+
+
+def test_short_work_gives_no_line(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    lines = PlainLines("fit")
+    lines.report(0.1, "one")
+    clock[0] = 0.9
+    lines.report(0.9, "two")
+    lines.end(complete=True)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_pipe_gets_no_control_characters() -> None:
+    slow = SCRIPT.replace("time.sleep(0.5)", "time.sleep(2.0)")
+    done = subprocess.run([sys.executable, "-c", slow], capture_output=True, text=True, check=True)
+    assert done.stderr.startswith("train a policy")
+    assert not re.search(r"[\x00-\x09\x0b-\x1f]", done.stderr)
+    assert max(map(len, done.stderr.splitlines())) <= LINE
+
+
+@given(st.text(max_size=200), st.integers(1, 100))
+def test_cut_text_fits(text: str, width: int) -> None:
+    assert len(cut(text, width)) <= width
+    assert cut(text, width) == text or cut(text, width).endswith("…")
