@@ -165,6 +165,9 @@ def test_no_alarm_on_measured_data(shared_data: Path, datasets_folder: Path, tmp
     for logs, name in sets:
         dataset = ingest(shared_data / logs, tmp_path / logs, recipe=datasets_folder / name / "recipe.toml")
         found = check_plausibility(dataset)
-        assert {key.rpartition(":")[2] for each in found for key in each.keys} <= {"still"}, (logs, [each.lines for each in found])
+        assert {key.rpartition(":")[2] for each in found for key in each.keys} <= {"still"}, (
+            logs,
+            [each.lines for each in found],
+        )
         if logs != "sage_so101/single_joint_elbow":  # four of six servos are not commanded there
             assert sum(len(each.keys) for each in found) <= 1, logs
