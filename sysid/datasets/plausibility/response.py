@@ -88,8 +88,8 @@ def motion_of(recordings: Sequence[Recording], axis: Axis, signal: str, time_sca
         parts.append(tuple(np.concatenate([part, gap]) for part in (command, place, speed, acceleration)))
     if not parts:
         return Motion(gap, gap, gap, gap, wanted)
-    joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
-    return Motion(*joined, step_s=wanted / time_scale)
+    command, place, speed, acceleration = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Motion(command, place, speed, acceleration, wanted / time_scale)
 
 
 def response_of(motion: Motion, axis: Axis) -> Response | None:

@@ -75,10 +75,10 @@ def _exchange(recordings: Sequence[Recording], axes: Sequence[Axis], quantity: s
         strength = np.zeros((len(group), len(group)))
         for row, commanded in enumerate(motions):
             for column, moved in enumerate(motions):
-                answer = moved.speed if actuation == "velocity" else moved.place
-                strength[row, column] = abs(correlation(commanded.command, answer, moved.delays))
+                quantity_moved = moved.speed if actuation == "velocity" else moved.place
+                strength[row, column] = abs(correlation(commanded.command, quantity_moved, moved.delays))
         commands, answers = linear_sum_assignment(-strength)
-        for command, answer in zip(commands, answers, strict=True):
+        for command, answer in zip(commands.tolist(), answers.tolist(), strict=True):
             if command != answer and strength[answer, answer] < OWN and strength[command, answer] > OTHER:
                 follows[group[answer].name] = group[command].name
     # An exchange is complete: each column that is missed by one axis is found at another.
