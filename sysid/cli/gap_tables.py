@@ -144,9 +144,9 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     by_motion: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for (motion, title), targets in groups.items():
         by_motion.setdefault((motion, tuple(targets)), []).append(title)
-    for (motion, places), titles in sorted(by_motion.items(), key=lambda item: -len(item[0][1]) * len(item[1])):
-        of = listed([titles[0], *(title[0].lower() + title[1:] for title in titles[1:])])
-        steps.append(f"{motion.format(axis=listed(list(places)))} {of}: not enough motion so far.")
+    for (motion, where), titles in sorted(by_motion.items(), key=lambda item: -len(item[0][1]) * len(item[1])):
+        of = listed([titles[0], *(each[0].lower() + each[1:] for each in titles[1:])])
+        steps.append(f"{motion.format(axis=listed(list(where)))} {of}: not enough motion so far.")
     return steps
 
 

@@ -8,12 +8,12 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.effects import effect_named
+from sysid.effects.described import side_of
 from sysid.gap.case import Stage
 from sysid.gap.decision import Z
 from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
-from sysid.plant.layout import side_of
 from sysid.plant.plant import effect_key
 
 Key = tuple[str, str, str | None]
