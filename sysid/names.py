@@ -1,4 +1,4 @@
-"""Checks of names that become part of a path, a key or a query.
+"""Names: checks of those that become part of a path, a key or a query; slugs; lists of names in a sentence.
 
 A name is checked where it is read (manifest, registry row, recipe, command line), because files may come from others.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from typing import Any
 
 from sysid.errors import SettingsError
@@ -34,6 +35,13 @@ def slug(text: str, otherwise: str) -> str:
     composed = unicodedata.normalize("NFC", text).lower().translate(_LETTERS)
     plain = "".join(letter for letter in unicodedata.normalize("NFKD", composed) if not unicodedata.combining(letter))
     return re.sub(r"[^a-z0-9_-]+", "-", plain.lower()).strip("-_")[:MAX_BYTES].strip("-_") or otherwise
+
+
+def listed(names: Sequence[str], most: int | None = None) -> str:
+    """``a``, ``a and b``, ``a, b and c``; beyond ``most`` the others are counted."""
+    if most is not None and len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def check_name(name: Any, role: str = "model name") -> str:

@@ -114,7 +114,7 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     """One text for each recording to make; effects that the same motion excites are grouped over their axes."""
     from sysid.effects import effect_named
     from sysid.gap.excitation import TRAVEL_UNITS, axis_of
-    from sysid.gap.experiment.experiment import listed
+    from sysid.names import listed
     from sysid.reports.words import effect_place, effect_title
 
     machine, steps = dataset.machine, list[str]()

@@ -16,7 +16,13 @@ PAGE = "docs/guide/wrong-data.md"
 
 
 def show_findings(out: Printer, findings: Sequence[Finding]) -> None:
-    """Each finding with its severity and keys; nothing where all is plausible."""
+    """Each finding with its severity and keys; nothing where all is plausible.
+
+    Axes that do not move in a role are left out: :func:`sysid.cli.roles.show_roles` lists all that a role lacks.
+    """
+    from sysid.datasets.plausibility.roles import STILL
+
+    findings = [finding for finding in findings if not all(key.endswith(f":{STILL}") for key in finding.keys)]
     if not findings:
         return
     severe = sum(finding.severity == "severe" for finding in findings)

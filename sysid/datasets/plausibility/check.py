@@ -58,5 +58,5 @@ def findings_of(
     found += column_findings(recordings, machine)
     still = {f"{name}:still" for name in ranged(single)}
     if time_scale == 1.0:
-        found += [finding for finding in role_findings(recordings, machine, splits) if finding.keys[0] not in still]
+        found += [f for f in role_findings(recordings, machine, splits) if not still.issuperset(f.keys)]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))

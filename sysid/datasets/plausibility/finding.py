@@ -8,9 +8,12 @@ from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 from sysid.errors import InputError, nearest
+from sysid.names import listed
 
 #: ``severe``: certain to be wrong, `sysid gap` does not run. ``notice``: unusual; it may be right.
 Severity = Literal["severe", "notice"]
+#: Most names in a sentence; the others are counted.
+MOST = 4
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class Cause:
     def text(self) -> str:
         plural = len(self.subjects) > 1 or " and " in self.about or self.about.endswith("s")
         about = f"{self.about[:-4]}axes" if len(self.subjects) > 1 and self.about.endswith("axis") else self.about
-        words = (about, listed(self.subjects), "are" if plural else "is", self.says)
+        words = (about, listed(self.subjects, MOST), "are" if plural else "is", self.says)
         return " ".join(word for word in words if word)
 
     def joined(self, other: Cause) -> Cause:
@@ -79,7 +82,7 @@ class Finding:
         """The finding without its keys: evidence, recordings, causes."""
         lines = [evidence.text for evidence in self.evidence]
         if self.recordings:
-            lines.append(f"in {listed(self.recordings)}")
+            lines.append(f"in {listed(self.recordings, MOST)}")
         for number, cause in enumerate(self.causes):
             lines.append(f"{'or' if number else 'likely cause'}: {cause.text}{f'. {cause.remedy}' if cause.remedy else ''}")
         return tuple(lines)
@@ -97,13 +100,6 @@ class Finding:
             "causes": [cause.to_json() for cause in self.causes],
             "recordings": list(self.recordings),
         }
-
-
-def listed(names: Sequence[str], most: int = 4) -> str:
-    """``a, b and c``; more than ``most`` are counted."""
-    if len(names) > most:
-        return f"{', '.join(names[:most])} and {len(names) - most} more"
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def not_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> tuple[Finding, ...]:

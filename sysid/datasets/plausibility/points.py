@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.plausibility.figures import thinned
-from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, listed
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.plausibility.mistakes import ANGLE, LENGTH, UnitMistake
 from sysid.datasets.plausibility.words import factor_text, ratio_text
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics
+from sysid.names import listed
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]

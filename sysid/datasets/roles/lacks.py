@@ -14,6 +14,7 @@ from sysid.datasets.roles.motion import FEATURES, MotionTable, motion_table
 from sysid.datasets.roles.needs import MIN_ROLE_S, ROLE_NAMES
 from sysid.datasets.roles.shortage import COUNTS, LACKING, NEEDED, ROLES, RoleNeeds, levels
 from sysid.machine import Machine
+from sysid.names import listed
 
 Array = npt.NDArray[np.float64]
 LackKind = Literal["motion", "direction", "reversals", "small", "large"]
@@ -128,8 +129,3 @@ def _record(kind: LackKind, axes: Sequence[str], roles: Sequence[Role]) -> str:
     }[kind]
     where = "one more recording" if count == 1 else f"{('two', 'three')[count - 2]} more recordings"
     return f"Record {names} moving {amount}, in {where} of {MIN_ROLE_S:g} s or more."
-
-
-def listed(names: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

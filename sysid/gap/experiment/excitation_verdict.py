@@ -17,10 +17,10 @@ from sysid.effects import CATALOGUE, Effect, effect_named, sensor_quantisation
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
-from sysid.gap.experiment.experiment import listed
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
+from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
 from sysid.signals import axis_signal, point_signals, split_signal
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -99,11 +99,6 @@ def outside(table: pd.DataFrame, limits: Limits) -> list[str]:
             if len(values) and (values.min() < low or values.max() > high):
                 left.append(signal)
     return left
-
-
-def listed(names: Sequence[str]) -> str:
-    """``a, b and c``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def command_columns(machine: Machine) -> tuple[str, ...]:

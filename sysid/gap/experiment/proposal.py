@@ -21,12 +21,13 @@ from sysid.gap.experiment.excitation_signal import (
     simulate_recording,
     start_of,
 )
-from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, listed, outside
+from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
 from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limits_of
 from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
+from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
 from sysid.release import __version__
 
