@@ -123,7 +123,8 @@ def leave_interrupted() -> NoReturn:
             stream.flush()
     if _active is not None and _active.seen.is_set():
         end_now()
-    _say(ENDED)
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(ENDED.decode())
     sys.exit(INTERRUPTED)
 
 

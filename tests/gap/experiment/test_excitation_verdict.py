@@ -66,7 +66,7 @@ def test_four_reversals_are_said_to_be_four(short: Dataset) -> None:
     play = verdict(found, "backlash", "slew", "drive")
     assert (play.status, play.have, play.need) == ("lacking", 4.0, 8.0)
     assert play.text == (
-        "backlash on slew: 4 reversals, about 8 needed. "
+        "Backlash of slew: 4 reversals, about 8 needed. "
         "Record 20 slow reversals of slew, with at least 5 % of its range between them."
     )
     sides = [request.effects.count(("backlash", "slew")) for request in found.requests]
