@@ -14,7 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sysid.cli.app import main
+from sysid.cli.app import run_verb
 from sysid.datasets.frames.base_frame import frame_of
 from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
@@ -180,7 +180,7 @@ def survey(tmp_path: Path) -> Path:
 def proposed(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Exit code and everything that was said."""
     with pytest.raises(SystemExit) as stopped:
-        main(["ingest", "--propose-frame", str(folder), "--json", str(folder / "frame.json")])
+        run_verb(["ingest", "--propose-frame", str(folder), "--json", str(folder / "frame.json")])
     said = capsys.readouterr()
     code = stopped.value.code
     return (code if isinstance(code, int) else 0), said.out + " ".join(said.err.split())

@@ -270,8 +270,8 @@ class Said:
     [
         (lambda n: np.zeros(n), "returned ndarray; expected a pandas DataFrame"),
         (
-            lambda n: pd.DataFrame({"lift.angel": np.zeros(n)}),
-            "'lift.angel'; expected 'lift.joint'? (valid: ee.x, ee.y",
+            lambda n: pd.DataFrame({"lift.jiont": np.zeros(n)}),
+            "'lift.jiont'; expected 'lift.joint'? (valid: ee.x, ee.y",
         ),
         (lambda n: pd.DataFrame({"lift.joint": np.zeros(n - 1)}), "lift.joint has the shape (249,); expected (250,)"),
         (lambda n: pd.DataFrame({"lift.joint": np.full(n, np.inf)}), "lift.joint is infinite"),

@@ -123,7 +123,7 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
 
 
 def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
-    study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
+    study = steps.open_study(dataset_of(nominal(), 4.0), nominal())
     outcome = fit_residual_models(
         study.case, study.stages, ProofOutcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")])
     )
@@ -133,7 +133,7 @@ def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
 
 
 def test_without_an_unnamed_residual_there_is_no_residual_model() -> None:
-    study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
+    study = steps.open_study(dataset_of(nominal(), 4.0), nominal())
     outcome = fit_residual_models(study.case, study.stages, ProofOutcome(study.case.plant))
     assert outcome.carried == []
     assert outcome.notes == ["no stage has an unnamed residual that a residual network could describe"]
