@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import wrong_units
 from wrong_units import Cell, arm_cells, caught, changed, crane_cells, cut, described, excavator_cells, slide_cells, times
@@ -126,6 +127,21 @@ def test_both_are_named_where_the_data_cannot_decide(slide: Dataset) -> None:
 @pytest.mark.parametrize("ratio", [0.5, 0.7, 1.5, 2.0])
 def test_a_gain_that_is_off_by_less_than_two_is_an_effect_and_no_mistake(crane: Dataset, ratio: float) -> None:
     assert check_plausibility(described(crane, times("gain", ratio))) == ()
+
+
+@pytest.mark.parametrize("factor", [180.0 / np.pi, np.pi / 180.0, -1.0])
+def test_a_mistake_in_some_recordings_only_is_found_there(crane: Dataset, factor: float) -> None:
+    """Another layout, logger or day; over all recordings the axis looks right, or is too large."""
+    chosen = [r.name for r in crane.of_kind("motion")][-2:]
+    recordings = [
+        replace(r, table=r.table.assign(**{"slew.joint": factor * r.values("slew.joint")})) if r.name in chosen else r
+        for r in crane.recordings
+    ]
+    found = [f for f in check_plausibility(replace(crane, recordings=tuple(recordings))) if "slew" in f.keys[0]]
+    assert [f.severity for f in found] == ["severe"]
+    assert found[0].causes[0].factor == pytest.approx(factor, rel=1e-3)
+    if factor < 1.0:
+        assert found[0].recordings == tuple(chosen)
 
 
 def test_an_axis_that_does_not_move_in_a_role(arm: Dataset) -> None:

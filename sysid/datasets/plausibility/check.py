@@ -7,6 +7,7 @@ they are needed and not stored, so that they hold for versions of any age and fo
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,8 +16,9 @@ import numpy as np
 from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
 from sysid.datasets.plausibility.columns import column_findings
 from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.plausibility.partial import partial_findings
 from sysid.datasets.plausibility.points import point_findings
-from sysid.datasets.plausibility.roles import role_findings
+from sysid.datasets.plausibility.roles import STILL, role_findings
 from sysid.datasets.plausibility.stamps import rates_of, time_findings
 from sysid.datasets.plausibility.swaps import swap_findings
 from sysid.datasets.recording import Dataset, Recording, Role
@@ -54,9 +56,19 @@ def findings_of(
     single = [finding for finding in own if finding is not None]
     found += swaps
     found += merged(single)
+    unclear = {*exchanged, *(finding.axis for finding in single)}
+    partial = list(
+        partial_findings(
+            recordings,
+            [each for name, each in figures.items() if name not in unclear],
+            lambda some, axis: figures_of(some, machine, axis, units or {}, rate_ratio, time_scale),
+        )
+    )
+    found += partial
     found += point_findings(recordings, machine, corrections_of(single), exchanged)
     found += column_findings(recordings, machine)
-    still = {f"{name}:still" for name in ranged(single)}
+    doubtful = {*ranged(single), *(re.split("[.:]", key)[0] for finding in partial for key in finding.keys)}
+    still = {f"{name}:{STILL}" for name in doubtful}
     if time_scale == 1.0:
         found += [f for f in role_findings(recordings, machine, splits) if not still.issuperset(f.keys)]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))

@@ -1,0 +1,70 @@
+"""Mistakes in some recordings only: one layout, logger or day of several has another unit, sign or column.
+
+Over all recordings such an axis may look right. Each recording is therefore compared by itself, where no finding concerns the
+axis as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+from sysid.datasets.plausibility.axes import AxisFinding, axis_finding, merged
+from sysid.datasets.plausibility.figures import AxisFigures
+from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.recording import Recording
+from sysid.machine import Axis
+
+#: Quantities that a file states; the description of the machine is the same for all recordings.
+OF_FILES = ("command", "driven", "joint")
+
+
+#: Least range of the commands, as a share of that in all recordings: little motion is mostly backlash and friction.
+COMMANDED = 0.3
+
+
+def partial_findings(
+    recordings: Sequence[Recording],
+    whole: Sequence[AxisFigures],
+    figures: Callable[[Sequence[Recording], Axis], AxisFigures],
+) -> Iterator[Finding]:
+    """A severe finding for each mistake that explains the figures of some recordings of motion, but not of all.
+
+    Args:
+        whole: figures over all recordings of those axes where they are plausible.
+        figures: of one recording (of all its blocks) and axis.
+    """
+    parts: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        if recording.kind == "motion":
+            parts.setdefault(recording.name.partition("#")[0], []).append(recording)
+    if len(parts) < 2:
+        return
+    groups: dict[tuple[str, ...], list[AxisFinding]] = {}
+    for every in whole:
+        found: dict[str, AxisFinding] = {}
+        for name, blocks in parts.items():
+            finding = _of_file(figures(blocks, every.axis), every)
+            if finding is not None:
+                found[name] = finding
+        if len(found) == len(parts):
+            continue
+        same: dict[tuple[str, tuple[str, float]], list[str]] = {}
+        for name, finding in found.items():
+            same.setdefault((finding.key, finding.explanations[0].key), []).append(name)
+        for names in same.values():
+            groups.setdefault(tuple(names), []).append(found[names[0]])
+    for some, findings in groups.items():
+        for merged_finding in merged(findings):
+            yield replace(merged_finding, recordings=some)
+
+
+def _of_file(figures: AxisFigures, whole: AxisFigures) -> AxisFinding | None:
+    """A severe finding that mistakes in the file explain, with these alone."""
+    if figures.command is None or whole.command is None or figures.command.width < COMMANDED * whole.command.width:
+        return None
+    finding = axis_finding(figures)
+    if finding is None or finding.level < 2:
+        return None
+    kept = tuple(each for each in finding.explanations if each.key[0] in OF_FILES)
+    return replace(finding, explanations=kept) if kept else None
