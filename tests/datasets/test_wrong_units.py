@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -142,6 +143,21 @@ def test_a_mistake_in_some_recordings_only_is_found_there(crane: Dataset, factor
     assert found[0].causes[0].factor == pytest.approx(factor, rel=1e-3)
     if factor < 1.0:
         assert found[0].recordings == tuple(chosen)
+
+
+def test_an_end_stop_inside_the_limits_is_named(crane: Dataset) -> None:
+    """The simulation would run on where the machine stops; the place is named, to be written into the description."""
+    top = float(np.nanquantile(np.concatenate([r.values("slew.joint") for r in crane.of_kind("motion")]), 0.75))
+    stopped = changed(crane, {"slew.joint": lambda q: np.minimum(q, top) + 1e-4 * np.random.default_rng(0).normal(size=len(q))})
+    found = [f for f in check_plausibility(stopped) if f.keys == ("slew:end_stop",)]
+    assert [f.severity for f in found] == ["notice"]
+    place, high = (
+        re.search(r"stays at (\S+) rad", found[0].evidence[0].found),
+        re.search(r", (\S+)\]", found[0].causes[0].remedy),
+    )
+    assert place is not None
+    assert high is not None
+    assert float(place[1]) == float(high[1]) == pytest.approx(top, abs=2e-4)
 
 
 def test_an_axis_that_does_not_move_in_a_role(arm: Dataset) -> None:

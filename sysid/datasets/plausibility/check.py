@@ -15,6 +15,7 @@ import numpy as np
 
 from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
 from sysid.datasets.plausibility.columns import column_findings
+from sysid.datasets.plausibility.end_stops import end_stop_findings
 from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.plausibility.partial import partial_findings
 from sysid.datasets.plausibility.points import point_findings
@@ -67,6 +68,7 @@ def findings_of(
     found += partial
     found += point_findings(recordings, machine, corrections_of(single), exchanged)
     found += column_findings(recordings, machine)
+    found += [finding for finding in end_stop_findings(recordings, machine) if finding.keys[0].partition(":")[0] not in unclear]
     doubtful = {*ranged(single), *(re.split("[.:]", key)[0] for finding in partial for key in finding.keys)}
     still = {f"{name}:{STILL}" for name in doubtful}
     if time_scale == 1.0:
