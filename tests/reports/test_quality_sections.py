@@ -104,6 +104,17 @@ def test_flags_of_ingest_are_told(crane: Dataset) -> None:
     assert "Flagged by ingest" not in build_report(ReportInputs(crane))
 
 
+def test_implausible_values_are_listed(crane: Dataset) -> None:
+    degrees = [
+        replace(r, table=r.table.assign(**{"slew.joint": np.degrees(r.values("slew.joint"))}))
+        for r in crane.recordings
+    ]  # fmt: skip
+    text = build_report(ReportInputs(replace(crane, recordings=tuple(degrees))))
+    assert "<h3>Implausible</h3>" in text
+    assert "slew.joint is in degrees, but read as rad" in text
+    assert "<h3>Implausible</h3>" not in build_report(ReportInputs(crane))
+
+
 def test_a_gap_of_a_file_is_one_line_and_wrong_values_come_first() -> None:
     gap = {**FLAG, "kind": "dropout", "text": "nothing for 0.3 s"}
     flags = [{**gap, "signal": f"{name}.joint"} for name in ("slew", "boom", "stick", "boom", "telescope")]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid.datasets.plausibility import check_plausibility
 from sysid.datasets.quality import DatasetEvidence, evidence_of
 from sysid.datasets.quality.coverage import PairMap
 from sysid.datasets.quality.use import AxisUse
@@ -47,6 +48,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "flagged": _flagged(dataset.quality),
         "flag_kinds": kinds_of(flag_lines(dataset.quality.get("flags", ()))),
         "reference": dataset.reference,
+        "implausible": check_plausibility(dataset),
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
         "ranges": _ranges(dataset),
         "clocks": [_clock(clock) for clock in dataset.clocks],
