@@ -130,9 +130,8 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
     for note in found.notes:
         out.line(f"note: {note}")
     ready, lacking, hidden = (found.of(status) for status in ("ready", "lacking", "hidden"))
-    counted = (
-        f"counted in {', '.join(found.counted)}" if len(found.counted) < 8 else f"counted in {len(found.counted)} recordings"
-    )
+    some = ", ".join(found.counted) or "no recording of motion"
+    counted = f"counted in {some if len(found.counted) < 8 else f'{len(found.counted)} recordings'}"
     out.line()
     out.line(
         f"Excitation of the effects: {len(ready)} ready, {len(lacking)} not enough, {len(hidden)} cannot be shown ({counted})"

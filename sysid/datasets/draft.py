@@ -76,7 +76,11 @@ def draft_recipe(
     taken: dict[str, set[str]] = {}
     for layout in layouts:
         before = {signal for signal, others in taken.items() if others & layout.recordings}
+        empty = layout.whole.reader in TABLES and not any(stream.fields for stream in layout.whole.streams)
         for files_, recordings_ in layout.entries:
+            if empty:
+                lines += ["", f"# left out: {_plain(files_)}: no column of numbers beside the stamps"]
+                continue
             own = set(before)
             lines += ["", *_stream(layout, files_, recordings_, machine, own)]
             for signal in own - before:

@@ -262,3 +262,14 @@ def test_the_entries_match_each_file_once(layouts: dict[tuple[str, str], str]) -
             and (not names or any(fnmatchcase(recordings[file.path], one) for one in names))
         ]
         assert {*matched} == {file.streams[0].fields[0].name}
+
+
+def test_a_file_without_numbers_gets_no_entry(tmp_path: Path) -> None:
+    """Events beside a log: the draft says so, and needs no correction."""
+    tuesday(tmp_path / "logs/run/log.csv", 1)
+    (tmp_path / "logs/run/event.csv").write_text("type,time,event\nEVENT,0,START\nEVENT,11.9,STOP\n")
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    assert run("ingest", "--inspect", tmp_path / "logs", "--draft", tmp_path / "recipe.toml") == 0
+    text = (tmp_path / "recipe.toml").read_text("utf-8")
+    assert text.count("[[streams]]") == 1
+    assert "# left out: event.csv: no column of numbers beside the stamps" in text
