@@ -9,16 +9,9 @@ from pathlib import Path
 
 import click
 import pytest
+from command_line import run
 
-from sysid.cli import main
 from sysid.cli.app import VERBS, app
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def test_help_lists_every_verb_in_order(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from command_line import run
 
-from sysid.cli import main
 from sysid.cli.init import KINDS
 from sysid.datasets import Store
 from sysid.datasets.recipe import load_recipe
@@ -20,13 +20,6 @@ from sysid.machine import load_machine
 from sysid.plant import nominal_plant
 
 Floats = npt.NDArray[np.float64]
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:

@@ -11,20 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli import main
 from sysid.datasets.draft import draft_recipe
 from sysid.datasets.recipe import load_recipe
 from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary, inspect_file
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def inspected(capsys: pytest.CaptureFixture[str], *args: str | Path) -> dict[str, Any]:

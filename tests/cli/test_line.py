@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 from sample_crane import commands
 
-from sysid.cli import main
 from sysid.machine import Linkage, TriangleLinkage
 from sysid.workspace import open_workspace
 
@@ -33,13 +33,6 @@ limits = [-0.4, 1.2]
 RECIPE = "[actuator]\nsamples = 300\nhidden_of = {boom = [16, 16]}\n[actuator.training]\nlearning_rate = 3e-3\nepochs = 400\n"
 LINKAGE = TriangleLinkage(Linkage("triangle", a=0.15, b=0.4, offset=1.1, retracted=0.3))
 DEADBAND = (0.11, 0.07)
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def write_logs(folder: Path) -> None:

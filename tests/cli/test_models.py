@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import run
 from crane_data import dataset, motion
 from stored import small_dataset
 from version_data import actuator, forward, structured
 
-from sysid.cli import main
 from sysid.cli.loopback import page_server
 from sysid.datasets import Store
 from sysid.datasets.recording import Source
@@ -33,13 +33,6 @@ UNITS = {
     **{f"{axis}.joint": "rad" for axis in ("slew", "boom", "stick")},
     **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
 }
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.fixture(scope="module")

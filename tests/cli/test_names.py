@@ -6,19 +6,12 @@ import shlex
 from pathlib import Path
 
 import pytest
+from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli import main
 from sysid.cli.output import command, rerun_command
 from sysid.names import is_dataset_name, is_name, slug
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.mark.parametrize(

@@ -5,46 +5,19 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
+from command_line import run
+from lift_logs import write_lift
 
-from sysid.cli import main
 from sysid.cli.output import Printer
 from sysid.cli.quality import show_flags
-
-MACHINE = """
-schema = 1
-name = "lift"
-rate_hz = 50.0
-[[axes]]
-name = "boom"
-actuation = "velocity"
-drives = "joint"
-gain = 0.3
-limits = [-1.0, 1.0]
-"""
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four recordings of the same strokes at full command: three reversals in each, and no small command in any."""
     folder = tmp_path_factory.mktemp("lift")
-    (folder / "machine.toml").write_text(MACHINE)
-    command = np.repeat([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0], 100)
-    joint = np.concatenate([[0.0], np.cumsum(0.3 * command[:-1]) / 50.0]) - 0.3
-    for number in range(4):
-        noise = np.random.default_rng(number).normal(0.0, 1e-3, len(command))
-        table = {"time": np.arange(len(command)) / 50.0, "boom.command": command, "boom.joint [rad]": joint + noise}
-        (folder / "logs" / f"run-{number}").mkdir(parents=True)
-        pd.DataFrame(table).to_csv(folder / "logs" / f"run-{number}" / "log.csv", index=False)
+    write_lift(folder, [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0])
     assert run("--workspace", folder / "ws", "ingest", folder / "logs", "--machine", folder / "machine.toml") == 0
     return folder / "ws"
 

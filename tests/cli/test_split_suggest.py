@@ -10,17 +10,10 @@ from pathlib import Path
 
 import pytest
 from axis_motion import AXES_OF_TEST, write_logs
+from command_line import run
 
-from sysid.cli import main
 from sysid.datasets import Store
 from sysid.datasets.roles.lacks import role_lacks
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.fixture

@@ -10,20 +10,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 from stored import MACHINE, small_dataset
 
-from sysid.cli import main
 from sysid.datasets import Store
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.registry import ModelVersion, Registry
 from sysid.workspace import Workspace
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def record(folder: Path, seed: int) -> None:

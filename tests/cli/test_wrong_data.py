@@ -11,44 +11,18 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-
-from sysid.cli import main
+from command_line import run
+from lift_logs import write_lift
 
 PAGE = Path(__file__).parents[2] / "docs/guide/wrong-data.md"
-MACHINE = """
-schema = 1
-name = "lift"
-rate_hz = 50.0
-[[axes]]
-name = "boom"
-actuation = "velocity"
-drives = "joint"
-gain = 0.3
-limits = [-1.0, 1.0]
-"""
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.fixture(scope="module")
 def wrong(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Joint angles in degrees under a header that says rad."""
     folder = tmp_path_factory.mktemp("lift")
-    (folder / "machine.toml").write_text(MACHINE)
-    command = np.repeat([0.0, 1.0, 0.0, -1.0, 0.0, 0.5, 0.0, -0.5, 0.0], 100)
-    joint = np.concatenate([[0.0], np.cumsum(0.3 * command[:-1]) / 50.0]) - 0.3
-    for number in range(4):
-        noise = np.random.default_rng(number).normal(0.0, 1e-3, len(command))
-        table = {"time": np.arange(len(command)) / 50.0, "boom.command": command, "boom.joint [rad]": np.degrees(joint + noise)}
-        (folder / "logs" / f"run-{number}").mkdir(parents=True)
-        pd.DataFrame(table).to_csv(folder / "logs" / f"run-{number}" / "log.csv", index=False)
+    write_lift(folder, [0.0, 1.0, 0.0, -1.0, 0.0, 0.5, 0.0, -0.5, 0.0], np.degrees)
     return folder
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli import main
 from sysid.datasets import Store, append, ingest
 from sysid.datasets.layouts import layouts_of
 from sysid.datasets.recipe import load_recipe
@@ -56,13 +56,6 @@ def tuesday(path: Path, seed: int) -> None:
 def wednesday(path: Path, seed: int) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, np.column_stack(motion(seed)), delimiter=",")
-
-
-def run(*args: str | Path) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(arg) for arg in args])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def drafted(folder: Path) -> Path:
