@@ -131,7 +131,7 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
         if excited and not pays(before, after):
             lost[kept.candidate.label] = LOST
-        elif not pays(before, max(after, alike)):
+        elif not pays(before, max(after, alike)) and not pays(before, after, 2):
             lost[kept.candidate.label] = ORDINARY
     if not lost:
         return stage
