@@ -26,8 +26,8 @@ Given models of one stage (sets of effects) under shared variances:
    Where they accumulate, an effect confused with a larger one of its axis is not named.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
-   where errors accumulate, each name beside the others, and also compared with the error that the machine's other drives leave
-   on the same distance (:mod:`sysid.gap.proof`).
+   where errors accumulate, each name beside the others, and with twice the price where it moves the output by less than the
+   machine's other drives are wrong by (:mod:`sysid.gap.proof`).
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.
