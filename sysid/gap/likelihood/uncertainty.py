@@ -2,9 +2,9 @@
 
 Where the formulas are right, the inverse of the information is the covariance. Where they are wrong, the scores of the blocks
 of the recordings vary more than the likelihood predicts; the sandwich covariance over blocks (White, Econometrica 50, 1982,
-1–25) then widens the intervals. Few blocks determine it with few degrees of freedom, so that a normal interval is too narrow: the
-deviations are multiplied by the ratio of the quantiles of Student's t and the normal distribution (Cameron and Miller, Journal
-of Human Resources 50, 2015, 317–372, section VI).
+1–25) then widens the intervals. With few blocks a normal interval of it is too narrow: the deviations are multiplied by the
+ratio of the quantiles of Student's t and the normal distribution (Cameron and Miller, Journal of Human Resources 50, 2015,
+317–372, section VI).
 """
 
 from __future__ import annotations
