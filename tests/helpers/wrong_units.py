@@ -246,13 +246,16 @@ def caught(cell: Cell, dataset: Dataset, folder: Path) -> tuple[bool, tuple[Find
     try:
         findings = check_plausibility(cell.make(dataset, folder))
     except SysidError as error:
-        return any(word in str(error) for word in cell.named) and _factor_in(cell.factor, str(error)), str(error)
+        words = ("time_unit", *cell.named) if cell.signal == "time" else cell.named
+        return any(word in str(error) for word in words) and _factor_in(cell.factor, str(error)), str(error)
     return cell.caught(findings), findings
 
 
 def _factor_in(factor: float, text: str) -> bool:
+    """Whether a refusal names the factor, or the unit of the stamps that it means."""
     size = factor if factor > 1.0 else 1.0 / factor
-    return f"factor of {size:.0f}" in text
+    unit = {1_000: "ms", 1_000_000: "us", 1_000_000_000: "ns"}.get(round(size), "no unit")
+    return f"factor of {size:.0f}" in text or f"expected {unit} (" in text
 
 
 def cut(dataset: Dataset, seconds: float) -> Dataset:

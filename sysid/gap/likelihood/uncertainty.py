@@ -2,27 +2,19 @@
 
 Where the formulas are right, the inverse of the information is the covariance. Where they are wrong, the scores of the blocks
 of the recordings vary more than the likelihood predicts; the sandwich covariance over blocks (White, Econometrica 50, 1982,
-1–25) then widens the intervals. With few blocks a normal interval of it is too narrow: the deviations are multiplied by the
-ratio of the quantiles of Student's t and the normal distribution (Cameron and Miller, Journal of Human Resources 50, 2015,
-317–372, section VI).
+1–25) then widens the intervals.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 Array = npt.NDArray[np.float64]
-
-#: Upper probability of a two-sided 95 % interval, and its quantile of the normal distribution.
-UPPER, Z = 0.975, 1.959964
 
 
 def posterior_covariance(columns: Array, parameters: int, residual: Array, block: npt.NDArray[np.int64]) -> Array:
     """Covariance of the last ``parameters`` coefficients of a regression with unit priors and unit noise, (k, k).
-
-    Scaled so that ±1.96 standard deviations are a 95 % interval.
 
     Args:
         columns: whitened, (rows, p + k). residual: whitened, at coefficients of zero, (rows,).
@@ -39,6 +31,6 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
     if count < 2:
         return within
     moved = pulls @ bread[:, -k:]  # change of the parameters by each block
-    seen = count / (count - 1.0) * (moved**2).sum(axis=0) * (float(stdtrit(count - 1, UPPER)) / Z) ** 2
+    seen = count / (count - 1.0) * (moved**2).sum(axis=0)
     wider = np.sqrt(np.maximum(1.0, seen / np.diag(within)))
     return within * np.outer(wider, wider)
