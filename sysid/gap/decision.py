@@ -35,6 +35,7 @@ stage; at least what is known to be open otherwise, of a clock for instance.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -344,6 +345,24 @@ def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Ca
 def pays(before: float, after: float, effects: int = 1) -> bool:
     """Whether effects are worth their price; RMS errors of the output without and with them, in noise floors."""
     return after <= EXPLAINED or _divided(before, after, effects)
+
+
+def pays_beside(before: float, after: float, alike: float) -> bool:
+    """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
+
+    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
+    """
+    return pays(before, max(after, alike)) or pays(before, after, 2)
+
+
+def typical_errors(errors: Sequence[float]) -> list[float]:
+    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
+
+    Args:
+        errors: shares of the distance moved; 0 for a drive whose formulas are right.
+    """
+    others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
+    return [statistics.median_low(some) if some else 0.0 for some in others]
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,7 +13,19 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import BESIDE, EXPLAINED, LOST, NOT_EXCITED, ORDINARY, SHARE, Z, equivalent_change, pays
+from sysid.gap.decision import (
+    BESIDE,
+    EXPLAINED,
+    LOST,
+    NOT_EXCITED,
+    ORDINARY,
+    SHARE,
+    Z,
+    equivalent_change,
+    pays,
+    pays_beside,
+    typical_errors,
+)
 from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -108,8 +119,7 @@ def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """
     kept = list(stages)
     for _ in kept:
-        errors = [_formula_error(stage) for stage in kept]
-        typical = [statistics.median_low([e for e in (*errors[:k], *errors[k + 1 :]) if e] or [0.0]) for k in range(len(kept))]
+        typical = typical_errors([_formula_error(stage) for stage in kept])
         checked = [_without_cheap_names_of(stage, error) for stage, error in zip(kept, typical, strict=True)]
         if all(one is other for one, other in zip(kept, checked, strict=True)):
             break
@@ -133,7 +143,7 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
         if excited and not pays(before, after):
             lost[kept.candidate.label] = LOST
-        elif not pays(before, max(after, alike)) and not pays(before, after, 2):
+        elif not pays_beside(before, after, alike):
             lost[kept.candidate.label] = ORDINARY
     if not lost:
         return stage

@@ -12,7 +12,7 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import decision
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, pays, simpler, survives
+from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, pays, pays_beside, simpler, survives, typical_errors
 from sysid.gap.likelihood.stage import ModelFit
 
 Array = npt.NDArray[np.float64]
@@ -437,3 +437,25 @@ def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
     assert len(numbers) == 5
     assert decision.PRICE == 1.0 + decision.STANDARD_ERRORS**2
     assert pytest.approx(1.959964, abs=1e-6) == decision.Z
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "alike", "paid"),
+    [
+        (30.0, 10.0, 0.0, True),  # formulas of the others right: the price of one effect
+        (30.0, 10.0, 12.0, True),  # more than the others are wrong by
+        (12.0, 4.0, 11.0, False),  # others are wrong by as much, and a chance fit reaches this
+        (12.0, 2.0, 11.0, True),  # the price of two effects: no chance fit
+        (12.0, 9.0, 0.0, False),
+    ],
+)
+def test_an_effect_within_the_error_of_similar_drives_needs_twice_the_price(
+    before: float, after: float, alike: float, paid: bool
+) -> None:
+    assert pays_beside(before, after, alike) == paid
+
+
+def test_the_typical_error_is_that_of_the_other_drives_with_wrong_formulas() -> None:
+    assert typical_errors([0.001, 0.002, 0.0, 0.03]) == [0.002, 0.001, 0.002, 0.001]
+    assert typical_errors([0.001, 0.0]) == [0.0, 0.001]
+    assert typical_errors([0.001]) == [0.0]
