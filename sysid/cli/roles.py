@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, write_json
+from sysid.cli.output import Printer, command, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,7 +40,8 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
     if len(lacks) > MAX_LACKS:
         out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
     if lacks:
-        out.line(f"Roles and what to record: sysid --workspace {location} datasets split {dataset.reference} --suggest")
+        suggest = command("datasets", "split", dataset.reference, "--suggest", workspace=location)
+        out.line(f"Roles and what to record: {suggest}")
     return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
 
 
@@ -74,13 +75,13 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
         out.line(
             f"{test} (test) has the same commands as {other}: its error shows repeatability, not accuracy on other motion."
         )
-    command = found.command(location)
-    if command:
+    applied = found.command(location)
+    if applied:
         out.line("Apply it to this version:")
-        out.line(f"  {command}")
+        out.line(f"  {applied}")
     if found.recipe:
         out.line(
-            "Or write it in the recipe, and ingest the logs again:" if command else "Write in the recipe, and ingest again:"
+            "Or write it in the recipe, and ingest the logs again:" if applied else "Write in the recipe, and ingest again:"
         )
         out.block("\n".join(f"  {line}" for line in found.recipe.splitlines()))
     write_json(json_file, found.to_json(location))

@@ -113,9 +113,8 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
 def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
 
-    The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md).
-
-    A drive whose name is rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
+    The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
+    whose name is rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
     """
     kept = list(stages)
     for _ in kept:

@@ -54,6 +54,15 @@ def test_a_lack_is_said_before_gap_with_a_command_that_removes_it(folder: Path, 
     assert "named in the recipe, unchanged: run a, run b" in capsys.readouterr().out
 
 
+def test_the_path_of_the_workspace_is_quoted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "recipe.toml").write_text(
+        'schema = 1\n[splits]\nfit = ["run [abc]"]\nselect = ["run d"]\nheld_out = ["run [ef]"]\n'
+    )
+    ws, logs = folder / "my work", ("--machine", folder / "machine.toml", "--recipe", folder / "recipe.toml")
+    assert run("--workspace", ws, "ingest", folder / "logs", *logs, "--name", "lift") == 0
+    assert f"sysid --workspace '{ws}' datasets split lift@1 --suggest" in capsys.readouterr().out
+
+
 def test_the_printed_command_applies_the_suggestion(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ws = folder / "ws"
     assert ingest(folder, "") == 0
