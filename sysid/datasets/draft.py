@@ -224,7 +224,7 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
     rate = "speed" in found and "command" not in found
     if rate:
         of = [quantity for quantity in found if quantity in _POSITIONS]
-        # The rate of a joint that a cylinder moves is no signal of its own; only the rate of what the command drives is.
+        # The rate of a joint that a cylinder moves is not a signal; only the rate of what the command drives is.
         found = [] if axis is not None and of and axis.drives not in of else ["speed"]
     elif axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
         found = ["joint"]  # a wire sensor along a prismatic joint without a cylinder

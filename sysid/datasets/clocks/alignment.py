@@ -65,7 +65,7 @@ MIN_REVERSALS = 8
 def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> tuple[Pair, ...]:
     """Every joint, cylinder or speed measured on both clocks, and every cylinder with its joint.
 
-    A speed is no function of a position, so the two are no pair.
+    A speed is not a function of a position, so the two are not paired.
     """
     pairs = []
     for y in other:

@@ -18,7 +18,7 @@ from sysid.signals import axis_signal
 Array = npt.NDArray[np.float64]
 
 #: Quantities of an axis, in the order of the columns: seconds of motion in either direction, reversals, and seconds of small
-#: and of large commands (of slow and fast motion, where the command is no speed) in either direction.
+#: and of large commands (of slow and fast motion, where the command is not a speed) in either direction.
 FEATURES = (
     *("forward_s", "backward_s", "reversals"),
     *("small_forward_s", "small_backward_s", "large_forward_s", "large_backward_s"),
@@ -96,7 +96,7 @@ class MotionTable:
 def motion_table(recordings: Sequence[Recording], machine: Machine) -> MotionTable:
     """Motion of every axis of ``machine`` whose command and motion some of the recordings contain.
 
-    Thresholds are those of the axis over all recordings, so that noise in a recording in which it rests is no motion.
+    Thresholds are those of the axis over all recordings, so that noise in a recording in which it rests is not motion.
     """
     moving = [recording for recording in recordings if recording.kind == "motion"]
     samples = {axis.name: [_samples(recording, axis) for recording in moving] for axis in machine.axes}

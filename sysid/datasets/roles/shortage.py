@@ -2,7 +2,7 @@
 
 A role needs what the catalogue of effects needs (:class:`sysid.effects.Need`): the fit the whole amount, selection and test
 half of it, as they are half as long. Where the recordings contain less, a role needs half of its share of what there is: no
-assignment gives more to all roles. A quantity that the recordings hardly contain is no shortage of a role, but one of the
+assignment gives more to all roles. A quantity that the recordings hardly contain is not a shortage of a role, but one of the
 recordings (``sysid datasets NAME --quality``).
 """
 
