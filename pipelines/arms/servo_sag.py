@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 
 NAME = "servo_sag"
 STEP, RATE = 1e-3, 100.0
+#: Sag at the largest load from which the compliance is to be named [rad]; the encoders' noise is at most a seventeenth.
+SAG_DUE = np.radians(0.5)
 
 
 def cases(seed: int) -> Iterator[Case]:
@@ -29,14 +31,14 @@ def cases(seed: int) -> Iterator[Case]:
 
 
 def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
-    """One servo arm. Without sag the servos are fifty times stiffer than the softest."""
+    """One servo arm. Without sag the servos are 200 times as stiff."""
     draw = np.random.default_rng([seed, 2])
     arm = random_arm(draw, int(draw.integers(3, 7)))
     names, count = arm.names, len(arm.links)
     largest = largest_load(arm, draw)
-    # Between 1° and 5° at the largest load of a soft servo.
-    sag = np.radians(draw.uniform(1.0, 5.0, count)) if sags else np.full(count, np.radians(0.02))
-    compliance = sag / np.maximum(largest, 0.2)
+    # One make of servo: the most loaded joint sags by 2° to 5°, the others by their load.
+    soft = np.radians(draw.uniform(2.0, 5.0)) / largest.max()
+    compliance = (1.0 if sags else 0.005) * soft * draw.uniform(0.7, 1.3, count)
     delay = draw.integers(5, 40, count) * STEP
     lag = draw.uniform(0.03, 0.12, count)
     noise = float(draw.uniform(1e-4, 5e-4))
@@ -49,9 +51,10 @@ def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
 
     def case(variant: str) -> Case:
         with_masses = variant == "urdf"
-        due = [with_masses and bool(largest[k] > 0.2) for k in range(count)] if sags else [False] * count
         gives = [
-            Hidden("joint_compliance", name, {"compliance": float(compliance[k])}, due=due[k]) for k, name in enumerate(names)
+            Hidden("joint_compliance", name, {"compliance": float(c)}, due=with_masses and bool(c * load > SAG_DUE))
+            for name, c, load in zip(names, compliance, largest, strict=True)
+            if sags
         ]
         return Case(
             row=NAME,
