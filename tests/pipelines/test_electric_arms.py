@@ -1,0 +1,164 @@
+"""Simulated electric machines: with nothing hidden the owner's model is exact, and what acts is what the truth states."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from scipy import signal
+
+from sysid.datasets import ingest
+from sysid.machine import load_machine
+
+PIPELINES = str(Path(__file__).parents[2] / "pipelines")
+MODULES = ("arm", "case", "flexible", "generate", "poses", "rigid", "servo_sag", "smooth_friction")
+Array = npt.NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def arms() -> Iterator[dict[str, ModuleType]]:
+    pytest.importorskip("mujoco")
+    sys.path.insert(0, PIPELINES)
+    yield {name: importlib.import_module(f"arms.{name}") for name in MODULES}
+    sys.path.remove(PIPELINES)
+
+
+def motion(table: pd.DataFrame, names: list[str]) -> tuple[Array, Array, Array, Array]:
+    """Torque, angle, speed and acceleration (n, axes) by central differences."""
+    step = float(table["time"][1])
+    q = table[[f"{name}.joint" for name in names]].to_numpy()
+    a = np.zeros_like(q)
+    a[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / step**2
+    return table[[f"{name}.command" for name in names]].to_numpy(), q, np.gradient(q, step, axis=0), a
+
+
+def low_passed(values: Array, rate: float, hz: float = 10.0) -> Array:
+    """Filtered forward and backward, without the ends."""
+    edge = int(2.0 * rate / hz)
+    return np.asarray(signal.sosfiltfilt(signal.butter(4, hz, fs=rate, output="sos"), values, axis=0))[edge:-edge]
+
+
+def rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def test_the_frictionless_arm_obeys_the_owners_inverse_dynamics(arms: dict[str, ModuleType]) -> None:
+    arm, draw = arms["arm"], np.random.default_rng(5)
+    owner = arm.random_arm(draw, "anthropomorphic")
+    effort = np.array([link.effort for link in owner.links])
+    table = arm.record(owner, owner, arm.Friction(np.zeros(6), np.zeros(6)), draw, 500.0, 4.0)
+    torque, q, v, a = motion(table, owner.names)
+    left = low_passed(torque - arms["rigid"].inverse_dynamics(owner, q, v, a), 500.0)
+    # The smallest noise of the row, under the same filter.
+    assert np.all(rms(left) < 0.1 * 0.003 * effort * np.sqrt(2.0 * 10.0 / 500.0))
+
+
+def test_the_friction_that_acts_on_a_moving_joint_is_the_hidden_one(arms: dict[str, ModuleType]) -> None:
+    arm, draw = arms["arm"], np.random.default_rng(6)
+    owner = arm.random_arm(draw, "ur")
+    real = arm.with_masses(arm.replace(owner, payload=arm.random_payload(draw)), 1.0 + draw.uniform(-0.05, 0.05, 6))
+    friction = arm.Friction(np.array([10.0, 12.0, 5.0, 2.0, 2.0, 2.0]), np.array([8.0, 0.0, 5.0, 2.0, 0.0, 2.0]))
+    torque, q, v, a = motion(arm.record(owner, real, friction, draw, 500.0, 4.0), owner.names)
+    left = torque - arms["rigid"].inverse_dynamics(real, q, v, a) - friction.viscous * v
+    for k in range(6):
+        moving = np.abs(v[:, k]) > 0.1
+        moving[:50] = moving[-1:] = False  # the controller settles after the start
+        assert np.allclose(left[moving, k], friction.coulomb[k] * np.sign(v[moving, k]), atol=0.05), owner.names[k]
+
+
+@pytest.mark.parametrize("kind", ["sharp", "tanh", "arctan", "load"])
+def test_a_force_axis_has_the_stated_friction(arms: dict[str, ModuleType], kind: str) -> None:
+    friction = arms["smooth_friction"]
+    axis = friction.random_axis(np.random.default_rng(7), kind)
+    wanted = np.arange(5000) / 500.0
+    q, v, a = 0.8 * np.sin(2.0 * wanted), 1.6 * np.cos(2.0 * wanted), -3.2 * np.sin(2.0 * wanted)
+    torque, angle = friction.simulate(axis, q, v, a, 1.0 / 500.0)
+    table = pd.DataFrame({"time": wanted, "axis1.command": torque, "axis1.joint": angle})
+    force, q1, v1, a1 = (part[:, 0] for part in motion(table, ["axis1"]))
+    # Each row's torque is held until the next: the second difference at a row has half of it and half of the one before.
+    force = 0.5 * (force + np.r_[force[0], force[:-1]])
+    left = force - friction.moving_inertia(axis) * a1 - axis.weight * np.sin(q1) - axis.viscous * v1
+    load = axis.load * np.abs(axis.weight * np.sin(q1))
+    stated = {
+        "sharp": axis.force * np.sign(v1),
+        "tanh": axis.force * np.tanh(v1 / axis.speed),
+        "arctan": axis.force * 2.0 / np.pi * np.arctan(v1 / axis.speed),
+        "load": (axis.force + load) * np.sign(v1),
+    }[kind]
+    moving = np.abs(v1) > 0.1
+    moving[[0, -1]] = False
+    assert np.abs(left - stated)[moving].max() < 0.02 * axis.force
+
+
+def test_a_frictionless_axis_leaves_nothing(arms: dict[str, ModuleType]) -> None:
+    case = arms["smooth_friction"].make(2, friction=False)
+    assert case.hidden == []
+    torque, q, _, a = (part[:, 0] for part in motion(case.clean["motion-1"], ["axis1"]))
+    axis = arms["smooth_friction"].random_axis(np.random.default_rng([2, 6]), "load")
+    torque = 0.5 * (torque + np.r_[torque[0], torque[:-1]])
+    left = low_passed(torque - arms["smooth_friction"].moving_inertia(axis) * a - axis.weight * np.sin(q), case.rate_hz)
+    assert rms(left) < 0.1 * case.extra["torque_noise"]["axis1"] * np.sqrt(20.0 / case.rate_hz)
+
+
+def test_a_rigid_drive_leaves_nothing_and_a_flexible_one_its_resonances(arms: dict[str, ModuleType]) -> None:
+    flexible = arms["flexible"]
+    case = flexible.make_force(1, flexible=False, friction=False)
+    torque, _, _, a = (part[:, 0] for part in motion(case.clean["multisine-2"], ["drive"]))
+    torque = 0.5 * (torque + np.r_[torque[0], torque[:-1]])
+    left = low_passed(torque - case.axes[0].inertia * a, case.rate_hz, 40.0)
+    assert rms(left) < 0.1 * case.extra["torque_noise"]["drive"] * np.sqrt(80.0 / case.rate_hz)
+    drive = flexible.random_drive(np.random.default_rng(1))
+    drive = flexible.Drive(drive.motor, drive.load, drive.stiffness, drive.damping, 0.0, 0.0)
+    time = np.arange(20_000) / 1000.0
+    torque, q = flexible.simulate_force(drive, flexible.chirp(time, 1.0, 80.0), 1e-3, 0.0, 0.0)
+    gain = np.abs(np.fft.rfft(np.diff(q, 2))) / np.abs(np.fft.rfft(torque[1:-1]))
+    frequency = np.fft.rfftfreq(len(q) - 2, 1e-3)
+    band = (frequency > 3.0) & (frequency < 70.0)
+    assert frequency[band][gain[band].argmin()] == pytest.approx(drive.antiresonance, abs=0.3)
+    assert frequency[band][gain[band].argmax()] == pytest.approx(drive.resonance, abs=0.3)
+
+
+def test_a_servo_is_behind_its_setpoint_by_load_times_compliance(arms: dict[str, ModuleType]) -> None:
+    import mujoco
+
+    servo, draw = arms["servo_sag"], np.random.default_rng(8)
+    arm = servo.random_arm(draw, 4)
+    compliance = np.radians(3.0) / np.maximum(servo.largest_load(arm, draw), 0.2)
+    wanted = np.tile(draw.uniform(*arm.limits.T), (3000, 1))
+    wanted[:500] += 0.1
+    q = servo.simulate(arm, compliance, np.full(4, 0.02), np.full(4, 0.05), wanted)
+    model, data = arms["rigid"].mujoco_model(arm)
+    data.qpos[:] = q[-1]
+    mujoco.mj_forward(model, data)
+    assert np.allclose(wanted[-1] - q[-1], compliance * data.qfrc_bias, atol=1e-6)
+
+
+def test_poses_with_nothing_hidden_are_those_of_the_owners_kinematics(
+    arms: dict[str, ModuleType], tmp_path: Path
+) -> None:
+    case = arms["poses"].make(0, hides=False)
+    site = arms["case"].write_case(case, tmp_path)
+    kinematics = load_machine(site / "machine.toml").kinematics()
+    table = case.clean["set-1"]
+    tip = kinematics.tip_position(table[[f"{axis.name}.joint" for axis in case.axes]].to_numpy())
+    assert np.abs(tip - table[["ee.x", "ee.y", "ee.z"]].to_numpy()).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_every_row_is_read_and_hides_its_truth_from_the_site(arms: dict[str, ModuleType], tmp_path: Path) -> None:
+    for folder in arms["generate"].generate(list(arms["generate"].ROWS), [2], tmp_path):
+        truth = json.loads((folder / "truth.json").read_text("utf-8"))
+        assert truth["hidden"]
+        assert {path.name for path in (folder / "site").iterdir()} <= {"machine.toml", "arm.urdf", "recipe.toml", "logs"}
+        dataset = ingest(folder / "site", tmp_path / "workspace")
+        assert len(dataset.recordings) >= 3
+        targets = {each["target"] for each in truth["hidden"]}
+        assert targets <= {*dataset.machine.axis_names, "base", "tool"}
