@@ -70,6 +70,7 @@ def make(seed: int, friction: bool = True, payload: bool = False, mass_error: fl
         clean[f"motion-{k + 1}"] = table
         logs[f"motion-{k + 1}"] = noisy(table, owner.names, sensors, draw)
     hidden = []
+    spread = payload_spread(owner, carried, sensors, mass_error, list(clean.values())) if payload else None
     for k, name in enumerate(owner.names):
         if rubbing.viscous[k] > 0.0:
             hidden.append(Hidden("viscous_friction", name, {"coefficient": float(rubbing.viscous[k])}))
@@ -92,7 +93,11 @@ def make(seed: int, friction: bool = True, payload: bool = False, mass_error: fl
         hidden=hidden,
         noise={f"{name}.joint": sensors.joint for name in owner.names},
         urdf=urdf_text(owner),
-        extra={"torque_noise": dict(zip(owner.names, sensors.torque.tolist(), strict=True))},
+        extra={
+            "torque_noise": dict(zip(owner.names, sensors.torque.tolist(), strict=True)),
+            "rate_hz": rate,
+            "payload_spread": spread,
+        },
     )
 
 
@@ -168,6 +173,43 @@ def with_masses(arm: RigidArm, factors: Array) -> RigidArm:
         for link, f in zip(arm.links, factors, strict=True)
     ]
     return replace(arm, links=tuple(links))
+
+
+def payload_spread(
+    arm: RigidArm, payload: Payload, sensors: Sensors, mass_error: float, logs: list[pd.DataFrame], every: int = 50
+) -> float:
+    """Standard deviation of the payload's mass [kg] that remains where the links' masses are known to ``mass_error``.
+
+    The linear Gaussian posterior (Bayes) of payload mass and first moment beside a scale of each link, friction known. Mass
+    errors of the last links and a payload load the same joints, so that this is larger than the torque noise alone gives.
+    """
+    count = len(arm.links)
+    rows = []
+    for table in logs:
+        q = table[[f"{name}.joint" for name in arm.names]].to_numpy()
+        step = float(table["time"][1])
+        v = np.gradient(q, step, axis=0)
+        chosen = (q[10:-10:every], v[10:-10:every], np.gradient(v, step, axis=0)[10:-10:every])
+        nominal = inverse_dynamics(arm, *chosen)
+        columns = []
+        for k in range(count):
+            factors = np.ones(count)
+            factors[k] = 2.0
+            columns.append(inverse_dynamics(with_masses(arm, factors), *chosen) - nominal)
+        point = inverse_dynamics(replace(arm, payload=Payload(1.0, (0.0, 0.0, 0.0), 1e-9)), *chosen) - nominal
+        columns.append(point)
+        for axis in np.eye(3):
+            x, y, z = (float(value) for value in 0.01 * axis)
+            moved = inverse_dynamics(replace(arm, payload=Payload(1.0, (x, y, z), 1e-9)), *chosen) - nominal
+            # Small offset: the second moment of the point mass is negligible.
+            columns.append((moved - point) / 0.01)
+        rows.append(np.stack(columns, axis=-1))
+    # All rows of the log, of which every n-th is taken here.
+    jacobian = np.concatenate(rows) * math.sqrt(every) / sensors.torque[None, :, None]
+    flat = jacobian.reshape(-1, count + 4)
+    precision = flat.T @ flat
+    precision[range(count), range(count)] += 3.0 / max(mass_error, 1e-6) ** 2  # of a uniform distribution
+    return float(np.sqrt(np.linalg.inv(precision)[count, count]))
 
 
 # ---- Simulation ---------------------------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ def make_force(seed: int, flexible: bool = True, friction: bool = True) -> Case:
         clean=clean,
         hidden=hidden,
         noise={"drive.joint": noise_q},
-        extra={"variant": "force", "torque_noise": {"drive": noise_t}},
+        extra={"variant": "force", "torque_noise": {"drive": noise_t}, "rate_hz": rate},
     )
 
 

@@ -104,7 +104,7 @@ def make(seed: int, kind: str | None = None, friction: bool = True) -> Case:
         hidden=truth(axis) if friction else [],
         noise={"axis1.joint": noise_q},
         urdf=urdf_text(pendulum(axis)) if axis.weight else None,
-        extra={"kind": axis.kind, "torque_noise": {"axis1": noise_t}},
+        extra={"kind": axis.kind, "torque_noise": {"axis1": noise_t}, "rate_hz": rate},
     )
 
 
