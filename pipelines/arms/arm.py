@@ -242,9 +242,7 @@ def record(
     return pd.DataFrame(table)
 
 
-def simulate(
-    arm: RigidArm, friction: Friction, wanted: Array, speed: Array, feed: Array, effort: Array
-) -> tuple[Array, Array]:
+def simulate(arm: RigidArm, friction: Friction, wanted: Array, speed: Array, feed: Array, effort: Array) -> tuple[Array, Array]:
     """Joint angles and applied torques, each (n, axes), on the grid of the simulation."""
     import mujoco
 

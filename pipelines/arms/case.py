@@ -119,9 +119,7 @@ def recipe_text(case: Case) -> str:
     """``recipe.toml``: recordings with canonical names; the roles are left to the dataset."""
     kind = "poses" if case.poses else "motion"
     listed = ", ".join(f'"{name}"' for name in case.logs)
-    return (
-        f'schema = 1\nname = "{case.name}"\nmachine = "machine.toml"\nlogs = "logs"\n\n[recordings]\n{kind} = [{listed}]\n'
-    )
+    return f'schema = 1\nname = "{case.name}"\nmachine = "machine.toml"\nlogs = "logs"\n\n[recordings]\n{kind} = [{listed}]\n'
 
 
 def _write_log(table: pd.DataFrame, folder: Path) -> None:

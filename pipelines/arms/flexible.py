@@ -178,8 +178,9 @@ def _slow(draw: np.random.Generator, time: Array) -> Array:
 
 def simulate_force(drive: Drive, wanted: Array, period: float, spring: float, damper: float) -> tuple[Array, Array]:
     """Applied torque and motor angle (n,), each row's torque being held until the next."""
-    d = drive
-    return _force(wanted, period, round(period / STEP), d.motor, d.load, d.stiffness, d.damping, d.viscous, d.coulomb, spring, damper)  # fmt: skip
+    count = round(period / STEP)
+    masses = drive.motor, drive.load, drive.stiffness, drive.damping, drive.viscous, drive.coulomb
+    return _force(wanted, period, count, *masses, spring, damper)  # type: ignore[no-any-return]
 
 
 def simulate_velocity(drive: Drive, command: Array, period: float, gain: float, lag: float, flexible: bool) -> Array:

@@ -34,10 +34,9 @@ ACCEPTED: dict[str, tuple[Accepted, ...]] = {
     "payload": (Accepted("payload", {"mass": "mass"}, anywhere=True),),
     # Masses of the URDF are off; every inertial error of any link is a right name, and none is due.
     "link_inertia": (
-        Accepted("inertia_error", anywhere=True),
-        Accepted("mass_error", anywhere=True),
-        Accepted("first_moment_error", anywhere=True),
+        Accepted("link_mass_error", anywhere=True),
         Accepted("inertial_error", anywhere=True),
+        Accepted("inertia_error", anywhere=True),
     ),
     # A proportional servo with damping: any form of its lag.
     "servo_lag": (Accepted("first_order_lag"), Accepted("second_order_lag"), Accepted("servo_resonance")),

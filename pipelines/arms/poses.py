@@ -62,9 +62,7 @@ def make(seed: int, hides: bool = True, eleven: bool = False) -> Case:
             compliance[k] = draw.uniform(2e-5, 1e-4)
             hidden.append(Hidden("joint_compliance", owner.names[k], {"compliance": float(compliance[k])}))
         translation, rotation = draw.uniform(-0.015, 0.015, 3), draw.uniform(-0.02, 0.02, 3)
-        hidden.append(
-            Hidden("base_misalignment", "base", {"translation": translation.tolist(), "rotation": rotation.tolist()})
-        )
+        hidden.append(Hidden("base_misalignment", "base", {"translation": translation.tolist(), "rotation": rotation.tolist()}))
     noise = float(draw.uniform(1e-4, 5e-4))
     logs, clean = {}, {}
     for name, poses in sets.items():
@@ -90,7 +88,19 @@ def make(seed: int, hides: bool = True, eleven: bool = False) -> Case:
 
 def eleven_joints(draw: np.random.Generator) -> RigidArm:
     """A torso of yaw, two pitches and roll that carries an arm of seven joints."""
-    axes = [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0)]
+    axes = [
+        (0, 0, 1),
+        (0, 1, 0),
+        (0, 1, 0),
+        (1, 0, 0),
+        (0, 0, 1),
+        (0, 1, 0),
+        (0, 0, 1),
+        (0, 1, 0),
+        (0, 0, 1),
+        (0, 1, 0),
+        (1, 0, 0),
+    ]
     long = {2: (0.0, 0.0, 0.4), 3: (0.0, 0.0, 0.35), 7: (0.0, 0.0, 0.32), 9: (0.0, 0.0, 0.28)}
     links = []
     for k, axis in enumerate(axes):

@@ -88,7 +88,8 @@ def urdf_text(arm: RigidArm) -> str:
         parts.append(
             f'  <joint name="{link.name}_joint" type="revolute"><parent link="{parent}"/><child link="{link.name}_link"/>'
             f'<origin xyz="{_text(link.origin)}" rpy="{_text(link.rpy)}"/><axis xyz="{_text(link.axis)}"/>'
-            f'<limit lower="{link.limits[0]:.9g}" upper="{link.limits[1]:.9g}" velocity="4" effort="{link.effort:.9g}"/></joint>\n'
+            f'<limit lower="{link.limits[0]:.9g}" upper="{link.limits[1]:.9g}" velocity="4" effort="{link.effort:.9g}"/>'
+            "</joint>\n"
             f'  <link name="{link.name}_link"><inertial><origin xyz="{_text(link.centre)}"/><mass value="{link.mass:.9g}"/>'
             f'<inertia ixx="{xx:.9g}" iyy="{yy:.9g}" izz="{zz:.9g}" ixy="{xy:.9g}" ixz="{xz:.9g}" iyz="{yz:.9g}"/>'
             "</inertial></link>"

@@ -47,7 +47,8 @@ def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
         table = record(arm, compliance, delay, lag, draw, float(draw.uniform(40.0, 60.0)), smooth=k == 1)
         clean[f"motion-{k + 1}"] = table
         logs[f"motion-{k + 1}"] = noisy(table, names, noise, draw)
-    servo = [Hidden("servo_lag", name) for name in names] + [Hidden("input_delay", name, due=False) for name in names]
+    # Delay, lag and damping together are a servo of third order: any form of them is right, and none is due.
+    servo = [Hidden(kind, name, due=False) for kind in ("servo_lag", "input_delay") for name in names]
 
     def case(variant: str) -> Case:
         with_masses = variant == "urdf"
@@ -66,7 +67,11 @@ def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
             hidden=servo + gives,
             noise={f"{name}.joint": noise for name in names},
             urdf=urdf_text(arm) if with_masses else None,
-            extra={"variant": variant, "largest_load": dict(zip(names, largest.tolist(), strict=True))},
+            extra={
+                "variant": variant,
+                "sagging": [n for n, c, m in zip(names, compliance, largest, strict=True) if sags and c * m > SAG_DUE],
+                "largest_load": dict(zip(names, largest.tolist(), strict=True)),
+            },
         )
 
     return case("plain"), case("urdf")

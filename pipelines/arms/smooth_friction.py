@@ -60,7 +60,9 @@ def random_axis(draw: np.random.Generator, kind: str) -> Axis:
     viscous = float(draw.uniform(0.5, 3.0)) if draw.random() < 0.5 else 0.0
     speed = float(draw.uniform(0.03, 0.2))
     if kind == "load":
-        return Axis(kind, inertia, float(draw.uniform(20.0, 50.0)), 0.5 * force, viscous, speed, load=float(draw.uniform(0.05, 0.15)))
+        return Axis(
+            kind, inertia, float(draw.uniform(20.0, 50.0)), 0.5 * force, viscous, speed, load=float(draw.uniform(0.05, 0.15))
+        )
     if kind == "lugre":
         bend = float(draw.uniform(0.002, 0.02))
         return Axis(
@@ -172,7 +174,9 @@ def _run(wanted, period, count, kind, numbers):  # type: ignore[no-untyped-def]
     torque, angle = np.empty(len(wanted)), np.empty(len(wanted))
     stiff, damping = inertia * 40.0**2, inertia * 2.0 * 0.9 * 40.0
     for row in range(len(wanted)):
-        applied = inertia * wanted[row, 2] + weight * math.sin(q) + stiff * (wanted[row, 0] - q) + damping * (wanted[row, 1] - v)
+        applied = (
+            inertia * wanted[row, 2] + weight * math.sin(q) + stiff * (wanted[row, 0] - q) + damping * (wanted[row, 1] - v)
+        )
         torque[row], angle[row] = applied, q
         for _ in range(count):
             pull = weight * math.sin(q)

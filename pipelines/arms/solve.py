@@ -1,6 +1,6 @@
 """Answers one case from its site alone: ingest, then the gap of the plant that the machine description gives.
 
-    python -m arms.solve SITE ANSWER.json
+python -m arms.solve SITE ANSWER.json
 """
 
 from __future__ import annotations

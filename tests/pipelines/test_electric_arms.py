@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from sysid.datasets import ingest
 from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("arm", "case", "flexible", "generate", "poses", "rigid", "servo_sag", "smooth_friction")
+MODULES = ("arm", "case", "flexible", "generate", "names", "page", "poses", "rigid", "score", "servo_sag", "smooth_friction")
 Array = npt.NDArray[np.float64]
 
 
@@ -141,9 +142,7 @@ def test_a_servo_is_behind_its_setpoint_by_load_times_compliance(arms: dict[str,
     assert np.allclose(wanted[-1] - q[-1], compliance * data.qfrc_bias, atol=1e-6)
 
 
-def test_poses_with_nothing_hidden_are_those_of_the_owners_kinematics(
-    arms: dict[str, ModuleType], tmp_path: Path
-) -> None:
+def test_poses_with_nothing_hidden_are_those_of_the_owners_kinematics(arms: dict[str, ModuleType], tmp_path: Path) -> None:
     case = arms["poses"].make(0, hides=False)
     site = arms["case"].write_case(case, tmp_path)
     kinematics = load_machine(site / "machine.toml").kinematics()
@@ -162,3 +161,98 @@ def test_every_row_is_read_and_hides_its_truth_from_the_site(arms: dict[str, Mod
         assert len(dataset.recordings) >= 3
         targets = {each["target"] for each in truth["hidden"]}
         assert targets <= {*dataset.machine.axis_names, "base", "tool"}
+
+
+# ---- Scores -------------------------------------------------------------------------------------------------------------
+
+
+def truth(*hidden: tuple[str, str, dict[str, float], bool], **extra: Any) -> dict[str, Any]:
+    listed = [{"name": n, "target": t, "parameters": p, "due": due} for n, t, p, due in hidden]
+    return {"row": "arm", "name": "arm-000", "hidden": listed, **extra}
+
+
+def answer(*effects: tuple[str, str, dict[str, float]], **extra: Any) -> dict[str, Any]:
+    gap = {"before": {}, "after": {"j1.command": 0.2}, "noise_floor": {"j1.command": 0.1}}
+    listed = [{"name": n, "target": t, "parameters": p, "aliases": []} for n, t, p in effects]
+    found = {"effects": listed, "verdict": "named", "gap": gap, "unnamed": [], "ambiguous": [], "next_experiment": []}
+    return {"answer": found | extra, "seconds": 1.0, "wall_seconds": 1.0}
+
+
+COULOMB = ("coulomb_friction", "j1", {"force": 8.0}, True)
+MASS = ("link_inertia", "j2", {"ratio": 1.03}, False)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "effects", "outcome"),
+    [
+        ([COULOMB, MASS], [("coulomb_friction", "j1", {"force": 8.4})], "right"),
+        ([COULOMB, MASS], [("coulomb_friction", "j1", {"force": 8.4}), ("link_mass_error", "j4", {"ratio": 1.0})], "right"),
+        ([COULOMB, MASS], [("link_mass_error", "j2", {"ratio": 1.0})], "incomplete"),
+        ([COULOMB], [], "none"),
+        ([COULOMB], [("coulomb_friction", "j2", {"force": 8.0})], "wrong"),
+        ([COULOMB], [("coulomb_friction", "j1", {"force": 8.0}), ("viscous_friction", "j1", {"coefficient": 1.0})], "wrong"),
+        ([COULOMB], [("payload", "tool", {"mass": 1.0})], "wrong"),
+        ([("smooth_coulomb_friction", "j1", {"force": 8.0}, True)], [("coulomb_friction", "j1", {"force": 8.0})], "incomplete"),
+        ([("smooth_coulomb_friction", "j1", {}, True)], [("viscous_friction", "j1", {"coefficient": 8.0})], "wrong"),
+    ],
+)
+def test_outcomes(
+    arms: dict[str, ModuleType],
+    hidden: list[tuple[str, str, dict[str, float], bool]],
+    effects: list[tuple[str, str, dict[str, float]]],
+    outcome: str,
+) -> None:
+    assert arms["score"].score(truth(*hidden), answer(*effects)).outcome == outcome
+
+
+def test_errors_and_ratios_are_relative_to_the_truth(arms: dict[str, ModuleType]) -> None:
+    score = arms["score"]
+    given = truth(COULOMB, torque_noise={"j1": 1.0}, rate_hz=500.0)
+    found = score.score(given, answer(("coulomb_friction", "j1", {"positive": 8.0, "negative": 9.6})))
+    assert found.errors == {"coulomb_friction(j1).force": pytest.approx(0.1)}
+    assert found.stated == pytest.approx(2.0)
+    # White noise of 1 N·m behind the same filter.
+    noise = low_passed(np.random.default_rng(0).standard_normal(400_000), 500.0)
+    assert found.ratio == pytest.approx(0.2 / rms(noise), rel=0.02)
+
+
+def test_a_sagging_servo_without_masses_has_a_tie(arms: dict[str, ModuleType]) -> None:
+    given = truth(("joint_compliance", "a", {"compliance": 1.0}, False), variant="plain", sagging=["a"])
+    pair = [{"name": "joint_compliance", "target": "a"}, {"name": "sensor_bias", "target": "a.joint"}]
+    assert arms["score"].score(given, answer(ambiguous=[pair])).tie
+    assert not arms["score"].score(given, answer(ambiguous=[pair[1:]])).tie
+    assert arms["score"].score(given, answer(("sensor_bias", "a.joint", {"bias": 0.1}))).outcome == "wrong"
+
+
+def test_a_described_resonance_is_compared(arms: dict[str, ModuleType]) -> None:
+    given = truth(("flexible_drive", "j1", {"antiresonance_hz": 10.0, "resonance_hz": 20.0}, True))
+    found = arms["score"].score(given, answer(unnamed=[{"stage": "force", "target": "j1", "resonance_hz": 19.0}]))
+    assert (found.outcome, found.resonance) == ("none", pytest.approx(0.05))
+
+
+def test_refusals_and_crashes_are_told_apart(arms: dict[str, ModuleType]) -> None:
+    found = [arms["score"].score(truth(COULOMB), {key: "why"}) for key in ("refused", "failure")]
+    assert [(each.outcome, each.reason) for each in found] == [("refused", "why"), ("failure", "why")]
+
+
+def test_every_hidden_name_has_an_entry_and_every_case_a_line(arms: dict[str, ModuleType]) -> None:
+    cases = [
+        arms["score"].score(truth(COULOMB), answer(("coulomb_friction", "j1", {"force": 8.0}))).to_json(),
+        arms["score"].score(truth(COULOMB), {"refused": "too | short"}).to_json(),
+    ]
+    page = arms["page"].page_tables({"seeds": [0, 1], "cases": cases, "date": "2026-01-01", "command": "x"})
+    assert "1 right, 1 refused" in page
+    assert "too \\| short" in page
+    friction = arms["smooth_friction"]
+    for kind in friction.KINDS:
+        for hidden in friction.truth(friction.random_axis(np.random.default_rng(0), kind)):
+            assert hidden.name in arms["names"].ACCEPTED
+
+
+def test_wrong_rows_and_seeds_are_refused(arms: dict[str, ModuleType], pipeline: Callable[[str], ModuleType]) -> None:
+    runner = pipeline("electric_arms")
+    assert runner.seeds_of("3:5") == [3, 4, 5]
+    with pytest.raises(ValueError, match="expected FIRST:LAST"):
+        runner.seeds_of("3-5")
+    with pytest.raises(ValueError, match="unknown row 'arms'"):
+        runner.rows_of("arms")
