@@ -243,6 +243,11 @@ def test_every_hidden_name_has_an_entry_and_every_case_a_line(arms: dict[str, Mo
     page = arms["page"].page_tables({"seeds": [0, 1], "cases": cases, "date": "2026-01-01", "command": "x"})
     assert "1 right, 1 refused" in page
     assert "too \\| short" in page
+    beside = arms["page"].page_tables(
+        {"seeds": [7], "cases": cases[:1], "date": "", "command": ""}, {"seeds": [0], "cases": cases}
+    )
+    assert "| before (seeds 0–0) |" in beside
+    assert "| 1 right, 1 refused | 1 right | 1 |" in beside
     friction = arms["smooth_friction"]
     for kind in friction.KINDS:
         for hidden in friction.truth(friction.random_axis(np.random.default_rng(0), kind)):
