@@ -95,6 +95,8 @@ def make(seed: int, friction: bool = True, payload: bool = False, mass_error: fl
         urdf=urdf_text(owner),
         extra={
             "torque_noise": dict(zip(owner.names, sensors.torque.tolist(), strict=True)),
+            "joint_noise": sensors.joint,
+            "inertia": dict(zip(owner.names, mean_inertia(real, list(clean.values())).tolist(), strict=True)),
             "rate_hz": rate,
             "payload_spread": spread,
         },
@@ -210,6 +212,22 @@ def payload_spread(
     precision = flat.T @ flat
     precision[range(count), range(count)] += 3.0 / max(mass_error, 1e-6) ** 2  # of a uniform distribution
     return float(np.sqrt(np.linalg.inv(precision)[count, count]))
+
+
+def mean_inertia(arm: RigidArm, logs: list[pd.DataFrame], every: int = 500) -> Array:
+    """Mean moving inertia of each axis over the recorded postures [kg·m²], (axes,)."""
+    import mujoco
+
+    model, data = mujoco_model(arm)
+    mass = np.empty((len(arm.links), len(arm.links)))
+    found = []
+    for table in logs:
+        for q in table[[f"{name}.joint" for name in arm.names]].to_numpy()[::every]:
+            data.qpos[:] = q
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, mass)
+            found.append(np.diag(mass).copy())
+    return np.asarray(np.mean(found, axis=0))
 
 
 # ---- Simulation ---------------------------------------------------------------------------------------------------------

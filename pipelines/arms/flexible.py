@@ -114,7 +114,13 @@ def make_force(seed: int, flexible: bool = True, friction: bool = True) -> Case:
         clean=clean,
         hidden=hidden,
         noise={"drive.joint": noise_q},
-        extra={"variant": "force", "torque_noise": {"drive": noise_t}, "rate_hz": rate},
+        extra={
+            "variant": "force",
+            "torque_noise": {"drive": noise_t},
+            "joint_noise": noise_q,
+            "inertia": {"drive": drive.motor},
+            "rate_hz": rate,
+        },
     )
 
 
@@ -157,6 +163,7 @@ def _truth(drive: Drive) -> dict[str, float]:
         "antiresonance_hz": drive.antiresonance,
         "resonance_hz": drive.resonance,
         "frequency": drive.antiresonance,
+        "inertia_ratio": drive.load / drive.motor,
         "damping_ratio": drive.damping / (2.0 * math.sqrt(drive.stiffness * drive.load)),
     }
 

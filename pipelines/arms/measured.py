@@ -24,7 +24,7 @@ def figures(workspace: Path, data: Path) -> dict[str, float]:
         data: folder with ``tiago_mocap``.
     """
     found: dict[str, float] = {}
-    for name, read in (("emps", _emps), ("xl330", _xl330), ("so101", _so101)):
+    for name, read in (("emps", _emps), ("xl330", _xl330), ("so101", _so101), ("ur10e", _ur10e)):
         path = workspace / name / "result.json"
         if path.exists():
             found |= read(json.loads(path.read_text("utf-8")))
@@ -71,6 +71,14 @@ def _so101(result: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
+def _ur10e(result: Mapping[str, Any]) -> dict[str, float]:
+    """Relative torque errors on held-out recordings, and the error of the payload's mass."""
+    found = {f"UR10e, {log}, {axis} [relative]": value for log, each in result["error"].items() for axis, value in each.items()}
+    if result["payload"] is not None:
+        found["UR10e, payload's mass [relative]"] = abs(result["payload"] / result["weighed"] - 1.0)
+    return found
+
+
 def calibrated(arm: poses.Arm, folder: Path) -> dict[str, float]:
     """Cross-validated distance of the calibrated geometry [mm], median and RMSE."""
     machine = load_machine(poses.DATASETS / arm.name / "machine.toml")
@@ -102,4 +110,4 @@ def compared(before: Mapping[str, float], after: Mapping[str, float]) -> list[tu
             else "same"
         )
         rows.append((name, f"{value:.4g}", "–" if new is None else f"{new:.4g}", change))
-    return rows
+    return rows + [(name, "–", f"{value:.4g}", "new") for name, value in after.items() if name not in before]

@@ -15,14 +15,12 @@ class Accepted:
 
     Args:
         parameters: parameter of the effect → key of the truth it is compared with.
-        needs: parameters that have to be present, where one name has several forms.
         coarse: whether the name is a simpler form of what is hidden.
         anywhere: whether the effect may have any axis, link or tool as target.
     """
 
     name: str
     parameters: Mapping[str, str] = field(default_factory=dict)
-    needs: tuple[str, ...] = ()
     coarse: bool = False
     anywhere: bool = False
 
@@ -45,18 +43,14 @@ ACCEPTED: dict[str, tuple[Accepted, ...]] = {
     "joint_offset": (Accepted("joint_offset", {"offset": "offset"}),),
     "link_length_error": (Accepted("link_length_error", {"error": "error"}),),
     "base_misalignment": (Accepted("base_misalignment", {"translation": "translation", "rotation": "rotation"}),),
-    "flexible_drive": (
-        Accepted("flexible_drive", {"stiffness": "stiffness", "frequency": "frequency", "resonance": "resonance_hz"}),
-    ),
+    "flexible_drive": (Accepted("flexible_drive", {"frequency": "frequency", "inertia_ratio": "inertia_ratio"}),),
     # Behind a speed servo the load is a second-order system: the formula of oil_compressibility.
     "flexible_drive_velocity": (
         Accepted("flexible_drive", {"frequency": "frequency"}),
         Accepted("oil_compressibility", {"frequency": "frequency"}),
     ),
     "smooth_coulomb_friction": (
-        Accepted("smooth_coulomb_friction"),
-        Accepted("coulomb_friction", needs=("width",)),
-        Accepted("coulomb_friction", needs=("velocity",)),
+        Accepted("smooth_coulomb_friction", {"force": "force"}),
         Accepted("coulomb_friction", coarse=True),
     ),
     "load_dependent_friction": (
@@ -66,6 +60,7 @@ ACCEPTED: dict[str, tuple[Accepted, ...]] = {
     "lugre_friction": (
         Accepted("lugre_friction", {"coulomb_force": "force"}),
         Accepted("stribeck_friction", coarse=True),
+        Accepted("smooth_coulomb_friction", coarse=True),
         Accepted("coulomb_friction", coarse=True),
     ),
 }

@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import signal
 
 from arms.names import ACCEPTED, RESONANCE, Accepted
 
-#: The force filter under which the truth's own residual is computed: Butterworth forward and backward (sysid/plant/force.py).
-FORCE_HZ, FORCE_ORDER = 10.0, 4
+#: Cut-offs [Hz] of force and position, where the answer does not state them, and order of the workflow's force filter, which is
+#: Butterworth forward and backward (sysid/plant/force.py).
+FORCE_HZ, POSITION_HZ, ORDER = 10.0, 50.0, 4
+#: Highest cut-off [share of the rate].
+HIGHEST = 0.4
 #: A resonance counts as described within this relative error.
 RESONANCE_ERROR = 0.1
 
@@ -132,9 +136,7 @@ def _match(effect: Mapping[str, Any], hidden: list[Mapping[str, Any]]) -> tuple[
         for index, each in enumerate(hidden)
         for accepted in ACCEPTED[each["name"]]
         for name, target in names
-        if name == accepted.name
-        and (target == each["target"] or accepted.anywhere)
-        and all(key in effect["parameters"] for key in accepted.needs)
+        if name == accepted.name and (target == each["target"] or accepted.anywhere)
     ]
     return min(candidates, key=lambda pair: pair[1].coarse, default=None)
 
@@ -169,21 +171,33 @@ def _ratios(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> tuple[float 
         error = math.sqrt(sum(after[name] ** 2 for name in signals) / 3.0)
         floor = math.sqrt(sum(stated[name] ** 2 for name in signals) / 3.0)
         return error / truth["tip_noise"], error / floor if floor else None
-    noise = {f"{axis}.command": value for axis, value in truth.get("torque_noise", {}).items()}
-    there = [name for name in noise if name in after]
-    if not there:
-        return None, None
-    share = noise_share(truth["rate_hz"])
-    stated_ratios = [after[name] / stated[name] for name in there if stated.get(name)]
-    return max(after[name] / (share * noise[name]) for name in there), max(stated_ratios, default=None)
+    bands = {item["axis"]: (item["bandwidth_hz"], item["position_hz"]) for item in answer.get("forces", ())}
+    ratios, stated_ratios = [], []
+    for axis, noise in truth.get("torque_noise", {}).items():
+        name = f"{axis}.command"
+        if name not in after:
+            continue
+        share, acceleration = noise_shares(truth["rate_hz"], *bands.get(axis, (FORCE_HZ, POSITION_HZ)))
+        own = math.hypot(share * noise, acceleration * truth["joint_noise"] * truth["inertia"][axis])
+        ratios.append(after[name] / own)
+        if stated.get(name):
+            stated_ratios.append(after[name] / stated[name])
+    return max(ratios, default=None), max(stated_ratios, default=None)
 
 
-def noise_share(rate_hz: float, hz: float = FORCE_HZ) -> float:
-    """Standard deviation of white noise behind the force filter, relative to that before it."""
-    sos = signal.butter(FORCE_ORDER, hz, fs=rate_hz, output="sos")
-    _, response = signal.sosfreqz(sos, worN=1 << 14)
-    # Forward and backward: |H|² in amplitude.
-    return float(np.sqrt(np.mean(np.abs(response) ** 4)))
+def noise_shares(rate_hz: float, force_hz: float, position_hz: float) -> tuple[float, float]:
+    """Standard deviations behind the force filter for white noise of one unit: of the force, and of the acceleration by
+    differentiation of a position with this noise."""
+    frequency = np.linspace(0.0, 0.5 * rate_hz, 1 << 14)
+
+    def gain(hz: float) -> npt.NDArray[np.float64]:
+        sos = signal.butter(ORDER, min(hz, HIGHEST * rate_hz), fs=rate_hz, output="sos")
+        # Forward and backward: |H|² in amplitude.
+        return np.asarray(np.abs(signal.sosfreqz(sos, worN=frequency, fs=rate_hz)[1]) ** 2)
+
+    force = gain(force_hz)
+    acceleration = force * gain(position_hz) * (2.0 * math.pi * frequency) ** 2
+    return float(np.sqrt(np.mean(force**2))), float(np.sqrt(np.mean(acceleration**2)))
 
 
 def _resonance(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> float | None:

@@ -106,7 +106,13 @@ def make(seed: int, kind: str | None = None, friction: bool = True) -> Case:
         hidden=truth(axis) if friction else [],
         noise={"axis1.joint": noise_q},
         urdf=urdf_text(pendulum(axis)) if axis.weight else None,
-        extra={"kind": axis.kind, "torque_noise": {"axis1": noise_t}, "rate_hz": rate},
+        extra={
+            "kind": axis.kind,
+            "torque_noise": {"axis1": noise_t},
+            "joint_noise": noise_q,
+            "inertia": {"axis1": moving_inertia(axis)},
+            "rate_hz": rate,
+        },
     )
 
 

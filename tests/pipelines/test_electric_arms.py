@@ -207,13 +207,23 @@ def test_outcomes(
 
 def test_errors_and_ratios_are_relative_to_the_truth(arms: dict[str, ModuleType]) -> None:
     score = arms["score"]
-    given = truth(COULOMB, torque_noise={"j1": 1.0}, rate_hz=500.0)
+    given = truth(COULOMB, torque_noise={"j1": 1.0}, joint_noise=0.0, inertia={"j1": 1.0}, rate_hz=500.0)
     found = score.score(given, answer(("coulomb_friction", "j1", {"positive": 8.0, "negative": 9.6})))
     assert found.errors == {"coulomb_friction(j1).force": pytest.approx(0.1)}
     assert found.stated == pytest.approx(2.0)
     # White noise of 1 N·m behind the same filter.
     noise = low_passed(np.random.default_rng(0).standard_normal(400_000), 500.0)
     assert found.ratio == pytest.approx(0.2 / rms(noise), rel=0.02)
+
+
+def test_noise_shares_are_those_of_filtered_noise(arms: dict[str, ModuleType]) -> None:
+    white = np.random.default_rng(1).standard_normal(400_000)
+    position = signal.sosfiltfilt(signal.butter(4, 80.0, fs=1000.0, output="sos"), white)
+    acceleration = np.gradient(np.gradient(position, 1e-3), 1e-3)
+    force, moved = arms["score"].noise_shares(1000.0, 30.0, 80.0)
+    assert force == pytest.approx(rms(low_passed(white, 1000.0, 30.0)), rel=0.02)
+    # Central differences are a little short of the derivative.
+    assert moved == pytest.approx(rms(low_passed(acceleration, 1000.0, 30.0)), rel=0.05)
 
 
 def test_a_sagging_servo_without_masses_has_a_tie(arms: dict[str, ModuleType]) -> None:
