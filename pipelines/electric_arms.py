@@ -40,7 +40,7 @@ def seeds_of(text: str) -> list[int]:
     """``FIRST:LAST``, both included, or one number.
 
     Raises:
-        ValueError: development and published seeds in one run, or no whole numbers.
+        ValueError: no whole numbers.
     """
     first, _, last = text.partition(":")
     if not first.isdecimal() or not (last or first).isdecimal():
