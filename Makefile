@@ -1,5 +1,5 @@
-# demo · test · test-slow · fuzz · lint · bench · hidden-effects · report · clean. Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow fuzz lint bench hidden-effects report clean
+# demo · test · test-slow · fuzz · lint · bench · hidden-effects · arms · report · clean. Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow fuzz lint bench hidden-effects arms report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -45,6 +45,11 @@ TIER ?= quick
 WORKERS ?= 2
 hidden-effects: $(READY)
 	$(BIN)/python pipelines/hidden_effects.py --tier $(TIER) --workers $(WORKERS) --work $(WORKSPACE)/hidden_effects
+
+# Electric arms, servos, drives and static poses with known hidden effects; SEEDS=100:119 are the published ones.
+SEEDS ?= 0:1
+arms: $(READY)
+	$(BIN)/python pipelines/electric_arms.py --seeds $(SEEDS) --workers $(WORKERS) --work $(WORKSPACE)/electric_arms
 
 report: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) report

@@ -1,0 +1,163 @@
+"""The figures as Markdown: each row beside its goal, every case, and the measured machines before and after."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from committed import markdown
+
+Case = Mapping[str, Any]
+OUTCOMES = ("right", "incomplete", "none", "wrong", "refused", "failure")
+
+
+def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> str:
+    """Goals and cases of a result.
+
+    Args:
+        before: result of an earlier version on development seeds, whose summary stands in a column of its own.
+    """
+    earlier = {text: measured for text, _, measured, _ in goal_rows(before["cases"])} if before else {}
+    rows = [
+        (text, goal, *((earlier.get(text, "–"),) if before else ()), measured, count)
+        for text, goal, measured, count in goal_rows(result["cases"])
+    ]
+    header = ("", "goal", *((f"before (seeds {_seeds(before)})",) if before else ()), "measured", "cases")
+    parts = [
+        f"Seeds {_seeds(result)}, {len(result['cases'])} cases, {result['date']}: `{result['command']}`.",
+        markdown(header, rows, "ll" + "l" * (len(header) - 2)),
+        "All cases that are not right:",
+        markdown(
+            ("case", "outcome", "wrong", "missed", "simpler form", "reason"),
+            [_line(c) for c in result["cases"] if c["outcome"] != "right"],
+            "llllll",
+        ),
+    ]
+    return "\n\n".join(parts)
+
+
+def goal_rows(cases: Sequence[Case]) -> list[tuple[str, str, str, str]]:
+    """Text, goal, measured, number of cases."""
+
+    def of(row: str, variant: str | None = None) -> list[Case]:
+        return [c for c in cases if c["row"] == row and (variant is None or c["variant"] == variant)]
+
+    arms, poses, friction = of("arm"), of("poses", ""), of("smooth_friction")
+    plain, masses, eleven = of("servo_sag", "plain"), of("servo_sag", "urdf"), of("poses", "eleven")
+    force, velocity = of("flexible", "force"), of("flexible", "velocity")
+    loaded = [c for c in arms if c["spread"] is not None]
+    mass = [_error(c, "payload") for c in loaded]
+    rows = [
+        ("**six-axis arm**: right names on every joint", "all", _outcomes(arms), arms),
+        ("— an arm with a wrong name", "0", _share(arms, lambda c: bool(c["wrong"])), arms),
+        ("— joints' friction, error: median, 90 %, largest", "≤ 5 %", _quantiles(_errors(arms, "friction")), arms),
+        ("— payload's mass, error: median, largest", "≤ 5 %", _quantiles(mass, (50, 100)), loaded),
+        (
+            "— what masses known to 5 % leave of it (1 sd): median, largest",
+            "",
+            _quantiles([c["spread"] for c in loaded], (50, 100)),
+            loaded,
+        ),
+        ("— force error over the truth's: median, largest", "≤ 1.2", _ratios(arms), arms),
+        ("**sagging servo, no masses**: nothing wrong", "all", _outcomes(plain), plain),
+        ("— a tie of bias and compliance on every sagging joint", "all", _share(plain, lambda c: bool(c["tie"])), plain),
+        ("— a next recording is planned", "all", _share(plain, lambda c: c["planned"]), plain),
+        ("**sagging servo with masses**: compliance named", "all", _outcomes(masses), masses),
+        ("— compliance, error: median, 90 %, largest", "≤ 5 %", _quantiles(_errors(masses, "joint_compliance")), masses),
+        ("**500 poses**, geometry and compliance: right names", "all", _outcomes(poses), poses),
+        ("— held-out tip error over the truth's: median, largest", "≤ 1.3", _ratios(poses), poses),
+        ("— parameter error: median, 90 %, largest", "", _quantiles(_errors(poses, "")), poses),
+        ("**11 joints × 400 poses**: wall time [s]", "≤ 60", _seconds(eleven), eleven),
+        ("— right names", "all", _outcomes(eleven), eleven),
+        ("**flexible drive, force axis**: named, or its resonance described", "all", _outcomes(force), force),
+        ("— resonance without a name, error ≤ 10 %", "", _share(force, _described), force),
+        (
+            "— frequency and inertia ratio, error: median, 90 %, largest",
+            "≤ 5–10 %",
+            _quantiles(_errors(force, "flexible_drive")),
+            force,
+        ),
+        ("**flexible drive, velocity axis**: named, or its resonance described", "all", _outcomes(velocity), velocity),
+        ("— frequency, error: median, 90 %, largest", "≤ 5–10 %", _quantiles(_errors(velocity, "frequency")), velocity),
+        ("**smooth friction**: right form", "named or none", _outcomes(friction), friction),
+        *((f"— {kind}", "", _outcomes(of("smooth_friction", kind)), of("smooth_friction", kind)) for kind in _kinds(friction)),
+        ("— force error over the truth's: median, largest", "", _ratios(friction), friction),
+        ("any row: a wrong name", "0", _share(cases, lambda c: bool(c["wrong"])), cases),
+        ("any row: no answer (a crash)", "0", _share(cases, lambda c: c["outcome"] == "failure"), cases),
+    ]
+    return [(text, goal, measured, str(len(there))) for text, goal, measured, there in rows]
+
+
+def measured_table(rows: Sequence[tuple[str, str, str, str]]) -> str:
+    """Errors on measured machines before and after."""
+    counts = Counter(change for *_, change in rows)
+    told = ", ".join(f"{count} {change}" for change, count in counts.items())
+    return f"{len(rows)} figures: {told}.\n\n" + markdown(("error", "before", "after", ""), rows, "lrrl")
+
+
+def _line(case: Case) -> tuple[str, ...]:
+    return (
+        case["case"],
+        case["outcome"] if not _described(case) else f"{case['outcome']}, resonance within {100 * case['resonance']:.1f} %",
+        _names(case["wrong"]),
+        _names(case["missed"]),
+        _names(case["coarse"]),
+        case["reason"][:160].replace("|", "\\|"),
+    )
+
+
+def _described(case: Case) -> bool:
+    return case["resonance"] is not None and case["resonance"] <= 0.1 and not case["wrong"]
+
+
+def _outcomes(cases: Sequence[Case]) -> str:
+    counts = Counter(case["outcome"] for case in cases)
+    return ", ".join(f"{counts[name]} {name}" for name in OUTCOMES if counts[name]) or "–"
+
+
+def _share(cases: Sequence[Case], test: Callable[[Case], bool]) -> str:
+    return f"{sum(map(test, cases))} of {len(cases)}" if cases else "–"
+
+
+def _errors(cases: Sequence[Case], part: str) -> list[float]:
+    """Relative errors of all parameters whose key contains ``part``."""
+    return [value for case in cases for key, value in case["errors"].items() if part in key]
+
+
+def _error(case: Case, part: str) -> float | None:
+    return next((value for key, value in case["errors"].items() if part in key), None)
+
+
+def _quantiles(values: Sequence[float | None], at: Sequence[int] = (50, 90, 100)) -> str:
+    known = [value for value in values if value is not None]
+    return ", ".join(f"{100.0 * np.percentile(known, q):.1f} %" for q in at) if known else "–"
+
+
+def _ratios(cases: Sequence[Case]) -> str:
+    known = [case["ratio"] for case in cases if case["ratio"] is not None and math.isfinite(case["ratio"])]
+    return f"{np.median(known):.2f}, {max(known):.2f}" if known else "–"
+
+
+def _seconds(cases: Sequence[Case]) -> str:
+    known = [
+        case["wall_seconds"]
+        for case in cases
+        if case["wall_seconds"] is not None and case["outcome"] not in ("refused", "failure")
+    ]
+    return ", ".join(f"{value:.0f}" for value in known) or "–"
+
+
+def _kinds(cases: Sequence[Case]) -> list[str]:
+    return list(dict.fromkeys(case["variant"] for case in sorted(cases, key=lambda case: str(case["variant"]))))
+
+
+def _names(names: Sequence[Sequence[str]]) -> str:
+    return ", ".join(f"{name}({target})" for name, target in names) or "–"
+
+
+def _seeds(result: Mapping[str, Any] | None) -> str:
+    return "–" if result is None else f"{result['seeds'][0]}–{result['seeds'][-1]}"
