@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate
@@ -23,6 +24,7 @@ from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit, fit_stage
@@ -143,6 +145,12 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     fits = FitCount(progress, stage.label)
     candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
+    if is_pose_set(case.dataset):
+        model = compile_plant(case.plant)
+        posed = fit_pose_stage(model, problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable, fits)
+        result = _result(problem, seen, posed, nominal)
+        progress(1.0, stage.label)
+        return result if problem is stage.problem else on_itself(result, stage, stage.theta)
     fitted = fit_stage(
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
         _equivalence(case, problem.stage, candidates),
