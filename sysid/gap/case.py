@@ -135,6 +135,11 @@ def stage_split(case: Case, problem: Problem) -> Split:
     return split
 
 
+def held_out_of(case: Case) -> tuple[Recording, ...]:
+    """The recordings on which the result is proven; of a dataset of static poses alone, its held-out poses."""
+    return pose_split(case.dataset).held_out if is_pose_set(case.dataset) else case.split.held_out
+
+
 def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     """Notes on force axes without a stage: they have to move in a recording of each role."""
     tested = {stage.problem.target for stage in stages if stage.problem.stage == "force"}

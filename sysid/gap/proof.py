@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
@@ -76,6 +77,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         elif result.named:
             outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
+        outcome.notes += result.stage_fit.combinations if result.stage_fit is not None else ()
         outcome.near_misses += near_misses(stage)
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
@@ -185,7 +187,7 @@ def _with_intervals(case: Case, stage: Stage) -> Stage:
     if not result.named or result.stage_fit is None:
         return stage
     limits = _limits(result)
-    if case.adapter is not None:
+    if case.adapter is not None or is_pose_set(case.dataset):  # of a smooth regression the posterior is exact
         return replace(stage, result=replace(result, limits=limits))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
@@ -424,7 +426,10 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
     recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
-    before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
+    first = stage.theta
+    if fitted.framed is not None and candidate.target != "base":  # the frame of the measurement closes most of a pose set's gap
+        first = fitted.framed.theta
+    before, after, less = (_score(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 

@@ -154,23 +154,37 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
     def without(model: ModelFit, candidate: Candidate) -> ModelFit:
         return model_of(frozenset(k for k in members_of(model) if search.candidates[k].label != candidate.label))
 
-    near = sorted((*search.exchanged(best), *search.larger(best)), key=search.evidence, reverse=True)
+    # A larger set that is clearly less likely cannot be preferred: its further effect is not a near miss.
+    richer = [s for s in search.larger(best) if search.evidence(s) > search.evidence(best) - LEAST]
+    near = sorted((*search.exchanged(best), *richer), key=search.evidence, reverse=True)
     near = [s for s in near if np.isfinite(search.evidence(s))][:NEIGHBOURS]
     sets = dict.fromkeys((best, *search.smaller(best), *near, fitting.base, frozenset()))
-    decision = decide([model_of(s) for s in sets], nameable, needed=needed, integrates=False, without=without)
+
+    def decided() -> Decision:
+        models = [model_of(s) for s in sets]
+        return decide(models, nameable, needed=needed, integrates=False, without=without, independent=True)
+
+    decision = decided()
     for _ in range(4):
         more = [s for f in (decision.model, *decision.acceptable) for s in search.smaller(members_of(f)) if s not in sets]
         if not more:
             break
         sets |= dict.fromkeys(more)
-        decision = decide([model_of(s) for s in sets], nameable, needed=needed, integrates=False, without=without)
+        decision = decided()
     decision = _with_confounded(decision, search, members_of(decision.model))
     chosen = decision.model
     models = sorted((model_of(s) for s in sets), key=lambda f: -f.evidence)
     dropped = {c.label: without(chosen, c) for c in chosen.candidates}
     remainder = Explained(chosen.left, float(regression.sizes.noise), {})
-    combinations = tuple(undetermined(search))
-    return StageFit(tuple(models), decision, dropped, remainder, chosen, combinations=combinations)
+    return StageFit(
+        tuple(models),
+        decision,
+        dropped,
+        remainder,
+        chosen,
+        combinations=tuple(undetermined(search)),
+        framed=model_of(fitting.base),
+    )
 
 
 def _with_confounded(decision: Decision, search: SetSearch, members: Set) -> Decision:
