@@ -25,8 +25,8 @@ from sysid.signals import axis_signal, point_signals
 MIN_ROLE_S = 4.0
 #: Least number of samples in which both ends of a stage are measured.
 MIN_SAMPLES = 50
-#: Least number of static poses of a dataset without motion. A fifth of them is the test; the others give three coordinates each,
-#: twice the number of parameters that a six-axis arm has in its frame, offsets, lengths and compliances.
+#: Least number of static poses of a dataset without motion. A fifth of them is the test; the others give three coordinates
+#: each, twice the number of parameters that a six-axis arm has in its frame, offsets, lengths and compliances.
 MIN_POSES = 20
 #: Role → its name in texts.
 ROLE_NAMES = {"fit": "fit", "select": "selection", "held_out": "test"}

@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sysid.gap.likelihood.stage import Prior
@@ -41,7 +40,10 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Of a set of unknowns: ``change`` from nominal (k,), ``covariance`` (k, k), ``evidence``, ``fit``: log likelihood there."""
+    """Of a set of unknowns: ``change`` from nominal (k,), ``covariance`` (k, k), ``evidence``; ``fit``: log likelihood there.
+
+    ``inside``: whether its bounds are within two deviations of every value.
+    """
 
     change: Array
     covariance: Array
@@ -89,19 +91,17 @@ class PoseRegression:
         if not k:
             value = -0.5 * float(whole[-1, -1]) - log_scale
             return Posterior(np.empty(0), np.zeros((0, 0)), value, value, True)
-        scaled = gram * np.outer(width, width) + np.eye(k)
-        factor = cho_factor(scaled, lower=True)
-        change = width * cho_solve(factor, width * slope)
-        covariance = cho_solve(factor, np.eye(k)) * np.outer(width, width)
+        covariance = np.linalg.inv(gram * np.outer(width, width) + np.eye(k)) * np.outer(width, width)
+        change = covariance @ slope
         part = Prior(*(getattr(self.prior, name)[unknowns] for name in ("centre", "width", "low", "high", "finest")))
         values = self.nominal[unknowns] + change
         reach = 2.0 * np.sqrt(np.diag(covariance))
         inside = bool(((values >= part.low - reach) & (values <= part.high + reach)).all())
         widths, cost = part.at_scale(np.clip(values, part.low, part.high))
         own = gram * np.outer(widths, widths) + np.eye(k)
-        both = np.linalg.cholesky(own)
-        z = np.linalg.solve(both, widths * slope)
-        evidence = -0.5 * float(whole[-1, -1] - z @ z) - float(np.log(np.diag(both)).sum()) - log_scale - cost
+        pull = widths * slope
+        explained = float(pull @ np.linalg.solve(own, pull))
+        evidence = -0.5 * (float(whole[-1, -1]) - explained) - 0.5 * float(np.linalg.slogdet(own)[1]) - log_scale - cost
         fit = -0.5 * float(whole[-1, -1] - 2.0 * slope @ change + change @ gram @ change) - log_scale
         return Posterior(change, covariance, evidence, fit, inside)
 

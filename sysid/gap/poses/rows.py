@@ -34,9 +34,7 @@ class PoseRows:
         theta: vector of the plant under test; ``floor``: noise floor of each coordinate, (3,).
     """
 
-    def __init__(
-        self, model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array
-    ) -> None:
+    def __init__(self, model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array) -> None:
         self.problem, self.recordings, self.theta = problem, tuple(recordings), theta
         self.output = np.concatenate([problem.measured(r) for r in recordings])
         self.present = ~np.isnan(self.output - self.predicted(theta[None])[0])
@@ -65,7 +63,9 @@ class PoseRows:
         lanes = np.vstack([values[None], values + steps, values - steps]) if unknowns else np.empty((1, 0))
         ends = self.predicted(place(theta, unknowns, lanes))
         k = len(unknowns)
-        slopes = np.moveaxis(ends[1 : k + 1] - ends[k + 1 :], 0, 2) / (2.0 * np.diag(steps)) if k else np.empty((*ends.shape[1:], 0))
+        slopes = np.empty((*ends.shape[1:], 0))
+        if k:
+            slopes = np.moveaxis(ends[1 : k + 1] - ends[k + 1 :], 0, 2) / (2.0 * np.diag(steps))
         return self._flat((self.output - ends[0])[:, :, None])[:, 0], self._flat(slopes)
 
     def by_row(self, of_pose: Array) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -68,7 +69,7 @@ class _Fitting:
         self.rows, self.candidates = rows, tuple(candidates)
         self.unknowns = tuple(u for c in candidates for u in c.unknowns)
         ends = np.cumsum([0, *(len(c.unknowns) for c in candidates)])
-        self.places = [np.arange(a, b, dtype=np.intp) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self.places = [np.arange(a, b, dtype=np.intp) for a, b in pairwise(ends)]
         self.prior = prior_of(self.candidates)
         self.nominal = np.array([u.nominal for u in self.unknowns])
         self.values = self.nominal.copy()
