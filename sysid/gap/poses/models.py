@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -27,7 +25,7 @@ def as_model(rows: PoseRows, search: SetSearch, members: Set, weights: Array) ->
     effects = regression.columns[:, at]
     table = np.hstack([regression.errors * tau, effects * regression.prior.width[at]]) / noise
     whole = table.T @ table + np.eye(table.shape[1])
-    predictive = block_densities(table, regression.target / noise, whole, _Blocks(rows.block, rows.blocks))
+    predictive = block_densities(table, regression.target / noise, whole, rows)
     by_row = np.maximum(rows.by_row(weights), 1e-9)
     left = (regression.target - effects @ found.change) / by_row
     count = max(regression.rows, 1)
@@ -44,11 +42,3 @@ def as_model(rows: PoseRows, search: SetSearch, members: Set, weights: Array) ->
         np.sqrt(((effects / by_row[:, None]) ** 2).sum(axis=0) / count),
         float(np.sqrt(left @ left / count)),
     )
-
-
-@dataclass(frozen=True)
-class _Blocks:
-    """``block`` of each row, (rows,), and their number."""
-
-    block: npt.NDArray[np.int64]
-    blocks: int

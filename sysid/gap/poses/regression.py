@@ -121,7 +121,7 @@ class PoseRegression:
             e = np.linalg.solve(factor, wide * whole[:-1, -1])
             value = 0.5 * float(whole[-1, -1] - e @ e) + float(np.log(np.diag(factor)).sum()) + log_scale
             away = (z[:kinds] - np.log(TAU)) / TAU_SPREAD
-            return value + 0.5 * float(away @ away) + 0.5 * (z[-1] / NOISE_SPREAD) ** 2
+            return float(value + 0.5 * float(away @ away) + 0.5 * (z[-1] / NOISE_SPREAD) ** 2)
 
         begin = np.append(np.log(np.clip(self.sizes.tau, TAU, None)), np.log(self.sizes.noise))
         bounds = [(np.log(ABSENT), np.log(0.1))] * kinds + [(np.log(0.05), np.log(1e3))]

@@ -68,7 +68,7 @@ def tangents_of(kinematics: Kinematics, joints: Array) -> Tangents:
             kinds.append(3)
     table, kind = np.stack(columns, axis=2), np.array(kinds)
     bent = kind == 3
-    largest = _largest_moment(weights, frames)
+    largest = _largest_moment(weights, origins)
     table[:, :, bent] /= largest
     size = np.sqrt((table**2).sum(axis=(0, 1)))
     kept = size > UNSEEN * max(float(size.max(initial=0.0)), 1e-300)
@@ -108,6 +108,6 @@ def _moment(weights: list[tuple[float, Array]], origin: Array) -> Array:
     return np.asarray(sum((np.cross(at - origin, mass * down) for mass, at in weights), np.zeros(origin.shape)))
 
 
-def _largest_moment(weights: list[tuple[float, Array]], frames: list[tuple[object, Array]]) -> float:
-    moments = [np.linalg.norm(_moment(weights[k:], frame[:, :3, 3]), axis=1).max() for k, (_, frame) in enumerate(frames)]
+def _largest_moment(weights: list[tuple[float, Array]], origins: list[Array]) -> float:
+    moments = [np.linalg.norm(_moment(weights[k:], origin), axis=1).max() for k, origin in enumerate(origins[:-1])]
     return max(float(max(moments, default=0.0)), 1e-12)
