@@ -51,10 +51,11 @@ def fit_pose_stage(
 ) -> StageFit:
     """Search and decide the end-effector stage of static poses; arguments as of :func:`sysid.gap.stage_model.fit_stage`.
 
-    Effects that the poses do not excite are left out: they would absorb the errors of others.
+    Effects that the poses do not excite are left out: they would absorb the errors of others. The frame of the measurement
+    stays, whether the poses determine it or not.
     """
     rows = PoseRows(model, problem, recordings, theta, sigma)
-    there = [c for c in candidates if c.label in nameable]
+    there = [c for c in candidates if c.label in nameable or c.effect is base_misalignment.EFFECT]
     fitting = _Fitting(rows, there)
     search, best = fitting.converged(on_fit)
     fitting.weights = weights_of(rows, fitting.residual(search, best))
