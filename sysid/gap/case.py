@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.needs import check_needs
+from sysid.datasets.roles.needs import check_needs, is_pose_set
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -21,6 +21,7 @@ from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
+from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
@@ -134,6 +135,11 @@ def stage_split(case: Case, problem: Problem) -> Split:
     return split
 
 
+def held_out_of(case: Case) -> tuple[Recording, ...]:
+    """The recordings on which the result is proven; of a dataset of static poses alone, its held-out poses."""
+    return pose_split(case.dataset).held_out if is_pose_set(case.dataset) else case.split.held_out
+
+
 def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     """Notes on force axes without a stage: they have to move in a recording of each role."""
     tested = {stage.problem.target for stage in stages if stage.problem.stage == "force"}
@@ -145,6 +151,8 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
     found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    if is_pose_set(case.dataset):
+        found = [c for c in found if shown_by_poses(c)]
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 

@@ -182,6 +182,7 @@ def decide(
     integrates: bool = True,
     free: FreeRun | None = None,
     without: Callable[[ModelFit, Candidate], ModelFit] | None = None,
+    independent: bool = False,
 ) -> Decision:
     """Apply the rule to the models of a stage.
 
@@ -195,13 +196,15 @@ def decide(
         integrates: whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow.
         free: remaining errors over the free run, at the values of least error; by default at those of the models.
         without: a model without one of its effects, the others refitted; by default looked up among ``models``.
+        independent: the errors of rows are independent (static poses), so that their mean shows effects below the noise floor:
+            evidence alone decides between a model and a simpler one that reaches the floor.
     """
     rope, free = rope or {}, free or FreeRun()
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
     likely = _likely([f for f in survivors if integrates or not _outdone(f, survivors)], unsure, own_evidence, rope)
-    if not integrates:
+    if not integrates and not independent:
         likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free)
     accumulates = integrates and not exact

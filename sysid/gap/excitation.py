@@ -33,6 +33,8 @@ Count = Callable[[Sequence[Recording], Machine, str], float]
 OF_LIMITS, OF_NOISE, OUTERMOST = 0.1, 20.0, 0.005
 #: At this multiple of that share it moved whatever the noise estimate: fast motion at a low rate looks like noise.
 CERTAIN_MOTION = 20.0
+#: Share of the range of a joint that static poses have to cover for the scale or bias of its sensor [%].
+OF_RANGE = 10.0
 #: Units of the travel of an axis that did not move.
 TRAVEL_UNITS = ("% of its range", "times its noise")
 
@@ -50,6 +52,10 @@ def excitation_at(effect: Effect, target: str, recordings: Sequence[Recording], 
         return Excitation(effect.name, target, False, *travel.short)
     need = effect.need
     count, unit = COUNTS[need.count]
+    if need.count == "signal_travel" and axis is not None and all(r.kind == "poses" for r in recordings):
+        count, unit = COUNTS["joint_coverage"]  # of a sensor that is read at rest
+        have = count(recordings, machine, axis)
+        return Excitation(effect.name, target, have >= OF_RANGE, float(have), OF_RANGE, unit)
     have = count(recordings, machine, target)
     return Excitation(effect.name, target, have >= need.least, float(have), float(need.least), unit)
 

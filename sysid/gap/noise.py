@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
 from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.sensor_resolution import reading_step, rounding
 from sysid.machine import Machine
 from sysid.signals import axis_signal, split_signal
@@ -52,7 +53,8 @@ def _from_data(dataset: Dataset, signal: str) -> float:
     most = plausible if span > UNMOVED * limits or limits == 0.0 else math.inf
     found = _of_samples(dataset, signal, moving or recordings, most if moving else plausible)
     if found is None:
-        found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span)
+        resting = is_pose_set(dataset) and split_signal(signal)[1] == "joint"
+        found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span, resting)
     step = reading_step([r.values(signal) for r in moving])
     return max(found, rounding(step), OF_NO_SCATTER * max(span, limits), 1e-12)
 
@@ -75,8 +77,12 @@ def _of_tables(moving: list[Recording], signal: str, most: float) -> float:
     return min(float(np.median(bounds)), most) if bounds else 0.0
 
 
-def _of_poses(recordings: list[Recording], signal: str, span: float) -> float:
-    """Scatter among static poses that are repeats in all other signals; without repeats an assumed share of the range."""
+def _of_poses(recordings: list[Recording], signal: str, span: float, resting: bool) -> float:
+    """Scatter among static poses that are repeats in all other signals; without repeats an assumed share of the range.
+
+    ``resting``: a joint of which only poses are known; the scatter of its sensor at rest is left to that of the tip, as an
+    assumed one would hide every effect of a wrist.
+    """
     differences: list[Array] = []
     for recording in recordings:
         others = [name for name in recording.signals if name != signal and split_signal(name)[1] != "command"]
@@ -90,7 +96,7 @@ def _of_poses(recordings: list[Recording], signal: str, span: float) -> float:
         differences.append((values[first] - values[second])[same])
     found = np.concatenate([*differences, np.empty(0)])
     found = found[~np.isnan(found)]
-    return float(np.sqrt(np.mean(found**2) / 2.0)) if len(found) >= REPEATS else OF_POSES * span
+    return float(np.sqrt(np.mean(found**2) / 2.0)) if len(found) >= REPEATS else (0.0 if resting else OF_POSES * span)
 
 
 def _range(values: Array) -> float:

@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.datasets.roles.motion import MOVED_SHARE, travel_of
-from sysid.datasets.roles.needs import measured_together
+from sysid.datasets.roles.needs import MIN_POSES, is_pose_set, measured_together, poses_together
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
 from sysid.gap.drift import BIN
+from sysid.gap.poses.folds import pose_roles
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceInputs, force_inputs, hold_of
@@ -230,7 +231,12 @@ _ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 
 
 def pose_split(dataset: Dataset) -> Split:
-    """Static poses by role: as in the dataset; a set with one role only is cut into contiguous blocks (60/20/20 %)."""
+    """Static poses by role: as in the dataset; a set with one role only is cut into contiguous blocks (60/20/20 %).
+
+    Without motion beside them: see :mod:`sysid.gap.poses.folds`.
+    """
+    if is_pose_set(dataset):
+        return Split(*pose_roles(dataset).values())
     by_role = [dataset.with_role(role, kind="poses") for role in _ROLES]
     if sum(bool(part) for part in by_role) > 1:
         return Split(*by_role)
@@ -263,7 +269,9 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
         if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):
             problems.append(joint_problem(model, axis))
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
-    if model.posed and measured_together((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
+    measured = (*joints, *point_signals("ee"))
+    enough = poses_together(dataset, *measured) >= MIN_POSES if is_pose_set(dataset) else False
+    if model.posed and (enough or measured_together((*motion, *dataset.of_kind("poses")), *measured)):
         problems.append(tip_problem(model))
     if model.posed and measured_together(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))

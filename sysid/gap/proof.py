@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
@@ -76,6 +77,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         elif result.named:
             outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
+        outcome.notes += result.stage_fit.combinations if result.stage_fit is not None else ()
         outcome.near_misses += near_misses(stage)
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
@@ -185,7 +187,7 @@ def _with_intervals(case: Case, stage: Stage) -> Stage:
     if not result.named or result.stage_fit is None:
         return stage
     limits = _limits(result)
-    if case.adapter is not None:
+    if case.adapter is not None or is_pose_set(case.dataset):  # of a smooth regression the posterior is exact
         return replace(stage, result=replace(result, limits=limits))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
@@ -280,7 +282,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
-        if share < SHARE:
+        if share < _least_share(result):
             refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
         elif _may_be_absent(result, candidate, limits):
             refused[candidate.label] = "its interval contains its absence"
@@ -312,6 +314,17 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
+
+
+def _least_share(result: StageResult) -> float:
+    """Least share of the closable gap of a name.
+
+    Of static poses whose errors are independent noise, the region of practical equivalence alone decides on the size of an
+    effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred.
+    """
+    fitted = result.stage_fit
+    independent = fitted is not None and fitted.framed is not None and fitted.decision.exact
+    return float(np.finfo(float).tiny) if independent else SHARE
 
 
 def _use_narrower(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:
@@ -424,7 +437,11 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
     recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
-    before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
+    first = stage.theta
+    framed = fitted.framed is not None and any(c.target == "base" for c in fitted.decision.model.candidates)
+    if framed and fitted.framed is not None and candidate.target != "base":  # the frame closes most of the gap of a pose set
+        first = fitted.framed.theta
+    before, after, less = (_score(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 

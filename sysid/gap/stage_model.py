@@ -42,7 +42,9 @@ class StageFit:
 
     ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: error that the discrepancy
     explains beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
-    ``names_alone``: the same with the named effects alone, where the chosen model has others.
+    ``names_alone``: the same with the named effects alone, where the chosen model has others. ``combinations``: sentences on
+    combinations of parameters that static poses do not determine. ``framed``: of static poses, the model of the frame alone,
+    against which the other effects are compared.
     """
 
     models: tuple[ModelFit, ...]
@@ -51,6 +53,8 @@ class StageFit:
     remainder: Explained
     least_squares: ModelFit
     names_alone: StageFit | None = None
+    combinations: tuple[str, ...] = ()
+    framed: ModelFit | None = None
 
 
 def fit_stage(

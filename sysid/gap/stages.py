@@ -13,6 +13,8 @@ import numpy.typing as npt
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from sysid.datasets.recording import Recording
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate
@@ -23,6 +25,8 @@ from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
+from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit, fit_stage
@@ -76,7 +80,8 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
             done[k] = max(done[k], share)
             progress(sum(done) / len(stages), text)
 
-        return replace(stages[k], result=_found(case, stages[k], forms, stage_progress))
+        result = _found(case, stages[k], forms, stage_progress)
+        return replace(stages[k], problem=result.problem, result=result)
 
     workers = min(WORKERS, max(len(stages), 1))
     pool = ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage")
@@ -143,6 +148,10 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     fits = FitCount(progress, stage.label)
     candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
+    if is_pose_set(case.dataset):
+        result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
+        progress(1.0, stage.label)
+        return result if problem is stage.problem else on_itself(result, stage, stage.theta)
     fitted = fit_stage(
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
         _equivalence(case, problem.stage, candidates),
@@ -152,6 +161,36 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     result = _result(problem, seen, fitted, nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
+
+
+def _found_in_poses(
+    case: Case,
+    stage: Stage,
+    candidates: Sequence[Candidate],
+    nameable: Sequence[str],
+    seen: Data,
+    nominal: float,
+    fits: FitCount,
+) -> StageResult:
+    """The result of static poses; with folds, each fold is predicted by a search without it."""
+    model, problem = compile_plant(case.plant), seen.problem
+
+    def fitted_to(recordings: Sequence[Recording]) -> StageFit:
+        return fit_pose_stage(model, problem, recordings, stage.theta, stage.sigma, candidates, nameable, fits)
+
+    whole = fitted_to(stage.split.seen)
+    result = _result(problem, seen, whole, nominal)
+    if not are_folds(stage.split.fit, stage.split.held_out):
+        return result
+    folds = dict.fromkeys(fold_of(r) for r in stage.split.fit)
+    parts = {k: fitted_to([r for r in stage.split.fit if fold_of(r) != k]) for k in folds}
+    known = [(whole.decision.model.theta, {k: part.decision.model.theta for k, part in parts.items()})]
+    if whole.framed is not None:
+        known.append((whole.framed.theta, {k: part.framed.theta for k, part in parts.items() if part.framed is not None}))
+    for label, less in whole.dropped.items():
+        by_fold = {k: part.dropped.get(label, part.decision.model).theta for k, part in parts.items()}
+        known.append((less.theta, by_fold))
+    return replace(result, problem=replace(problem, predict=FoldValues(known, problem.predict).predict))
 
 
 def _scales_of_drives(case: Case) -> set[Key]:

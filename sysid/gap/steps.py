@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from sysid.datasets.roles.needs import is_pose_set
 from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import localise as disagreement
@@ -156,6 +157,8 @@ def measure(study: Study, outcome: ProofOutcome, world: bool = False, progress: 
     by_stage = with_carried(stage_gap(case, study.stages, outcome.repaired.vector()), outcome)
     free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
+    if is_pose_set(case.dataset):  # nothing is commanded: the run of a pose set is its end-effector stage
+        free = by_stage
     there = None
     if world and case.adapter is None:
         there = world_gap(case.plant, outcome.repaired, held_out, scores[2], progress)

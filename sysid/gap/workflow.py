@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, Stage, excitation, untested_forces
+from sysid.gap.case import Case, Stage, excitation, held_out_of, untested_forces
 from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
@@ -122,7 +122,7 @@ def find_gap(
         gap=proof.gap,
         stage_gap=proof.stage_gap,
         excitation=shown,
-        held_out_recordings=tuple(r.name for r in case.split.held_out),
+        held_out_recordings=tuple(r.name for r in held_out_of(case)),
         seconds=time.perf_counter() - begin,
         localised=located,
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),

@@ -25,6 +25,9 @@ from sysid.signals import axis_signal, point_signals
 MIN_ROLE_S = 4.0
 #: Least number of samples in which both ends of a stage are measured.
 MIN_SAMPLES = 50
+#: Least number of static poses of a dataset without motion. A fifth of them is the test; the others give three coordinates
+#: each, twice the number of parameters that a six-axis arm has in its frame, offsets, lengths and compliances.
+MIN_POSES = 20
 #: Role → its name in texts.
 ROLE_NAMES = {"fit": "fit", "select": "selection", "held_out": "test"}
 
@@ -59,6 +62,8 @@ def cut_advice(guard_s: float) -> str:
 def unmet_need(dataset: Dataset) -> UnmetNeed | None:
     """The first condition of the gap workflow that ``dataset`` does not meet."""
     stages = dict(_stages(dataset.machine))
+    if is_pose_set(dataset):
+        return _unmet_by_poses(dataset, stages["end effector"])
     motion = dataset.of_kind("motion")
     everything = (*motion, *dataset.of_kind("poses"))
     found = {name for name, signals in stages.items() if measured_together(everything, *signals)}
@@ -84,6 +89,23 @@ def unmet_need(dataset: Dataset) -> UnmetNeed | None:
     return None
 
 
+def is_pose_set(dataset: Dataset) -> bool:
+    """Whether the dataset has static poses and no motion."""
+    return bool(dataset.of_kind("poses")) and not dataset.of_kind("motion")
+
+
+def _unmet_by_poses(dataset: Dataset, signals: Sequence[str]) -> UnmetNeed | None:
+    """The condition of static poses without motion: enough of them, with all joints and the end effector measured."""
+    count = poses_together(dataset, *signals)
+    if count >= MIN_POSES:
+        return None
+    missing = [s for s in signals if all(np.isnan(r.values(s)).all() for r in dataset.of_kind("poses"))]
+    found = f"none with {' and '.join(missing)}" if missing else f"{count} of them"
+    expected = f"{MIN_POSES} static poses or more with every joint and the end effector measured"
+    remedy = "Record static poses over the whole work space, or add a recording of motion."
+    return UnmetNeed(found, expected, remedy)
+
+
 def check_needs(dataset: Dataset) -> None:
     """Refuse a dataset in which the gap workflow cannot search.
 
@@ -98,6 +120,11 @@ def check_needs(dataset: Dataset) -> None:
 def measured_together(recordings: Sequence[Recording], *signals: str) -> bool:
     """Whether some recording contains all signals simultaneously for at least :data:`MIN_SAMPLES`."""
     return any(_together(recording, *signals) >= MIN_SAMPLES for recording in recordings)
+
+
+def poses_together(dataset: Dataset, *signals: str) -> int:
+    """Number of static poses in which all signals are measured, over all pose sets."""
+    return sum(_together(r, *signals) for r in dataset.of_kind("poses"))
 
 
 def _together(recording: Recording, *signals: str) -> int:

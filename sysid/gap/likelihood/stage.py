@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -538,7 +539,17 @@ def _finished(
     )
 
 
-def block_densities(X: Array, r: Array, H: Array, rows: StageRows) -> Array:
+class Blocks(Protocol):
+    """Rows in blocks of cross-validation: ``block`` of each row, (rows,), and the number of blocks."""
+
+    @property
+    def block(self) -> npt.NDArray[np.int64]: ...
+
+    @property
+    def blocks(self) -> int: ...
+
+
+def block_densities(X: Array, r: Array, H: Array, rows: Blocks) -> Array:
     """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,)."""
     out = np.zeros(rows.blocks)
     total = X.T @ r
