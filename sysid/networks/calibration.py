@@ -36,7 +36,7 @@ Status = Literal["determined", "partly determined", "not determined"]
 MIN_POSES = 10
 #: A parameter is determined where its posterior standard deviation is less than this share of the prior's, and partly
 #: determined below the second share.
-DETERMINED_SHARE, PARTLY_SHARE = 0.5, 0.9
+DETERMINED_SHARE, PARTLY_SHARE = 0.1, 0.9
 _QUANTILE = 1.959964
 
 

@@ -57,12 +57,18 @@ class ComparedModel:
         return ComparedModel(**entry)
 
 
-def selected_fit(geometry: Geometry, poses: PoseSet, elastic: bool = True) -> tuple[PoseFit, SubsetEvidence]:
-    """The fit with the optional parameters that the poses support, and the evidence that selected them."""
-    allowed = np.array([elastic or parameter.kind not in ("compliance", "lateral") for parameter in geometry.parameters])
+def selected_fit(
+    geometry: Geometry, poses: PoseSet, elastic: bool = True, start: PoseFit | None = None
+) -> tuple[PoseFit, SubsetEvidence]:
+    """The fit with the optional parameters that the poses support, and the evidence that selected them.
+
+    Args:
+        start: fit to begin at, of other poses of the same machine.
+    """
+    allowed = np.ones(len(geometry.parameters), dtype=bool) if elastic else ~geometry.elastic
     stated = bool(np.isfinite(poses.point_noise).all())
-    fit = fit_poses(geometry, poses, ~geometry.optional)
-    fit = fit_poses(geometry, poses, allowed, fit.values, fit.scale)
+    first = fit_poses(geometry, poses, ~geometry.optional) if start is None else start
+    fit = fit_poses(geometry, poses, allowed, first.values, first.scale)
     evidence = SubsetEvidence(fit, stated)
     free = ~geometry.optional
     free[list(evidence.selected())] = True
@@ -73,7 +79,7 @@ def compared(fit: PoseFit, poses: PoseSet, evidence: SubsetEvidence, elastic: bo
     """The selected model first, then the others from the smallest to the largest."""
     geometry = fit.geometry
     best = _members(fit.free, geometry)
-    errors = {"selected": _held_out(poses, lambda part: selected_fit(geometry, part, elastic)[0])}
+    errors = {"selected": _held_out(poses, lambda part: selected_fit(geometry, part, elastic, fit)[0])}
     subsets: dict[str, tuple[int, float | None]] = {"selected": (int(fit.free.sum()), 0.0)}
     for name, free in _alternatives(geometry, elastic).items():
         errors[name] = _held_out(poses, lambda part, free=free: fit_poses(geometry, part, free, fit.values, fit.scale))  # type: ignore[misc]

@@ -103,6 +103,11 @@ class Geometry:
         """Which parameters are compared with a model that lacks them, (P,)."""
         return np.array([parameter.optional for parameter in self.parameters])
 
+    @cached_property
+    def elastic(self) -> npt.NDArray[np.bool_]:
+        """Which parameters are compliances, (P,)."""
+        return np.array([parameter.kind in ("compliance", "lateral") for parameter in self.parameters])
+
     def tip(self, q: Array, values: Array) -> Array:
         """Tip in the frame of the measurement, (n, 3) [m], at joint values ``q`` (n, n_axes) with the parameters (P,)."""
         return self.points(q, values)[:, 0]
@@ -171,9 +176,9 @@ class Geometry:
                 self._joint_slopes(slopes[:, point], q, values, loads, frames, number, frames.points[:, point])
         return slopes
 
-    def joint_slopes(self, q: Array, values: Array) -> Array:
+    def joint_slopes(self, q: Array, values: Array, loads: Array) -> Array:
         """Derivatives of tip and markers with respect to the joint values, (n, points, 3, n_axes), at constant loads."""
-        frames = self._frames(q, values, self.loads(q, values))
+        frames = self._frames(q, values, loads)
         slopes = np.zeros((len(q), len(self._places), 3, q.shape[1]))
         for point, (after, _) in enumerate(self._places):
             for number in range(after + 1):

@@ -29,7 +29,9 @@ KNEE = 3.0
 #: Noise of a coordinate whose sensor states none [m]; the level is estimated.
 UNKNOWN_NOISE = 1e-3
 #: Renewals of loads and noise; Gauss-Newton steps each; the decrease of the loss below which they end [nats].
-_RENEWALS, _STEPS, _CONVERGED = 5, 30, 1e-6
+_RENEWALS, _STEPS, _CONVERGED = 5, 30, 1e-4
+#: Relative change of the noise level below which the renewals end.
+_SETTLED = 3e-3
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def fit_poses(geometry: Geometry, poses: PoseSet, free: Mask, start: Array | Non
 
     for _ in range(_RENEWALS):
         loads = geometry.loads(poses.q, values)
-        sigma = _noise(geometry, poses, values)
+        sigma = _noise(geometry, poses, values, loads)
         before = scale
         for _ in range(_STEPS):
             slopes, residual = rows(sigma, loads)
@@ -126,20 +128,20 @@ def fit_poses(geometry: Geometry, poses: PoseSet, free: Mask, start: Array | Non
         left = max(residual.size - used, 0.25 * residual.size)
         # The median is robust against outliers.
         scale = max(1.4826 * float(np.median(np.abs(residual))) * math.sqrt(residual.size / left), MIN_NOISE_SCALE)
-        if abs(math.log(scale / before)) < 1e-3:
+        if abs(math.log(scale / before)) < _SETTLED:
             break
     return PoseFit(
         geometry, free, values, np.where(measured, sigma, np.nan), scale, residual, slopes, _weights(residual / scale)
     )
 
 
-def _noise(geometry: Geometry, poses: PoseSet, values: Array) -> Array:
+def _noise(geometry: Geometry, poses: PoseSet, values: Array, loads: Array) -> Array:
     """Standard deviation of every coordinate, (n, points, 3), up to a common factor: its sensor's noise and the joints'."""
     own = np.where(np.isnan(poses.point_noise), UNKNOWN_NOISE, poses.point_noise)
     joints = np.nan_to_num(poses.joint_noise)
     if not joints.any():
         return np.broadcast_to(own, poses.points.shape).copy()
-    slopes = geometry.joint_slopes(poses.q, values)
+    slopes = geometry.joint_slopes(poses.q, values, loads)
     return np.asarray(np.sqrt(own**2 + np.sum((slopes * joints) ** 2, axis=3)))
 
 
