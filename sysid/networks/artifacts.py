@@ -190,9 +190,9 @@ def _take_structure(
     kinematics = Kinematics.from_urdf(entry["urdf"], tuple(entry["actuated"]), entry["tip"])
     geometry = Geometry(kinematics, dict(entry.get("markers", {})), own.get("frame", np.eye(4)), own.get("offsets"))
     keys, stored = [parameter.key for parameter in geometry.parameters], entry["parameters"]
-    count, shapes = len(stored), (own["values"].shape, own["covariance"].shape)
-    if not set(stored) <= set(keys) or shapes != ((count,), (count, count)):
-        found = f"a geometry of {shapes[0]} and {shapes[1]} for {count} parameters"
+    count = len(stored)
+    if not set(stored) <= set(keys) or own["values"].shape != (count,) or own["covariance"].shape != (count, count):
+        found = f"a geometry of {own['values'].shape} and {own['covariance'].shape} for {count} parameters"
         raise StoreError(where, found, f"the {len(keys)} parameters of its URDF", "Fit it again.")
     # A version of an earlier release has no elastic parameters.
     places = np.array([keys.index(key) for key in stored], dtype=np.intp)

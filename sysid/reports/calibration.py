@@ -19,7 +19,7 @@ KINDS = {
 
 def parameter_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     """Name, value, interval, status unless determined, log evidence of an optional one; those not determined are left out."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for found in calibration.parameters:
         if found.status != "not determined":
             low, high = found.interval95
