@@ -23,7 +23,7 @@ def point_signals(point: str) -> tuple[str, str, str]:
     return f"{point}.x", f"{point}.y", f"{point}.z"
 
 
-def canonical_signals(axes: tuple[str, ...]) -> tuple[str, ...]:
-    """All signal names of a machine with these axes, without ``time``."""
+def canonical_signals(axes: tuple[str, ...], markers: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """All signal names of a machine with these axes and markers, without ``time``."""
     per_axis = [axis_signal(axis, quantity) for axis in axes for quantity in AXIS_QUANTITIES]
-    return (*per_axis, *point_signals("ee"), *point_signals("tool"))
+    return (*per_axis, *(signal for point in (*POINTS, *markers) for signal in point_signals(point)))

@@ -257,7 +257,7 @@ def predictions(calls: int = 500, repeats: int = 21) -> dict[str, list[float]]:
     poses, ends = rng.uniform(-1.0, 1.0, (POSES, 4)), (np.zeros(4), np.ones(4))
     geometry = Geometry(kinematics)
     count = len(geometry.parameters)
-    calibrated = Calibration(geometry, rng.normal(0.0, 1e-3, count), np.eye(count), 1e-3, ())
+    calibrated = Calibration(geometry, rng.normal(0.0, 1e-3, count) * ~geometry.elastic, np.eye(count), 1e-3, ())
     chain = fit_chain(poses, kinematics.tip_position(poses), angles)
     rest = (perceptron(7, (32, 32), 3),)
     models: dict[str, tuple[Any, int]] = {

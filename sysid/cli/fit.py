@@ -65,4 +65,6 @@ def fit(location: str, kind: str, reference: str, recipe: Path | None, json_file
         out.line(f"Not evaluated: {not_evaluated}")
     out.line(f"{version.reference} in {workspace.folder} ({seconds:.1f} s)")
     result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
+    if isinstance(model, StructuredForward) and isinstance(model.structure, Calibration):
+        result["calibration"] = model.structure.to_json()
     write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

@@ -91,21 +91,16 @@ def show_directions(out: Printer, report: ValidationReport) -> None:
 
 
 def show_calibration(out: Printer, calibration: Calibration) -> None:
-    """Differences of the calibrated geometry from the URDF, and combinations that the poses do not determine."""
-    from sysid.reports.display import digits_for, quantity
+    """Parameters that the poses determine, those that they leave open, and the models that were compared."""
+    from sysid.reports.calibration import model_rows, notes, parameter_rows
 
-    rows = []
-    for found in calibration.parameters:
-        if found.identified:
-            low, high = found.interval95
-            texts = (quantity(value, found.parameter.unit, digits_for(low, high)) for value in (found.value, low, high))
-            value, *ends = texts
-            rows.append((found.parameter.key, value, " … ".join(ends)))
-    out.table(("geometry", "differs from the URDF by", "95 % interval"), rows, right=(1, 2))
-    for combination in calibration.non_identifiable:
-        names = ", ".join(name for name, _ in combination)
-        many = "cannot be distinguished at these poses" if len(combination) > 1 else "does not move the tip"
-        out.line(f"  {names}: {many}")
+    header = ("parameter", "differs from the URDF by", "95 % interval", "", "log evidence")
+    out.table(header, parameter_rows(calibration), right=(1, 2, 4))
+    for line in notes(calibration):
+        out.line(f"  {line}")
+    if calibration.models:
+        header = ("model", "parameters", "held-out RMS distance", "median", "log evidence")
+        out.table(header, model_rows(calibration), right=(1, 2, 3, 4))
 
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:

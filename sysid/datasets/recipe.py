@@ -333,5 +333,9 @@ def check_against_machine(recipe: IngestRecipe, machine: Machine, where: object)
 def _check_signal(signal: str, machine: Machine, where: str) -> None:
     if signal not in machine.signals:
         owner, _ = split_signal(signal)
-        known = machine.signals if owner in (*machine.axis_names, *POINTS) else (*machine.signals, *machine.axis_names)
+        known = (
+            machine.signals
+            if owner in (*machine.axis_names, *POINTS, *machine.markers)
+            else (*machine.signals, *machine.axis_names)
+        )
         raise SettingsError(where, f"unknown signal {signal!r}", nearest(signal, known))

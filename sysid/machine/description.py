@@ -17,6 +17,9 @@ from sysid.signals import canonical_signals, split_signal
 
 Actuation = Literal["velocity", "position", "force"]
 Drives = Literal["cylinder", "joint"]
+#: Names that neither an axis nor a marker may have.
+RESERVED = ("ee", "tool", "machine", "base", "time")
+_LETTERS = "letters, digits, '_' and '-', at most 64"
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,9 @@ class KnownEffect(Strict):
 class Machine(Strict):
     """A machine description, built by :func:`load_machine`.
 
-    ``text`` and ``urdf_text`` are its source files, which a dataset version stores.
+    Args:
+        markers: name → URDF link that carries it, of points measured beside the end effector: signals ``<name>.x`` ….
+        text, urdf_text: its source files, which a dataset version stores.
     """
 
     schema: Literal[1]
@@ -90,6 +95,7 @@ class Machine(Strict):
     urdf: str | None = None
     tip: str | None = None
     tool: str | None = None
+    markers: dict[str, str] = field(default_factory=dict)
     noise: dict[str, NonNegative] = field(default_factory=dict)
     effects: tuple[KnownEffect, ...] = ()
     text: str = ""
@@ -102,7 +108,7 @@ class Machine(Strict):
     @property
     def signals(self) -> tuple[str, ...]:
         """Every signal name that a log of this machine may have."""
-        return canonical_signals(self.axis_names)
+        return canonical_signals(self.axis_names, tuple(self.markers))
 
     def axis(self, name: str) -> Axis:
         for axis in self.axes:
@@ -120,7 +126,7 @@ class Machine(Strict):
     def expected_unit(self, signal: str) -> str | None:
         """SI unit of ``signal``; None if it may be rad or m (a joint without a URDF), or the rate of either."""
         owner, quantity = split_signal(signal)
-        if owner in ("ee", "tool") or quantity == "cylinder":
+        if owner in ("ee", "tool", *self.markers) or quantity == "cylinder":
             return "m"
         axis = self.axis(owner)
         joint_unit = self._joint_unit(axis)
@@ -191,6 +197,7 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
             if axis.joint is None:
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
         machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
+    _check_markers(machine, where)
     for signal in machine.noise:
         if signal not in machine.signals:
             raise SettingsError(f"{where}: noise", f"unknown signal {signal!r}", nearest(signal, machine.signals))
@@ -205,14 +212,33 @@ def _check_axes(machine: Machine, where: object) -> None:
     names = list(machine.axis_names)
     for axis in machine.axes:
         place = f"{where}: axis {shown(axis.name)}"
-        if not axis.name or len(axis.name) > 64 or not all(letter.isalnum() or letter in "_-" for letter in axis.name):
-            raise SettingsError(place, "a name that no signal can have", "letters, digits, '_' and '-', at most 64")
-        if names.count(axis.name) > 1 or axis.name in ("ee", "tool", "machine", "base", "time"):
+        if not _is_name(axis.name):
+            raise SettingsError(place, "a name that no signal can have", _LETTERS)
+        if names.count(axis.name) > 1 or axis.name in RESERVED:
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
         if axis.actuation == "force" and axis.inertia is None:
             raise SettingsError(place, "no inertia", "inertia [kg or kg·m²] for a force-actuated axis")
         if axis.drives == "cylinder" and axis.stroke is None:
             raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
+
+
+def _check_markers(machine: Machine, where: object) -> None:
+    kinematics = machine.kinematics()
+    for name, link in machine.markers.items():
+        place = f"{where}: markers: {shown(name)}"
+        if not _is_name(name) or name in (*machine.axis_names, *RESERVED):
+            raise SettingsError(
+                place, "a name that no marker can have", f"{_LETTERS}, neither an axis nor {', '.join(RESERVED)}"
+            )
+        if kinematics is None:
+            raise SettingsError(place, "a marker on a link", "a machine with a urdf")
+        links = [kinematics.chain[0].parent, *(joint.child for joint in kinematics.chain)] if kinematics.chain else []
+        if link not in links:
+            raise SettingsError(place, f"link {shown(link)}, which is not between base and tip", nearest(link, links))
+
+
+def _is_name(name: str) -> bool:
+    return bool(name) and len(name) <= 64 and all(letter.isalnum() or letter in "_-" for letter in name)
 
 
 def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:

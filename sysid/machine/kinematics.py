@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
+from sysid.machine.mimic import Mimic, parse_mimic, resolved
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.numbers import Finite, NonNegative, number
 
@@ -23,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Joint:
-    """One URDF joint: ``origin`` is the child frame at joint zero in the parent frame, 4×4."""
+    """One URDF joint: ``origin`` is the child frame at joint zero in the parent frame, 4×4; ``mimic`` of a passive one."""
 
     name: str
     kind: str
@@ -32,6 +33,7 @@ class Joint:
     origin: Array
     axis: Array
     limits: tuple[float, float]
+    mimic: Mimic | None = None
 
     @property
     def prismatic(self) -> bool:
@@ -48,8 +50,20 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """What moves a joint: the value of axis ``column`` times ``ratio`` plus ``offset`` [rad or m]; 1 and 0 of its own axis."""
+
+    column: int
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
 class Kinematics:
-    """The joints from the URDF's root link to ``tip``; ``actuated`` names them in the order of the axes."""
+    """The joints from the URDF's root link to ``tip``; ``actuated`` names those of the axes, in their order.
+
+    Passive (mimic) joints of the chain follow an axis (:attr:`drives`); an axis may move the tip by a passive joint alone.
+    """
 
     chain: tuple[Joint, ...]
     actuated: tuple[str, ...]
@@ -67,6 +81,8 @@ class Kinematics:
             SettingsError: not a URDF, an unknown joint or link, an actuated joint that does not move the tip.
         """
         every, masses = parse_urdf(text)
+        mimics = {name: joint.mimic for name, joint in every.items()}
+        follows = {name: resolved(name, mimics).master for name in every}
         by_child = {joint.child: joint for joint in every.values()}
         links = {joint.child for joint in every.values()} | {joint.parent for joint in every.values()}
         for role, link in (("tip", tip), ("tool", tool)):
@@ -82,12 +98,28 @@ class Kinematics:
         for name in joints:
             if name not in every:
                 raise SettingsError("urdf", f"unknown joint {name!r}", nearest(name, every))
-            if name not in on_chain:
+            if every[name].mimic is not None:
+                expected = f"an axis for {follows[name]!r}, which it follows"
+                raise SettingsError("urdf", f"joint {name!r} of an axis is passive (mimic)", expected)
+            if name not in {follows[moved] for moved in on_chain}:
                 raise SettingsError("urdf", f"joint {name!r} does not move the tip {tip!r}", nearest(name, on_chain))
         for name in on_chain:
-            if name not in joints:
-                raise SettingsError("urdf", f"joint {name!r} moves the tip but no axis names it", "an axis for each joint")
+            if follows[name] not in joints:
+                via = "" if every[name].mimic is None else f" by the passive joint {name!r}"
+                found = f"joint {follows[name]!r} moves the tip{via} but no axis names it"
+                raise SettingsError("urdf", found, "an axis for each joint")
         return Kinematics(tuple(chain), joints, tip, every, masses, tool)
+
+    @functools.cached_property
+    def drives(self) -> dict[str, Drive]:
+        """Joint → the axis that moves it, itself or by a passive joint; joints that no axis moves are missing."""
+        mimics = {name: joint.mimic for name, joint in self.joints.items()}
+        found = {}
+        for name in mimics:
+            follows = resolved(name, mimics)
+            if follows.master in self.actuated:
+                found[name] = Drive(self.actuated.index(follows.master), follows.ratio, follows.offset)
+        return found
 
     def is_prismatic(self, joint: str) -> bool:
         return self.joints[joint].prismatic
@@ -108,7 +140,8 @@ class Kinematics:
         pose = np.tile(np.eye(4), (len(q), 1, 1))
         poses = {self.chain[0].parent: pose} if self.chain else {self.tip: pose}
         for joint in self.chain:
-            values = q[:, self.actuated.index(joint.name)] if joint.name in self.actuated else np.zeros(len(q))
+            drive = self.drives.get(joint.name)
+            values = np.zeros(len(q)) if drive is None else drive.ratio * q[:, drive.column] + drive.offset
             pose = pose @ joint.motion(values)
             poses[joint.child] = pose
         return poses
@@ -158,7 +191,10 @@ def _parse_joint(element: Element) -> Joint:
     low, high = -math.inf, math.inf
     if limit is not None and kind in ("revolute", "prismatic"):
         low, high = (number(limit.get(end, "0"), Finite, f"urdf: joint {name!r}: {end}") for end in ("lower", "upper"))
-    return Joint(name, kind, ends["parent"], ends["child"], origin_pose(element.find("origin")), axis / norm, (low, high))
+    origin, mimic = origin_pose(element.find("origin")), parse_mimic(element, name)
+    if mimic is not None and kind == "fixed":
+        raise SettingsError(f"urdf: joint {name!r}: mimic", "a fixed joint", "a joint that moves")
+    return Joint(name, kind, ends["parent"], ends["child"], origin, axis / norm, (low, high), mimic)
 
 
 def origin_pose(origin: Element | None) -> Array:

@@ -25,6 +25,7 @@ NUMBERS: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "mass": {"value": (1, NonNegative)},
     "inertia": {**dict.fromkeys(("ixx", "iyy", "izz"), (1, NonNegative)), **dict.fromkeys(("ixy", "ixz", "iyz"), (1, Finite))},
     "limit": {**dict.fromkeys(("lower", "upper"), (1, Finite)), **dict.fromkeys(("effort", "velocity"), (1, NonNegative))},
+    "mimic": {"multiplier": (1, Finite), "offset": (1, Finite)},
     "dynamics": {"damping": (1, NonNegative), "friction": (1, NonNegative)},
     "box": {"size": (3, Positive)},
     "cylinder": {"radius": (1, Positive), "length": (1, Positive)},

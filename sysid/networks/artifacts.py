@@ -17,6 +17,7 @@ from sysid.machine.kinematics import Kinematics
 from sysid.networks import cell
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.calibration import Calibration
+from sysid.networks.calibration_files import put_result, take_result
 from sysid.networks.chain import FittedChain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
@@ -161,14 +162,17 @@ def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
     found = model.structure
     if isinstance(found, FittedChain):
         return {key: getattr(found, key) for key in CHAIN}, {"kind": "chain"}
-    kinematics = found.geometry.kinematics
-    return {"values": found.values, "covariance": found.covariance, "noise": np.array([found.noise])}, {
+    geometry = found.geometry
+    tensors = {"values": found.values, "covariance": found.covariance, "noise": np.array([found.noise])}
+    tensors |= {"frame": geometry.frame, "offsets": geometry.offsets_of_points}
+    return tensors, {
         "kind": "calibration",
         "urdf": model.urdf,
-        "actuated": list(kinematics.actuated),
-        "tip": kinematics.tip,
-        "open": [[list(part) for part in combination] for combination in found.non_identifiable],
-        "parameters": [parameter.key for parameter in found.geometry.parameters],
+        "actuated": list(geometry.kinematics.actuated),
+        "tip": geometry.kinematics.tip,
+        "markers": geometry.markers,
+        "parameters": [parameter.key for parameter in geometry.parameters],
+        **put_result(found),
     }
 
 
@@ -183,14 +187,18 @@ def _take_structure(
         if shapes != ((count,), (count,), (count, 3), (count + 1, count + 1)):
             raise StoreError(where, f"a chain of shapes {shapes}", f"those of {count} products", "Fit it again.")
         return chain
-    geometry = Geometry(Kinematics.from_urdf(entry["urdf"], tuple(entry["actuated"]), entry["tip"]))
-    count = len(geometry.parameters)
-    same = [parameter.key for parameter in geometry.parameters] == entry["parameters"]
-    if not same or own["values"].shape != (count,) or own["covariance"].shape != (count, count):
-        found = f"a geometry of {own['values'].shape} and {own['covariance'].shape} for {len(entry['parameters'])} parameters"
-        raise StoreError(where, found, f"the {count} parameters of its URDF", "Fit it again.")
-    combinations = tuple(tuple((str(key), float(weight)) for key, weight in part) for part in entry["open"])
-    return Calibration(geometry, own["values"], own["covariance"], float(own["noise"][0]), combinations)
+    kinematics = Kinematics.from_urdf(entry["urdf"], tuple(entry["actuated"]), entry["tip"])
+    geometry = Geometry(kinematics, dict(entry.get("markers", {})), own.get("frame", np.eye(4)), own.get("offsets"))
+    keys, stored = [parameter.key for parameter in geometry.parameters], entry["parameters"]
+    count = len(stored)
+    if not set(stored) <= set(keys) or own["values"].shape != (count,) or own["covariance"].shape != (count, count):
+        found = f"a geometry of {own['values'].shape} and {own['covariance'].shape} for {count} parameters"
+        raise StoreError(where, found, f"the {len(keys)} parameters of its URDF", "Fit it again.")
+    # A version of an earlier release has no elastic parameters.
+    places = np.array([keys.index(key) for key in stored], dtype=np.intp)
+    values, covariance, known = np.zeros(len(keys)), np.zeros((len(keys), len(keys))), np.zeros(len(keys), dtype=bool)
+    values[places], covariance[np.ix_(places, places)], known[places] = own["values"], own["covariance"], True
+    return take_result(entry, Calibration(geometry, values, covariance, float(own["noise"][0]), (), known))
 
 
 def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork | StructuredForward:

@@ -1,50 +1,77 @@
-"""Kinematic calibration from poses: lengths, angles, zeros, frame and marker of a URDF with intervals and identifiability.
+"""Kinematic calibration from poses: geometry, elasticity, frame and markers of a URDF, with intervals and identifiability.
 
-Maximum a posteriori: the prior of :mod:`sysid.networks.geometry` keeps non-identifiable combinations near the URDF, a soft-L1
-loss reduces the weight of outliers, and each coordinate is weighted by the noise that its own sensors and those of the joints
-cause there. The posterior covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not
-identified.
+All parameters are estimated together. Geometry, frame and markers are always free; scales of readings, joint compliances and
+lateral compliances only where the evidence of the poses supports them (:mod:`sysid.networks.geometry_evidence`). The posterior
+covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not determined.
 
-Source: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016); weights by the propagated noise of the joints
-are those of total least squares to first order (Fuller, Measurement Error Models, 1987).
+Sources: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016); geometric and elastic parameters together:
+Khalil and Besnard, IEEE Trans. Robot. Autom. 18 (2002), 915–922; Nubiola and Bonev, Robot. Comput.-Integr. Manuf. 29 (2013),
+236–245.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import ExcitationError
+from sysid.networks.calibration_models import ComparedModel, compared, selected_fit
 from sysid.networks.folded import FoldedChain
-from sysid.networks.geometry import Geometry, GeometryParameter
+from sysid.networks.geometry import Geometry
+from sysid.networks.geometry_evidence import Support
+from sysid.networks.geometry_parameters import GeometryParameter
+from sysid.networks.identifiability import Combination, non_identifiable
+from sysid.networks.pose_fit import PoseSet
+from sysid.networks.registration import registered
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Status = Literal["determined", "partly determined", "not determined"]
 
 #: Least number of poses.
 MIN_POSES = 10
-#: Lower bound of the estimated noise, as a share of the stated noise.
-MIN_NOISE_SCALE = 1e-3
-#: A parameter is identified where its posterior standard deviation is less than this share of the prior's.
-IDENTIFIED_SHARE = 0.5
-#: A combination is non-identifiable where the information of the poses is less than that of the prior.
-MAX_INFORMATION = 1.0
-#: Components of a combination below this share of the largest are not listed.
-MIN_COMPONENT = 0.1
+#: A parameter is determined where its posterior standard deviation is less than this share of the prior's, and partly
+#: determined below the second share.
+DETERMINED_SHARE, PARTLY_SHARE = 0.1, 0.9
 _QUANTILE = 1.959964
 
 
 @dataclass(frozen=True)
 class CalibratedParameter:
-    """One parameter after calibration: departure from the URDF, its 95 % interval, and whether it is identified."""
+    """One parameter after calibration.
+
+    Args:
+        value: departure from the URDF; ``deviation``: standard deviation of its posterior.
+        status: whether the poses determine it.
+        support: of an optional parameter.
+    """
 
     parameter: GeometryParameter
     value: float
-    interval95: tuple[float, float]
-    identified: bool
+    deviation: float
+    status: Status
+    support: Support | None = None
+
+    @property
+    def interval95(self) -> tuple[float, float]:
+        return self.value - _QUANTILE * self.deviation, self.value + _QUANTILE * self.deviation
+
+    @property
+    def identified(self) -> bool:
+        return self.status == "determined"
+
+    def to_json(self) -> dict[str, Any]:
+        """SI units."""
+        own = self.parameter
+        found: dict[str, Any] = {"key": own.key, "kind": own.kind, "value": self.value, "unit": own.unit}
+        found |= {"interval95": list(self.interval95), "prior": own.prior, "status": self.status}
+        if self.support is not None:
+            found |= {"log_evidence": self.support.gain, "alternative": self.support.alternative}
+        return found
 
 
 @dataclass(frozen=True)
@@ -53,36 +80,56 @@ class Calibration:
 
     Args:
         values: (P,), in the order of ``geometry.parameters``.
-        covariance: of the values, (P, P).
+        covariance: of the values, (P, P); zero of parameters that the model does not have.
         noise: standard deviation of the residuals of a tip coordinate [m], joint noise included.
-        non_identifiable: combinations of parameters, with weights [m, rad], that do not move the tip at any of these poses.
+        non_identifiable: combinations of parameters, with weights [SI], that do not move the points at any of these poses.
+        free: parameters of the model, (P,); all if None.
+        supports: of the optional ones, by index.
+        models: comparison with other models; empty where none was made.
     """
 
     geometry: Geometry
     values: Array
     covariance: Array
     noise: float
-    non_identifiable: tuple[tuple[tuple[str, float], ...], ...]
+    non_identifiable: tuple[Combination, ...]
+    free: Mask | None = None
+    supports: dict[int, Support] | None = None
+    models: tuple[ComparedModel, ...] = ()
+
+    @property
+    def estimated(self) -> Mask:
+        """Parameters of the model, (P,)."""
+        return np.ones(len(self.values), dtype=bool) if self.free is None else self.free
 
     @property
     def parameters(self) -> tuple[CalibratedParameter, ...]:
+        """Those of the model."""
         errors = np.sqrt(np.diag(self.covariance))
+        supports = self.supports or {}
         return tuple(
             CalibratedParameter(
                 parameter,
                 float(value),
-                (float(value - _QUANTILE * error), float(value + _QUANTILE * error)),
-                bool(error < IDENTIFIED_SHARE * parameter.prior),
+                float(error),
+                _status(float(error) / parameter.prior),
+                supports.get(index),
             )
-            for parameter, value, error in zip(self.geometry.parameters, self.values, errors, strict=True)
+            for index, (parameter, value, error) in enumerate(zip(self.geometry.parameters, self.values, errors, strict=True))
+            if self.estimated[index]
         )
+
+    @property
+    def elastic(self) -> bool:
+        """Whether joints deflect under load."""
+        return self._folded is None
 
     def predict(self, q: Array) -> Array:
         """Tip at joint values ``q`` (n, n_axes), (n, 3) [m]."""
-        return self._folded.tip(q)
+        return self.geometry.tip(q, self.values) if self._folded is None else self._folded.tip(q)
 
     @cached_property
-    def _folded(self) -> FoldedChain:
+    def _folded(self) -> FoldedChain | None:
         return self.geometry.folded(self.values)
 
     def spread(self, q: Array) -> Array:
@@ -90,21 +137,43 @@ class Calibration:
         slopes = self.geometry.slopes(q, self.values)
         return np.asarray(np.sqrt(np.einsum("ncp,pk,nck->nc", slopes, self.covariance, slopes)))
 
+    def to_json(self) -> dict[str, Any]:
+        """For results, in SI."""
+        return {
+            "parameters": [parameter.to_json() for parameter in self.parameters],
+            "non_identifiable": [[list(part) for part in combination] for combination in self.non_identifiable],
+            "models": [model.to_json() for model in self.models],
+            "noise": self.noise,
+            "frame": self.geometry.frame.tolist(),
+        }
 
-def calibrate(geometry: Geometry, q: Array, tip: Array, joint_noise: Array, tip_noise: Array) -> Calibration:
-    """Fit the geometry to poses.
+
+def _status(share: float) -> Status:
+    return "determined" if share < DETERMINED_SHARE else "partly determined" if share < PARTLY_SHARE else "not determined"
+
+
+def calibrate(
+    geometry: Geometry,
+    q: Array,
+    points: Array,
+    joint_noise: Array,
+    point_noise: Array,
+    elastic: bool = True,
+    compare: bool = False,
+) -> Calibration:
+    """Fit the geometry to poses; scales and compliances where the poses support them.
 
     Args:
         q: joint values, (n, n_axes) [rad or m].
-        tip: measured tips in the base frame, (n, 3) [m].
-        joint_noise, tip_noise: standard deviations of the sensors, (n_axes,) and (3,); NaN where unknown. Only their ratio
-            matters: the noise level is estimated from the residuals.
+        points: measured tips in the frame of the measurement, (n, 3) [m], or tips and markers, (n, points, 3).
+        joint_noise, point_noise: standard deviations of the sensors, (n_axes,) and (3,) or (points, 3); NaN where unknown. Only
+            their ratio matters: the noise level is estimated from the residuals.
+        elastic: whether joints may deflect.
+        compare: whether other models are fitted to folds of the poses beside it.
 
     Raises:
         ExcitationError: fewer than :data:`MIN_POSES` poses.
     """
-    from scipy.optimize import least_squares
-
     if len(q) < MIN_POSES:
         raise ExcitationError(
             "calibration",
@@ -112,89 +181,19 @@ def calibrate(geometry: Geometry, q: Array, tip: Array, joint_noise: Array, tip_
             f"at least {MIN_POSES}",
             "Record more static poses, spread over the joints' ranges.",
         )
-    priors = geometry.priors
-    values = np.zeros(len(priors))
-    scale = 1.0  # estimated noise over stated noise
-    for _ in range(4):
-        sigma = _noise(geometry, q, values, joint_noise, tip_noise)
-
-        def errors(scaled: Array, sigma: Array = sigma, scale: float = scale) -> Array:
-            residual = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
-            return np.concatenate([_soft_l1_residual(residual).ravel(), scaled])
-
-        def slopes(scaled: Array, sigma: Array = sigma, scale: float = scale) -> Array:
-            residual = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
-            rows = -geometry.slopes(q, scaled * priors) * priors * (_soft_l1_derivative(residual) / (scale * sigma))[:, :, None]
-            return np.vstack([rows.reshape(-1, len(priors)), np.eye(len(priors))])
-
-        values = priors * least_squares(errors, values / priors, slopes).x
-        residual = (tip - geometry.tip(q, values)) / sigma
-        information = _information(geometry, q, values, scale * sigma)
-        used = float(np.trace(np.linalg.solve(information + np.eye(len(priors)), information)))
-        free = max(residual.size - used, 0.25 * residual.size)
-        # The median is robust against outliers.
-        scale = max(1.4826 * float(np.median(np.abs(residual))) * math.sqrt(residual.size / free), MIN_NOISE_SCALE)
-    information = _information(geometry, q, values, scale * sigma)
-    covariance = np.linalg.inv(information + np.eye(len(priors))) * np.outer(priors, priors)
-    noise = scale * float(np.sqrt(np.mean(sigma**2)))
-    return Calibration(geometry, values, covariance, noise, _non_identifiable(geometry, information))
+    poses = PoseSet(q, points.reshape(len(q), -1, 3), joint_noise, point_noise.reshape(-1, 3))
+    return calibrate_poses(registered(geometry, poses), poses, elastic, compare)
 
 
-def _noise(geometry: Geometry, q: Array, values: Array, joint_noise: Array, tip_noise: Array) -> Array:
-    """Standard deviation of every tip coordinate, (n, 3), up to a common factor: sensor noise and propagated joint noise."""
-    own = np.where(np.isnan(tip_noise), 1e-3, tip_noise)
-    slopes = geometry.joint_slopes(q, values)
-    return np.asarray(np.sqrt(own**2 + np.sum((slopes * np.nan_to_num(joint_noise)) ** 2, axis=2)))
-
-
-def _soft_l1_residual(residual: Array) -> Array:
-    """Residuals whose square is the soft-L1 loss with its knee at three standard deviations."""
-    knee = 3.0
-    return np.asarray(np.sign(residual) * knee * np.sqrt(2.0 * (np.sqrt(1.0 + (residual / knee) ** 2) - 1.0)))
-
-
-def _soft_l1_derivative(residual: Array) -> Array:
-    """Derivative of :func:`_soft_l1_residual`."""
-    knee = 3.0
-    root = np.sqrt(1.0 + (residual / knee) ** 2)
-    return np.asarray(np.sqrt((root + 1.0) / 2.0) / root)
-
-
-def _information(geometry: Geometry, q: Array, values: Array, sigma: Array) -> Array:
-    """Fisher information of the poses about the parameters in units of their priors, (P, P)."""
-    slopes = geometry.slopes(q, values) * geometry.priors / sigma[:, :, None]
-    flat = slopes.reshape(-1, slopes.shape[2])
-    return np.asarray(flat.T @ flat)
-
-
-def _non_identifiable(geometry: Geometry, information: Array) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """Basis of the non-identifiable combinations, in reduced echelon form so that each has few parameters."""
-    strengths, directions = np.linalg.eigh(information)
-    basis = directions[:, strengths < MAX_INFORMATION].T.copy()
-    found = []
-    for row in _reduced_echelon(basis):
-        weights = row * geometry.priors
-        named = [
-            (parameter.key, float(weight))
-            for parameter, weight, part in zip(geometry.parameters, weights, row, strict=True)
-            if abs(part) >= MIN_COMPONENT * np.abs(row).max()
-        ]
-        found.append(tuple(named))
-    return tuple(found)
-
-
-def _reduced_echelon(basis: Array) -> Array:
-    """Reduced row echelon form with pivots by size: each row has a parameter that no other row has."""
-    rows = basis.copy()
-    taken: list[int] = []
-    for at in range(len(rows)):
-        size = np.abs(rows[at:]).copy()
-        size[:, taken] = 0.0
-        pivot_row, pivot = np.unravel_index(int(np.argmax(size)), size.shape)
-        rows[[at, at + int(pivot_row)]] = rows[[at + int(pivot_row), at]]
-        rows[at] /= rows[at, pivot]
-        for other in range(len(rows)):
-            if other != at:
-                rows[other] -= rows[other, pivot] * rows[at]
-        taken.append(int(pivot))
-    return rows
+def calibrate_poses(geometry: Geometry, poses: PoseSet, elastic: bool = True, compare: bool = False) -> Calibration:
+    """:func:`calibrate` of a registered geometry; with the comparison with other models on folds of the poses."""
+    fit, evidence = selected_fit(geometry, poses, elastic)
+    members = frozenset(np.flatnonzero(fit.free & geometry.optional).tolist())
+    information, priors = fit.information, geometry.priors[fit.free]
+    covariance = np.zeros((len(fit.free), len(fit.free)))
+    covariance[np.ix_(fit.free, fit.free)] = np.linalg.inv(information + np.eye(len(priors))) * np.outer(priors, priors)
+    noise = fit.scale * float(np.sqrt(np.nanmean(fit.sigma**2)))
+    estimated = [parameter for parameter, free in zip(geometry.parameters, fit.free, strict=True) if free]
+    combinations = non_identifiable(estimated, information)
+    models = compared(fit, poses, evidence, elastic) if compare else ()
+    return Calibration(geometry, fit.values, covariance, noise, combinations, fit.free, evidence.support(members), models)

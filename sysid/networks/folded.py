@@ -23,7 +23,7 @@ class FoldedJoint:
 
     Args:
         column: of the joint values.
-        stretch: factor of its reading.
+        stretch, offset: factor of its reading, and what is added [rad or m].
         prismatic: whether it is a prismatic joint.
         shift: t, (3, 1).
         factors: factors of the point; revolute (9, 3): constant, cos and sin part; prismatic (3, 3): R.
@@ -32,18 +32,21 @@ class FoldedJoint:
 
     column: int
     stretch: float
+    offset: float
     prismatic: bool
     shift: Array
     factors: Array
     slide: Array
 
     @staticmethod
-    def of(column: int, stretch: float, prismatic: bool, axis: Array, rotation: Array, shift: Array) -> FoldedJoint:
+    def of(
+        column: int, stretch: float, offset: float, prismatic: bool, axis: Array, rotation: Array, shift: Array
+    ) -> FoldedJoint:
         along = np.outer(axis, axis)
         x, y, z = axis
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         parts = [rotation] if prismatic else [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross]
-        return FoldedJoint(column, stretch, prismatic, shift[:, None], np.vstack(parts), (rotation @ axis)[:, None])
+        return FoldedJoint(column, stretch, offset, prismatic, shift[:, None], np.vstack(parts), (rotation @ axis)[:, None])
 
 
 @dataclass(frozen=True)
@@ -54,14 +57,19 @@ class FoldedChain:
     last: Array
 
     @cached_property
-    def _readings(self) -> tuple[npt.NDArray[np.int64], Array]:
-        """Columns of the joint values in the order of the chain, and the factors of their readings."""
-        return np.array([joint.column for joint in self.joints], dtype=np.int64), np.array([[j.stretch] for j in self.joints])
+    def _readings(self) -> tuple[npt.NDArray[np.int64], Array, Array | None]:
+        """Columns of the joint values in the order of the chain, the factors of their readings, and offsets where there are
+        any."""
+        columns = np.array([joint.column for joint in self.joints], dtype=np.int64)
+        offsets = np.array([[joint.offset] for joint in self.joints])
+        return columns, np.array([[joint.stretch] for joint in self.joints]), offsets if offsets.any() else None
 
     def tip(self, q: Array) -> Array:
         """Joint values (n, n_axes) → tip in the base frame, (n, 3) [m]."""
-        columns, stretches = self._readings
+        columns, stretches, offsets = self._readings
         readings = q.take(columns, axis=1).T * stretches
+        if offsets is not None:
+            readings += offsets
         cosines, sines = np.cos(readings), np.sin(readings)
         point = self.last
         for k in range(len(self.joints) - 1, -1, -1):

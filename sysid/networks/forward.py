@@ -154,14 +154,20 @@ def fit_forward_network(
     )
 
 
-def training_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
+def training_rows(
+    dataset: Dataset, recipe: NetworkRecipe, least: int = MIN_POSES, markers: tuple[str, ...] = ()
+) -> tuple[SignalRows, SignalRows]:
     """Fit rows and select rows of a forward model, at most as many as the recipe says.
+
+    Args:
+        least: number of poses to fit.
+        markers: points beside the end effector whose columns follow its.
 
     Raises:
         ExcitationError: too few of either, or a joint or the end effector that was not measured.
     """
-    fit, select = forward_rows(dataset, "fit"), forward_rows(dataset, "select")
-    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "for early stopping", MIN_POSES // 10)):
+    fit, select = forward_rows(dataset, "fit", markers), forward_rows(dataset, "select", markers)
+    for rows, role, need in ((fit, "to fit", least), (select, "for early stopping", least // 10)):
         if len(rows) < need:
             raise ExcitationError(
                 f"dataset {dataset.reference}",
@@ -170,7 +176,7 @@ def training_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[SignalRows, 
                 "Record the calibration routine: several hundred random poses, each held still.",
             )
     share = min(1.0, recipe.forward.poses / (len(fit) + len(select)))
-    fit, select = thin(fit, max(MIN_POSES, round(share * len(fit)))), thin(select, max(1, round(share * len(select))))
+    fit, select = thin(fit, max(least, round(share * len(fit)))), thin(select, max(1, round(share * len(select))))
     return fit, select
 
 
@@ -179,13 +185,14 @@ def forward_joints(dataset: Dataset) -> tuple[str, ...]:
     return tuple(axis_signal(axis, "joint") for axis in dataset.machine.axis_names)
 
 
-def forward_rows(dataset: Dataset, role: Role) -> SignalRows:
-    """Static poses of ``role``: columns are the joints, then ``ee.x ee.y ee.z``.
+def forward_rows(dataset: Dataset, role: Role, markers: tuple[str, ...] = ()) -> SignalRows:
+    """Static poses of ``role``: columns are the joints, then ``ee.x ee.y ee.z``, then the markers' coordinates.
 
     Raises:
         ExcitationError: no recording to fit has all of them.
     """
-    signals = (*forward_joints(dataset), *point_signals("ee"))
+    points = [signal for point in ("ee", *markers) for signal in point_signals(point)]
+    signals = (*forward_joints(dataset), *points)
     if dataset.of_kind("poses"):
         return gather(segments(dataset, role, signals, "poses"), signals)
     return _still_phases(gather(segments(dataset, role, signals), signals), len(dataset.machine.axes))

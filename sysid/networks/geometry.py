@@ -1,220 +1,355 @@
-"""Calibration model of a URDF: its geometric parameters, the tip position for any values of them, and the Jacobians.
+"""Calibration model of a URDF: its geometric and elastic parameters, measured points for any values, and the Jacobians.
 
-At every actuated joint the frame of its origin is displaced by a small translation and rotation before the joint moves, the
-joint's reading has a scale error, and the tip has an offset on the last link::
+At every moving joint the frame of its origin is displaced by a small translation and rotation, tilts under the gravity moment
+across its axis, and turns by its reading less its deflection under load; measured points have offsets on their links::
 
-    tip = Π_j origin_j · Exp(δ_j) · motion_j((1 + scale_j)·q_j) · tip_offset
+    point = F · Π_j origin_j · Exp(δ_j) · Exp(Σ_d ℓ_jd·M_jd·d) · motion_j(r_j·((1 + scale)·q − compliance·L) + z_j) · (p₀ + p)
 
-Six displacements per joint describe any other geometry. They are redundant: a prior keeps non-identifiable combinations near
-zero, and :mod:`sysid.networks.calibration` reports them.
+d are the two directions across the axis, M_jd the gravity moments about them, L the gravity load on the axis (above zero where
+it opposes positive motion), r and z ratio and offset of a passive joint, else 1 and 0, and F the frame of the measurement.
+Loads follow from the URDF's masses at the deflected pose. Six displacements per joint describe any other geometry. They are
+redundant: a prior keeps non-identifiable combinations near zero, and :mod:`sysid.networks.calibration` reports them.
 
-Source: complete and redundant calibration models: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016).
+Source: complete and redundant calibration models: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016);
+elastic ones: Khalil and Besnard, IEEE Trans. Robot. Autom. 18 (2002), 915–922.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import qmc
 
-from sysid.machine.kinematics import Joint, Kinematics, rotation_about
+from sysid.effects.gripper_sway import GRAVITY
+from sysid.machine.kinematics import Kinematics
+from sysid.networks import geometry_parameters as sizes
 from sysid.networks.folded import FoldedChain, FoldedJoint
+from sysid.networks.geometry_parameters import GeometryParameter
+from sysid.networks.moving_joint import MovingJoint, cross, exp, exps, left_jacobian, moving_joints, point_on
 
 Array = npt.NDArray[np.float64]
 
-#: Prior standard deviations of a machine's departure from its URDF: m, rad, and a share.
-PRIOR_LENGTH, PRIOR_ANGLE, PRIOR_SCALE = 0.02, 0.035, 0.02
-
-
-@dataclass(frozen=True)
-class GeometryParameter:
-    """One parameter of a geometry; zero is the value of the URDF.
-
-    Args:
-        key: ``boom_joint.x`` and ``boom_joint.rx`` (translation and rotation of its origin, in the origin's frame), ``.offset``
-            (along or about the joint's own axis: its zero), ``.scale`` (of its reading), ``tip.x`` (in the tip's frame).
-        unit: m, rad or 1.
-        prior: standard deviation of the prior.
-    """
-
-    key: str
-    unit: str
-    prior: float
-
-
-@dataclass(frozen=True)
-class _ActuatedJoint:
-    """An actuated joint.
-
-    Args:
-        joint: without its origin.
-        column: of the joint values.
-        before: constant transform from the previous actuated joint to this one's origin, (4, 4).
-        directions: of translations and rotations, rows in the frame of the origin, (3, 3).
-        names: name and unit of the six displacements.
-    """
-
-    joint: Joint
-    column: int
-    before: Array
-    directions: Array
-    names: tuple[tuple[str, str], ...]
+#: Poses over the joints' ranges at which the largest loads are looked up.
+_REACH = 256
+#: Steps of the deflected pose; a step changes loads by the deflection, so that the error falls by a hundred each.
+_SETTLING = 4
 
 
 @dataclass(frozen=True)
 class _Frames:
-    """Orientation of every origin before and after its displacement, its position, the orientation of the tip, the tip."""
+    """Orientation of every origin before and after its displacement and after its tilt, its position, the frames that the
+    joints move (the first is the base's), and the points, (n, points, 3)."""
 
-    before: tuple[Array, ...]
-    displaced: tuple[Array, ...]
-    origins: tuple[Array, ...]
-    last: Array
-    tip: Array
+    before: list[Array]
+    displaced: list[Array]
+    tilted: list[Array]
+    origins: list[Array]
+    moved: list[tuple[Array, Array]]
+    points: Array
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """The parameters of a chain, and the tip as a function of them."""
+    """The parameters of a chain, and measured points as a function of them.
+
+    Args:
+        markers: name → link of the chain that carries it, of points that are measured beside the tip.
+        frame: pose of the base in the frame of the measurement, (4, 4).
+        offsets: of tip and markers on their links beyond the URDF, (points, 3) [m]; zero if None.
+    """
 
     kinematics: Kinematics
+    markers: dict[str, str] = field(default_factory=dict)
+    frame: Array = field(default_factory=lambda: np.eye(4))
+    offsets: Array | None = None
+
+    @cached_property
+    def chain(self) -> tuple[MovingJoint, ...]:
+        return moving_joints(self.kinematics)
 
     @cached_property
     def parameters(self) -> tuple[GeometryParameter, ...]:
-        """From base to tip: seven per joint, three of the tip."""
-        found = []
-        for moved in self._chain:
-            for name, unit in moved.names:
-                prior = PRIOR_ANGLE if unit == "rad" else PRIOR_LENGTH
-                found.append(GeometryParameter(f"{moved.joint.name}.{name}", unit, prior))
-            found.append(GeometryParameter(f"{moved.joint.name}.scale", "1", PRIOR_SCALE))
-        return (*found, *(GeometryParameter(f"tip.{letter}", "m", PRIOR_LENGTH) for letter in "xyz"))
+        """From base to tip: six per joint and the scale of an axis, three of the tip and of each marker; then the compliance of
+        each axis and two lateral ones of each joint."""
+        found, elastic = [], []
+        compliances, lateral = self._compliance_priors
+        for number, moved in enumerate(self.chain):
+            name = moved.joint.name
+            for part, (letter, unit) in enumerate(moved.names):
+                prior = sizes.PRIOR_ANGLE if unit == "rad" else sizes.PRIOR_LENGTH
+                found.append(GeometryParameter(f"{name}.{letter}", unit, prior, "displacement", number, part))
+            if not moved.passive:
+                found.append(GeometryParameter(f"{name}.scale", "1", sizes.PRIOR_SCALE, "scale", number))
+                unit = "m/N" if moved.joint.prismatic else "rad/(N·m)"
+                elastic.append(GeometryParameter(f"{name}.compliance", unit, compliances[number], "compliance", number))
+            for part in moved.across:
+                key = f"{name}.lateral_{moved.letter(part)}"
+                elastic.append(GeometryParameter(key, "rad/(N·m)", lateral, "lateral", number, part))
+        for point, name in enumerate(("tip", *self.markers)):
+            prior = sizes.PRIOR_MARKER if point else sizes.PRIOR_LENGTH
+            places = enumerate("xyz")
+            found += [GeometryParameter(f"{name}.{letter}", "m", prior, "point", -1, part, point) for part, letter in places]
+        return (*found, *elastic)
 
-    @property
+    @cached_property
     def priors(self) -> Array:
         return np.array([parameter.prior for parameter in self.parameters])
 
-    def tip(self, q: Array, values: Array) -> Array:
-        """Tip in the base frame, (n, 3) [m], at joint values ``q`` (n, n_axes) with the geometry ``values`` (P,)."""
-        return self._frames(q, values).tip
+    @cached_property
+    def optional(self) -> npt.NDArray[np.bool_]:
+        """Which parameters are compared with a model that lacks them, (P,)."""
+        return np.array([parameter.optional for parameter in self.parameters])
 
-    def folded(self, values: Array) -> FoldedChain:
-        """The chain with the constant geometry ``values`` (P,), whose ``tip`` is many times faster than :meth:`tip`."""
+    @cached_property
+    def elastic(self) -> npt.NDArray[np.bool_]:
+        """Which parameters are compliances, (P,)."""
+        return np.array([parameter.kind in ("compliance", "lateral") for parameter in self.parameters])
+
+    def tip(self, q: Array, values: Array) -> Array:
+        """Tip in the frame of the measurement, (n, 3) [m], at joint values ``q`` (n, n_axes) with the parameters (P,)."""
+        return self.points(q, values)[:, 0]
+
+    def points(self, q: Array, values: Array) -> Array:
+        """Tip and markers, (n, points, 3) [m]."""
+        return self.points_at(q, values, self.loads(q, values))
+
+    @property
+    def offsets_of_points(self) -> Array:
+        return np.zeros((1 + len(self.markers), 3)) if self.offsets is None else self.offsets
+
+    def point_frames(self, q: Array) -> tuple[Array, Array]:
+        """Nominal orientations (n, points, 3, 3) and positions (n, points, 3) of tip and markers."""
+        nothing = np.zeros(self._elastic.stop)
+        frames = self._frames(q, nothing, np.zeros((len(q), len(self.chain), 3)))
+        turns = [frames.moved[after + 1][0] @ pose[:3, :3] for after, pose in self._places]
+        return np.stack(turns, axis=1), frames.points
+
+    def points_at(self, q: Array, values: Array, loads: Array) -> Array:
+        """:meth:`points` at given loads."""
+        return self._frames(q, values, loads).points
+
+    def loads(self, q: Array, values: Array) -> Array:
+        """Gravity loads at the deflected pose, (n, joints, 3): in the direction of each joint's axis and about the two across.
+
+        The first is above zero where gravity opposes positive motion, passive joints included, and zero of a passive joint; the
+        others are moments about the directions.
+        """
+        loads = np.zeros((len(q), len(self.chain), 3))
+        for _ in range(_SETTLING if np.any(values[self._elastic]) else 1):
+            loads = self._loads_of(self._frames(q, values, loads))
+        return loads
+
+    def folded(self, values: Array) -> FoldedChain | None:
+        """The chain with the constant parameters ``values`` (P,), whose ``tip`` is many times faster than :meth:`tip`; None
+        where joints deflect."""
+        if np.any(values[self._elastic]):
+            return None
         joints = []
-        for number, moved in enumerate(self._chain):
-            own = values[7 * number : 7 * number + 7]
-            base = moved.before[:3, :3]
-            rotation = base @ _exp(own[3:6] @ moved.directions)
-            shift = moved.before[:3, 3] + base @ (own[:3] @ moved.directions)
-            stretch, joint = 1.0 + float(own[6]), moved.joint
-            joints.append(FoldedJoint.of(moved.column, stretch, joint.prismatic, joint.axis, rotation, shift))
-        return FoldedChain(tuple(joints), (self._to_tip[:3, 3] + self._to_tip[:3, :3] @ values[7 * len(joints) :])[:, None])
+        for number, moved in enumerate(self.chain):
+            start = self.frame @ moved.before if number == 0 else moved.before
+            base = start[:3, :3]
+            own = values[self._displaced[number]]
+            rotation = base @ exp(own[3:] @ moved.directions)
+            shift = start[:3, 3] + base @ (own[:3] @ moved.directions)
+            ratio, offset = moved.drive.ratio * (1.0 + self._scale(values, number)), moved.drive.offset
+            joints.append(
+                FoldedJoint.of(moved.drive.column, ratio, offset, moved.joint.prismatic, moved.joint.axis, rotation, shift)
+            )
+        pose = self._places[0][1]
+        return FoldedChain(tuple(joints), (pose[:3, 3] + pose[:3, :3] @ values[self._point[0]])[:, None])
 
     def slopes(self, q: Array, values: Array) -> Array:
-        """Derivatives of the tip with respect to the parameters, (n, 3, P)."""
-        frames = self._frames(q, values)
-        columns = []
-        for number, moved in enumerate(self._chain):
-            own = values[7 * number : 7 * number + 7]
-            turned = own[3:6] @ moved.directions
-            before, displaced = frames.before[number], frames.displaced[number]
-            columns += [before @ direction for direction in moved.directions]
-            # d Exp(r)y = (J_l(r) dr) × Exp(r)y, with y the tip as seen from the displaced frame.
-            reach = np.einsum("nji,nj->ni", before, frames.tip - frames.origins[number])
-            columns += [
-                _rotational_velocity(before, _left_jacobian(turned) @ direction, reach) for direction in moved.directions
-            ]
-            columns.append(self._motion_slope(frames, number, displaced) * q[:, moved.column, None])
-        columns += list(np.moveaxis(frames.last, 2, 0))
-        return np.stack(columns, axis=2)
+        """Derivatives of the tip with respect to the parameters, (n, 3, P), at constant loads."""
+        return self.point_slopes(q, values, self.loads(q, values))[:, 0]
 
-    def joint_slopes(self, q: Array, values: Array) -> Array:
-        """Derivatives of the tip with respect to the joint values, (n, 3, n_axes)."""
-        frames = self._frames(q, values)
-        slopes = np.zeros((len(q), 3, q.shape[1]))
-        for number, moved in enumerate(self._chain):
-            stretch = 1.0 + values[7 * number + 6]
-            slopes[:, :, moved.column] = self._motion_slope(frames, number, frames.displaced[number]) * stretch
+    def point_slopes(self, q: Array, values: Array, loads: Array) -> Array:
+        """Derivatives of tip and markers with respect to the parameters, (n, points, 3, P), at constant loads."""
+        frames = self._frames(q, values, loads)
+        slopes = np.zeros((len(q), len(self._places), 3, len(values)))
+        for point, (after, pose) in enumerate(self._places):
+            rotation = frames.moved[after + 1][0] @ pose[:3, :3]
+            slopes[:, point, :, self._point[point]] = rotation
+            for number in range(after + 1):
+                self._joint_slopes(slopes[:, point], q, values, loads, frames, number, frames.points[:, point])
         return slopes
 
-    def _motion_slope(self, frames: _Frames, number: int, displaced: Array) -> Array:
-        """Derivative of the tip with respect to a joint's motion, (n, 3)."""
-        axis = displaced @ self._chain[number].joint.axis
-        if self._chain[number].joint.prismatic:
-            return np.asarray(axis)
-        return np.cross(axis, frames.tip - frames.origins[number])
+    def joint_slopes(self, q: Array, values: Array, loads: Array) -> Array:
+        """Derivatives of tip and markers with respect to the joint values, (n, points, 3, n_axes), at constant loads."""
+        frames = self._frames(q, values, loads)
+        slopes = np.zeros((len(q), len(self._places), 3, q.shape[1]))
+        for point, (after, _) in enumerate(self._places):
+            for number in range(after + 1):
+                drive = self.chain[number].drive
+                ratio = drive.ratio * (1.0 + self._scale(values, number))
+                slopes[:, point, :, drive.column] += self._motion_slope(frames, number, frames.points[:, point]) * ratio
+        return slopes
 
-    def _frames(self, q: Array, values: Array) -> _Frames:
-        rotation, position = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
-        before, displaced, origins = [], [], []
-        for number, moved in enumerate(self._chain):
-            own = values[7 * number : 7 * number + 7]
+    def _joint_slopes(
+        self, slopes: Array, q: Array, values: Array, loads: Array, frames: _Frames, number: int, point: Array
+    ) -> None:
+        """Write the derivatives of a point (n, 3) with respect to the parameters of one joint into ``slopes`` (n, 3, P)."""
+        moved = self.chain[number]
+        before, displaced = frames.before[number], frames.displaced[number]
+        first = self._displaced[number].start
+        turned = values[first + 3 : first + 6] @ moved.directions
+        lever = point - frames.origins[number]
+        # d Exp(r)y = (J_l(r) dr) × Exp(r)y, with y the point as seen from the displaced frame.
+        bent = left_jacobian(turned)
+        for part, direction in enumerate(moved.directions):
+            slopes[:, :, first + part] = before @ direction
+            slopes[:, :, first + 3 + part] = cross(before @ (bent @ direction), lever)
+        motion = self._motion_slope(frames, number, point) * moved.drive.ratio
+        master = self._axis_joint[moved.drive.column]
+        if master is not None:
+            slopes[:, :, self._scales[master]] += motion * q[:, moved.drive.column, None]
+            slopes[:, :, self._compliances[master]] -= motion * loads[:, master, :1]
+        tilt = self._tilt(values, loads, number)
+        for k, part in enumerate(moved.across):
+            direction = moved.directions[part]
+            about = np.broadcast_to(direction, tilt.shape) + 0.5 * cross(tilt, direction)  # J_l to first order of the tilt
+            turn = np.einsum("nij,nj->ni", displaced, about) * loads[:, number, 1 + k, None]
+            slopes[:, :, self._laterals[number].start + k] = cross(turn, lever)
+
+    def _motion_slope(self, frames: _Frames, number: int, point: Array) -> Array:
+        """Derivative of a point with respect to a joint's motion, (n, 3)."""
+        axis = frames.tilted[number] @ self.chain[number].joint.axis
+        if self.chain[number].joint.prismatic:
+            return np.asarray(axis)
+        return cross(axis, point - frames.origins[number])
+
+    def _scale(self, values: Array, number: int) -> float:
+        """Scale error of the reading that moves a joint."""
+        master = self._axis_joint[self.chain[number].drive.column]
+        return 0.0 if master is None else float(values[self._scales[master]])
+
+    def _tilt(self, values: Array, loads: Array, number: int) -> Array:
+        """Rotation vector of the lateral deflection in the displaced frame, (n, 3)."""
+        moved = self.chain[number]
+        across = moved.directions[list(moved.across)]
+        return np.asarray((loads[:, number, 1:] * values[self._laterals[number]]) @ across)
+
+    def _frames(self, q: Array, values: Array, loads: Array) -> _Frames:
+        count = len(q)
+        rotation, position = np.tile(self.frame[:3, :3], (count, 1, 1)), np.tile(self.frame[:3, 3], (count, 1))
+        moved_frames = [(rotation, position)]
+        before, displaced, tilted, origins = [], [], [], []
+        for number, moved in enumerate(self.chain):
+            own = values[self._displaced[number]]
             base = rotation @ moved.before[:3, :3]
             position = position + rotation @ moved.before[:3, 3] + base @ (own[:3] @ moved.directions)
-            rotation = base @ _exp(own[3:6] @ moved.directions)
+            turned = rotation = base @ exp(own[3:] @ moved.directions)
+            if np.any(values[self._laterals[number]]):
+                rotation = turned @ exps(self._tilt(values, loads, number))
             before.append(base)
-            displaced.append(rotation)
+            displaced.append(turned)
+            tilted.append(rotation)
             origins.append(position)
-            motion = moved.joint.motion(q[:, moved.column] * (1.0 + own[6]))
+            motion = moved.joint.motion(self._motion(q, values, loads, number))
             position = position + np.einsum("nij,nj->ni", rotation, motion[:, :3, 3])
             rotation = rotation @ motion[:, :3, :3]
-        last = rotation @ self._to_tip[:3, :3]
-        tip = position + rotation @ self._to_tip[:3, 3] + last @ values[7 * len(self._chain) :]
-        return _Frames(tuple(before), tuple(displaced), tuple(origins), last, tip)
+            moved_frames.append((rotation, position))
+        points = np.empty((count, len(self._places), 3))
+        for point, (after, pose) in enumerate(self._places):
+            turn, at = moved_frames[after + 1]
+            points[:, point] = at + turn @ (pose[:3, 3] + pose[:3, :3] @ values[self._point[point]])
+        return _Frames(before, displaced, tilted, origins, moved_frames, points)
+
+    def _motion(self, q: Array, values: Array, loads: Array, number: int) -> Array:
+        """Value of a joint: its axis's reading, corrected and deflected, times its ratio, plus its offset, (n,)."""
+        drive = self.chain[number].drive
+        value = q[:, drive.column] * (1.0 + self._scale(values, number))
+        master = self._axis_joint[drive.column]
+        if master is not None and values[self._compliances[master]] != 0.0:
+            value = value - values[self._compliances[master]] * loads[:, master, 0]
+        return value if drive.ratio == 1.0 and drive.offset == 0.0 else drive.ratio * value + drive.offset
+
+    def _loads_of(self, frames: _Frames) -> Array:
+        """Loads of a pose, (n, joints, 3): suffix sums of mass and first moment from the tip to the base."""
+        count = len(frames.points)
+        loads = np.zeros((count, len(self.chain), 3))
+        down = -GRAVITY * self.frame[:3, 2]  # the base stands upright
+        mass, first = 0.0, np.zeros((count, 3))
+        for number in range(len(self.chain) - 1, -1, -1):
+            moved = self.chain[number]
+            rotation, position = frames.moved[number + 1]
+            mass += moved.mass
+            first = first + moved.mass * (position + rotation @ moved.centre)
+            moment = cross(first - mass * frames.origins[number], down)
+            turned = frames.tilted[number]
+            axis = turned @ moved.joint.axis
+            own = -mass * axis @ down if moved.joint.prismatic else -np.einsum("nj,nj->n", axis, moment)
+            master = self._axis_joint[moved.drive.column]
+            if master is not None:
+                loads[:, master, 0] += moved.drive.ratio * own
+            for k, part in enumerate(moved.across):
+                loads[:, number, 1 + k] = np.einsum("nj,nj->n", turned @ moved.directions[part], moment)
+        return loads
 
     @cached_property
-    def _chain(self) -> tuple[_ActuatedJoint, ...]:
-        before, found = np.eye(4), []
-        for joint in self.kinematics.chain:
-            before = before @ joint.origin
-            if joint.name in self.kinematics.actuated:
-                found.append(_actuated_joint(joint, self.kinematics.actuated.index(joint.name), before))
-                before = np.eye(4)
+    def _compliance_priors(self) -> tuple[Array, float]:
+        """Prior standard deviations of the compliance of each joint, (joints,), and of lateral compliance."""
+        count = len(self.kinematics.actuated)
+        ends = np.array([self.kinematics.limits(name) for name in self.kinematics.actuated]).reshape(-1, 2)
+        low, high = np.where(np.isfinite(ends[:, 0]), ends[:, 0], -np.pi), np.where(np.isfinite(ends[:, 1]), ends[:, 1], np.pi)
+        q = low + (high - low) * qmc.Halton(max(count, 1), scramble=False).random(_REACH)[:, :count]
+        bare = np.zeros((_REACH, len(self.chain), 3))
+        largest = np.abs(self._loads_of(self._frames(q, np.zeros(self._elastic.stop), bare))).max(axis=0, initial=0.0)
+        priors = np.zeros(len(self.chain))
+        for slide, deflection in ((False, sizes.PRIOR_DEFLECTION), (True, sizes.PRIOR_SLIDE_DEFLECTION)):
+            same = np.array([moved.joint.prismatic == slide for moved in self.chain], dtype=bool)
+            most = max(float(largest[same, 0].max(initial=0.0)), 1e-9)
+            priors[same] = deflection / np.maximum(largest[same, 0], most / sizes.SOFTEST)
+        return priors, sizes.PRIOR_LATERAL / max(float(largest[:, 1:].max(initial=0.0)), 1e-9)
+
+    @cached_property
+    def _places(self) -> tuple[tuple[int, Array], ...]:
+        """Tip and markers: the moving joint before each, and the pose of its link in the frame which that joint moves."""
+        found = []
+        for link, offset in zip((self.kinematics.tip, *self.markers.values()), self.offsets_of_points, strict=True):
+            after, pose = point_on(self.kinematics, link)
+            pose = pose.copy()
+            pose[:3, 3] += pose[:3, :3] @ offset
+            found.append((after, pose))
         return tuple(found)
 
+    # Indices of the parameters, in the order of ``parameters``.
+
     @cached_property
-    def _to_tip(self) -> Array:
-        """Constant transform from the last actuated joint to the tip, (4, 4)."""
-        after = np.eye(4)
-        for joint in self.kinematics.chain:
-            after = np.eye(4) if joint.name in self.kinematics.actuated else after @ joint.origin
-        return after
+    def _displaced(self) -> tuple[slice, ...]:
+        """The six displacements of each joint."""
+        starts = np.cumsum([0, *(6 if moved.passive else 7 for moved in self.chain)])
+        return tuple(slice(int(start), int(start) + 6) for start in starts[:-1])
 
+    @cached_property
+    def _scales(self) -> tuple[int, ...]:
+        """Of the scale of each joint; of a passive joint meaningless."""
+        return tuple(part.stop for part in self._displaced)
 
-def _actuated_joint(joint: Joint, column: int, before: Array) -> _ActuatedJoint:
-    """Displacements along the coordinate axes where the joint axis is one of them, else along the axis and across it."""
-    main = int(np.argmax(np.abs(joint.axis)))
-    if np.allclose(np.abs(joint.axis), np.eye(3)[main]):
-        directions, letters = np.eye(3), "xyz"
-        directions[main] = joint.axis
-    else:
-        across = np.cross(joint.axis, np.eye(3)[int(np.argmin(np.abs(joint.axis)))])
-        across /= np.linalg.norm(across)
-        directions, letters, main = np.array([across, np.cross(joint.axis, across), joint.axis]), "uvw", 2
-    names = [(letter, "m") for letter in letters] + [(f"r{letter}", "rad") for letter in letters]
-    own = main if joint.prismatic else 3 + main
-    names[own] = ("offset", names[own][1])
-    return _ActuatedJoint(replace(joint, origin=np.eye(4)), column, before, directions, tuple(names))
+    @cached_property
+    def _point(self) -> tuple[slice, ...]:
+        first = sum(6 if moved.passive else 7 for moved in self.chain)
+        return tuple(slice(first + 3 * point, first + 3 * point + 3) for point in range(len(self._places)))
 
+    @cached_property
+    def _elastic(self) -> slice:
+        return slice(self._point[-1].stop, self._point[-1].stop + sum(2 if m.passive else 3 for m in self.chain))
 
-def _exp(rotation: Array) -> Array:
-    """The rotation by a rotation vector, (3, 3)."""
-    angle = float(np.linalg.norm(rotation))
-    return np.asarray(rotation_about(rotation / angle, np.array([angle]))[0]) if angle > 0.0 else np.eye(3)
+    @cached_property
+    def _compliances(self) -> tuple[int, ...]:
+        """Of the compliance of each joint; of a passive joint meaningless."""
+        starts = np.cumsum([self._elastic.start, *(2 if moved.passive else 3 for moved in self.chain)])
+        return tuple(int(start) for start in starts[:-1])
 
+    @cached_property
+    def _laterals(self) -> tuple[slice, ...]:
+        firsts = (first + (0 if moved.passive else 1) for first, moved in zip(self._compliances, self.chain, strict=True))
+        return tuple(slice(first, first + 2) for first in firsts)
 
-def _left_jacobian(rotation: Array) -> Array:
-    """Left Jacobian of SO(3) at a rotation vector, (3, 3)."""
-    angle = float(np.linalg.norm(rotation))
-    if angle < 1e-8:
-        return np.eye(3)
-    x, y, z = rotation
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, versine = (angle - np.sin(angle)) / angle**3, (1.0 - np.cos(angle)) / angle**2
-    return np.asarray(np.eye(3) + versine * cross + sine * cross @ cross)
-
-
-def _rotational_velocity(before: Array, about: Array, reach: Array) -> Array:
-    """Velocity of the tip at ``reach`` in the frame ``before`` for the angular velocity ``about`` of that frame, (n, 3)."""
-    return np.asarray(np.einsum("nij,nj->ni", before, np.cross(about, reach)))
+    @cached_property
+    def _axis_joint(self) -> tuple[int | None, ...]:
+        """Column of the joint values → number of the axis's own joint in the chain; None where it only has passive ones."""
+        own = {moved.drive.column: number for number, moved in enumerate(self.chain) if not moved.passive}
+        return tuple(own.get(column) for column in range(len(self.kinematics.actuated)))

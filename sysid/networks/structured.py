@@ -15,10 +15,12 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
+from sysid.networks.calibration import MIN_POSES as FEWEST
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import (
+    MIN_POSES,
     ForwardModel,
     ForwardNetwork,
     feature_names,
@@ -98,13 +100,14 @@ def fit_structured(
         ExcitationError: too few poses, or a joint or the end effector that was not measured.
         SettingsError: the machine has no URDF to calibrate, or training diverges.
     """
-    fit, select = training_rows(dataset, recipe)
+    calibrates = recipe.forward.model == "structured"
+    fit, select = training_rows(dataset, recipe, FEWEST if calibrates else MIN_POSES, markers_of(dataset) if calibrates else ())
     joints = forward_joints(dataset)
     count = len(joints)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
-    q, tip = fit.values[:, :count], fit.values[:, count:]
-    q_select, tip_select = select.values[:, :count], select.values[:, count:]
-    structure = fit_chain(q, tip, revolute) if recipe.forward.model == "chain" else _calibrated(dataset, q, tip)
+    q, tip = fit.values[:, :count], fit.values[:, count : count + 3]
+    q_select, tip_select = select.values[:, :count], select.values[:, count : count + 3]
+    structure = _calibrated(dataset, q, fit.values[:, count:]) if calibrates else fit_chain(q, tip, revolute)
     residual, select_residual = tip - structure.predict(q), tip_select - structure.predict(q_select)
     members, learning_curves, bound = _residual_networks(
         recipe, (q, residual), (q_select, select_residual), revolute, joints, progress, checkpoints
@@ -122,18 +125,27 @@ def fit_structured(
     )
 
 
-def _calibrated(dataset: Dataset, q: Array, tip: Array) -> Calibration:
+def _calibrated(dataset: Dataset, q: Array, points: Array) -> Calibration:
     machine = dataset.machine
     kinematics = machine.kinematics()
     if kinematics is None:
         found = f"machine {machine.name!r} has no URDF"
         expected = "urdf = … and tip = … in machine.toml, or model = 'chain'"
         raise SettingsError("recipe: forward.model = 'structured'", found, expected)
-    joint_noise, tip_noise = (
+    markers = markers_of(dataset)
+    joint_noise, point_noise = (
         np.array([machine.noise.get(signal, np.nan) for signal in signals], dtype=np.float64)
-        for signals in (forward_joints(dataset), point_signals("ee"))
+        for signals in (forward_joints(dataset), [s for point in ("ee", *markers) for s in point_signals(point)])
     )
-    return calibrate(Geometry(kinematics), q, tip, joint_noise, tip_noise)
+    geometry = Geometry(kinematics, {name: machine.markers[name] for name in markers})
+    points = points.reshape(len(q), -1, 3)
+    return calibrate(geometry, q, points, joint_noise, point_noise.reshape(-1, 3), compare=True)
+
+
+def markers_of(dataset: Dataset) -> tuple[str, ...]:
+    """Markers of the machine that the recordings of poses measure."""
+    measured = {signal for recording in dataset.of_kind("poses") for signal in recording.signals}
+    return tuple(name for name in dataset.machine.markers if set(point_signals(name)) <= measured)
 
 
 def _residual_networks(
@@ -191,7 +203,7 @@ def fit_forward(
     """
     learn = fit_forward_network if recipe.forward.model == "network" else fit_structured
     model = learn(dataset, recipe, progress, checkpoints)
-    fit, select = training_rows(dataset, recipe)
+    fit, select = training_rows(dataset, recipe, FEWEST if recipe.forward.model == "structured" else MIN_POSES)
     count = len(model.joints)
     q = select.values[:, :count]
     errors = select.values[:, count:] - model.predict(q)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import Kinematics
+from sysid.machine.moved_bodies import moved_bodies
 from sysid.plant import layout
 from sysid.plant.plant import Plant
 
@@ -17,14 +18,14 @@ VELOCITY, POSITION, FORCE = 0, 1, 2
 KINDS = {"velocity": VELOCITY, "position": POSITION, "force": FORCE}
 #: Points of a linkage table.
 _POINTS = 2048
-#: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
-UNIT_MASS = 1.0
 
 # Columns of ``MachineArrays.axes``.
 KIND, GAIN, LOW, HIGH, CYLINDER, SENSE, TABLE_LOW, TABLE_STEP = range(8)
 # Columns of ``MachineArrays.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the
 # joint before it moves, its axis (3), and so on; the last row leads on to the tip.
 ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH = 0, 9, 12, 15, 16, 17, 18, 19, 20, 23
+RATIO, OFFSET, PASSIVE = 24, 25, 26
+LINK_WIDTH = 27
 
 
 class MachineArrays(NamedTuple):
@@ -36,9 +37,10 @@ class MachineArrays(NamedTuple):
         axes: (A, 8): kind of actuation; gain, or inertia of a force axis; low and high end stop of what the command drives;
             whether that is a cylinder; +1 where the joint rises with it, −1 where it falls; low end and step of its table.
         tables: joint over an even grid of the cylinder, (A, points), NaN without a linkage.
-        links: (J + 1, 24): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
+        links: (J + 1, 27): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
             else 0; whether the frame is turned at all; whether the joint is prismatic; which axis moves it; mass and centre
-            of all that moves with it and no further joint; length of the translation.
+            of all that moves with it and no further joint; length of the translation; ratio and offset of the joint's value
+            to that of its axis, and whether it is a passive joint that follows it.
         machine, base, tool: indices at which their blocks begin in ``theta``.
     """
 
@@ -81,54 +83,29 @@ def machine_arrays(plant: Plant) -> MachineArrays:
 def links_of(kinematics: Kinematics | None) -> Array:
     """``MachineArrays.links`` of a kinematic chain, fixed joints merged."""
     if kinematics is None:
-        return np.zeros((1, LENGTH + 1))
+        return np.zeros((1, LINK_WIDTH))
     rows: list[Array] = []
-    groups: list[list[tuple[float, Array]]] = []
     frame = np.eye(4)
     for joint in kinematics.chain:
         frame = frame @ joint.origin
-        if joint.name in kinematics.actuated:
+        drive = kinematics.drives.get(joint.name)
+        if drive is not None:
             row = _row(frame)
             row[AXIS : AXIS + 3], row[ALIGNED] = joint.axis, _aligned(joint.axis)
-            row[PRISMATIC], row[ORDER] = joint.prismatic, kinematics.actuated.index(joint.name)
+            row[PRISMATIC], row[ORDER] = joint.prismatic, drive.column
+            row[RATIO], row[OFFSET], row[PASSIVE] = drive.ratio, drive.offset, joint.name not in kinematics.actuated
             rows.append(row)
-            groups.append([])
             frame = np.eye(4)
-        if groups:  # fixed masses load no axis
-            groups[-1] += _bodies(kinematics, joint.child, frame)
-    if groups and not any(mass for group in groups for mass, _ in group):
-        groups[-1].append((UNIT_MASS, frame[:3, 3]))
-    for row, group in zip(rows, groups, strict=True):
-        row[MASS] = sum(mass for mass, _ in group)
-        if row[MASS] > 0.0:
-            row[CENTRE : CENTRE + 3] = sum((mass * at for mass, at in group), np.zeros(3)) / row[MASS]
+    for row, body in zip(rows, moved_bodies(kinematics), strict=True):
+        row[MASS], row[CENTRE : CENTRE + 3] = body.mass, body.centre
     return np.array([*rows, _row(frame)])
 
 
 def _row(frame: Array) -> Array:
-    row = np.zeros(LENGTH + 1)
+    row = np.zeros(LINK_WIDTH)
     row[ROTATION : ROTATION + 9], row[SHIFT : SHIFT + 3] = frame[:3, :3].ravel(), frame[:3, 3]
     row[TURNED], row[LENGTH] = not np.array_equal(frame[:3, :3], np.eye(3)), np.linalg.norm(frame[:3, 3])
     return row
-
-
-def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float, Array]]:
-    """(mass, centre in the moved frame) of a link and of all that is attached to it beside the chain.
-
-    A part on a passive joint (a gripper) hangs: its weight acts at that joint.
-    """
-    found = []
-    if link in kinematics.masses:
-        mass, centre = kinematics.masses[link]
-        found.append((mass, (frame @ np.array([*centre, 1.0]))[:3]))
-    on_chain = {joint.name for joint in kinematics.chain}
-    for joint in kinematics.joints.values():
-        if joint.parent == link and joint.name not in on_chain:
-            at = frame @ joint.origin
-            attached = _bodies(kinematics, joint.child, at)
-            hangs = joint.kind in ("revolute", "continuous")
-            found += [(mass, at[:3, 3]) for mass, _ in attached] if hangs else attached
-    return found
 
 
 def _aligned(axis: Array) -> int:

@@ -9,7 +9,21 @@ import numpy as np
 from sysid.effects.compiled import inlined, kernel
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
-from sysid.plant.machine_arrays import ALIGNED, AXIS, CENTRE, LENGTH, MASS, ORDER, PRISMATIC, ROTATION, SHIFT, TURNED
+from sysid.plant.machine_arrays import (
+    ALIGNED,
+    AXIS,
+    CENTRE,
+    LENGTH,
+    MASS,
+    OFFSET,
+    ORDER,
+    PASSIVE,
+    PRISMATIC,
+    RATIO,
+    ROTATION,
+    SHIFT,
+    TURNED,
+)
 from sysid.plant.trig import sincos
 
 #: Numbers that :func:`pose` keeps a joint: axis x, y, z and origin x, y in the base frame, mass, its moments x, y.
@@ -20,7 +34,8 @@ SCRATCH = 8
 def pose(q, p, links, base, scratch, tip, load):
     """End effector ``tip`` (3,) [m] and gravity ``load`` (A,) [N·m or N] of the structure at ``q`` (A,).
 
-    The load is the derivative of the potential energy by the joint: above zero where gravity opposes positive motion.
+    The load is the derivative of the potential energy by the joint, its passive joints included: above zero where gravity
+    opposes positive motion.
     ``scratch`` (J + 1, SCRATCH) is used inside.
     """
     count = len(links) - 1
@@ -28,7 +43,7 @@ def pose(q, p, links, base, scratch, tip, load):
     px, py, pz = 0.0, 0.0, 0.0
     for j in range(count + 1):
         fx, fy, fz = links[j, SHIFT], links[j, SHIFT + 1], links[j, SHIFT + 2]
-        if j > 0:
+        if j > 0 and links[j - 1, PASSIVE] == 0.0:
             longer = p[int(links[j - 1, ORDER]) * AXIS_WIDTH + AT.link_length_error]
             if longer != 0.0 and links[j, LENGTH] > 1e-9:
                 stretch = 1.0 + longer / links[j, LENGTH]
@@ -65,7 +80,7 @@ def pose(q, p, links, base, scratch, tip, load):
                 ax, ay, az = -ax, -ay, -az
         scratch[j, 0], scratch[j, 1], scratch[j, 2] = ax, ay, az
         scratch[j, 3], scratch[j, 4] = px, py
-        value = q[int(links[j, ORDER])]
+        value = q[int(links[j, ORDER])] * links[j, RATIO] + links[j, OFFSET]
         if links[j, PRISMATIC] != 0.0:
             px += value * ax
             py += value * ay
@@ -91,17 +106,18 @@ def pose(q, p, links, base, scratch, tip, load):
         scratch[j, 5] = mass
         scratch[j, 6] = mass * (px + xx * gx + yx * gy + zx * gz)
         scratch[j, 7] = mass * (py + xy * gx + yy * gy + zy * gz)
+    for i in range(len(load)):
+        load[i] = 0.0
     mass, mx, my = 0.0, 0.0, 0.0
     for j in range(count - 1, -1, -1):
         mass += scratch[j, 5]
         mx += scratch[j, 6]
         my += scratch[j, 7]
         if links[j, PRISMATIC] != 0.0:
-            load[int(links[j, ORDER])] = GRAVITY * mass * scratch[j, 2]
+            own = mass * scratch[j, 2]
         else:
-            load[int(links[j, ORDER])] = GRAVITY * (
-                scratch[j, 0] * (my - mass * scratch[j, 4]) - scratch[j, 1] * (mx - mass * scratch[j, 3])
-            )
+            own = scratch[j, 0] * (my - mass * scratch[j, 4]) - scratch[j, 1] * (mx - mass * scratch[j, 3])
+        load[int(links[j, ORDER])] += GRAVITY * own * links[j, RATIO]
     b = base + AT.base_misalignment
     u, v, w = p[b + 3], p[b + 4], p[b + 5]
     if u != 0.0 or v != 0.0 or w != 0.0:

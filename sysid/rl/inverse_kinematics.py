@@ -49,15 +49,18 @@ class KinematicChain:
 
 
 def chain_of_forward(model: ForwardModel) -> KinematicChain | None:
-    """The kinematics inside a calibrated forward model; None where it is or contains a network."""
+    """The kinematics inside a calibrated forward model; None where it is or contains a network, or where joints deflect."""
     if not isinstance(model, StructuredForward) or model.members or not isinstance(model.structure, Calibration):
         return None
     folded = model.structure.geometry.folded(model.structure.values)
+    if folded is None:
+        return None
     rows = []
     for joint in folded.joints:
         row = np.zeros(solver.WIDTH)
         rotation = joint.factors if joint.prismatic else joint.factors[:3] + joint.factors[3:6]
         row[solver.COLUMN], row[solver.STRETCH], row[solver.PRISMATIC] = joint.column, joint.stretch, joint.prismatic
+        row[solver.OFFSET] = joint.offset
         row[solver.SHIFT : solver.SHIFT + 3] = joint.shift[:, 0]
         row[solver.ROTATION : solver.ROTATION + 9] = rotation.ravel()
         row[solver.AXIS : solver.AXIS + 3] = rotation.T @ joint.slide[:, 0]
@@ -83,7 +86,7 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
     shift = np.zeros(3)
     for j, link in enumerate(links):
         shift = link[rigs.SHIFT : rigs.SHIFT + 3].copy()
-        if j > 0 and link[rigs.LENGTH] > 0.0:
+        if j > 0 and link[rigs.LENGTH] > 0.0 and links[j - 1, rigs.PASSIVE] == 0.0:
             carrier = int(links[j - 1, rigs.ORDER])
             shift *= 1.0 + theta[carrier * AXIS_WIDTH + AT.link_length_error] / link[rigs.LENGTH]
         if j == len(links) - 1:
@@ -93,8 +96,8 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
         if j == 0:
             rotation, shift = turn @ rotation, turn @ shift + theta[base : base + 3]
         column = int(link[rigs.ORDER])
-        row[solver.COLUMN], row[solver.STRETCH], row[solver.PRISMATIC] = column, 1.0, link[rigs.PRISMATIC]
-        row[solver.OFFSET] = theta[column * AXIS_WIDTH + AT.joint_offset]
+        row[solver.COLUMN], row[solver.STRETCH], row[solver.PRISMATIC] = column, link[rigs.RATIO], link[rigs.PRISMATIC]
+        row[solver.OFFSET] = link[rigs.RATIO] * theta[column * AXIS_WIDTH + AT.joint_offset] + link[rigs.OFFSET]
         row[solver.SHIFT : solver.SHIFT + 3], row[solver.ROTATION : solver.ROTATION + 9] = shift, rotation.ravel()
         row[solver.AXIS : solver.AXIS + 3] = link[rigs.AXIS : rigs.AXIS + 3]
         rows.append(row)

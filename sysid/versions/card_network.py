@@ -31,6 +31,8 @@ def what_network(model: Model | None) -> Iterator[str]:
         yield (
             "The URDF's kinematics with its geometry calibrated." if known else "The products of an open chain, without a URDF."
         )
+        if isinstance(model.structure, Calibration) and model.structure.elastic:
+            yield "Its joints deflect under the weight of the links."
         if model.members:
             size = "-".join(map(str, model.members[0].hidden))
             yield f"{len(model.members)} perceptrons ({size}) correct its position by at most {shown(model.bound, 'm')}."

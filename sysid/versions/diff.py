@@ -151,8 +151,7 @@ def _geometry(before: Model, after: Model) -> tuple[GeometryChange, ...]:
     for model in (before, after):
         structure = model.structure if isinstance(model, StructuredForward) else None
         parameters = structure.parameters if isinstance(structure, Calibration) else ()
-        errors = np.sqrt(np.diag(structure.covariance)) if isinstance(structure, Calibration) else np.zeros(0)
-        found.append({p.parameter.key: (p.parameter.unit, p.value, float(e)) for p, e in zip(parameters, errors, strict=True)})
+        found.append({p.parameter.key: (p.parameter.unit, p.value, p.deviation) for p in parameters})
     changes = []
     for key in dict.fromkeys([*found[0], *found[1]]):
         unit = (found[0].get(key) or found[1][key])[0]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid.errors import SettingsError
 from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
 from sysid.networks.policy import PolicyNetwork
 
@@ -141,10 +142,18 @@ class Graph:
 
 
 def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
-    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first."""
+    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first.
+
+    Raises:
+        SettingsError: a calibration whose joints deflect or follow others, which is not linear in the products.
+    """
     if isinstance(structure, FittedChain):
         weights = structure.weights / structure.scale[:, None]
         return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])
+    passive = any(joint.passive for joint in structure.geometry.chain)
+    if structure.elastic or passive:
+        found = "passive (mimic) joints" if passive else "joints that deflect under load"
+        raise SettingsError("export to ONNX", found, "a calibrated geometry without", "Load the version in Python instead.")
     moved = {
         parameter.key: float(value) for parameter, value in zip(structure.geometry.parameters, structure.values, strict=True)
     }

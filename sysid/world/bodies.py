@@ -105,7 +105,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
     drop_meshes(root)
     _stretch(root, plant, kinematics)
-    for name in kinematics.actuated:
+    for name in kinematics.drives:
         unlimit(joint_element(root, name))
     hanging = None
     if machine.tool is not None and machine.tool != machine.tip:
@@ -227,7 +227,7 @@ def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
     for joint in (*kinematics.chain, None):
         if joint is not None:
             stretch.append(joint)
-        if joint is None or joint.name in kinematics.actuated:
+        if joint is None or joint.name in kinematics.drives:
             length = float(np.linalg.norm(offset(stretch)))
             if errors.get(after) and length > 1e-9:
                 for part in stretch:

@@ -250,7 +250,12 @@ class World:
                 self._machine, k, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, lateralFriction=0.7,
                 maxJointVelocity=1e4, physicsClientId=client,
             )  # fmt: skip
+        kinematics = machine.kinematics()
+        assert kinematics is not None
         self._driven = [joint_of[axis.joint or ""] for axis in machine.axes]
+        following = {name: drive for name, drive in kinematics.drives.items() if name not in kinematics.actuated}
+        self._followers = [joint_of[name] for name in following]
+        self._follow = tuple(following.values())
         self._tip = link_of[machine.tip or ""]
         self._links = link_of
         self._root: str = p.getBodyInfo(self._machine, physicsClientId=client)[0].decode()
@@ -265,8 +270,6 @@ class World:
                 p.setJointMotorControl2(
                     self._machine, joint_of[joint.name], p.VELOCITY_CONTROL, force=0.0, physicsClientId=client
                 )
-        kinematics = machine.kinematics()
-        assert kinematics is not None
         self._size = 1.0 + sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in kinematics.chain)
 
     def _base_pose(self) -> tuple[Array, Array]:
@@ -284,7 +287,7 @@ class World:
             raise SettingsError("PyBullet world", "a joint value is missing at the start", "a number for each joint")
         self._load()
         self._target = state.structure[0]
-        for joint, value in zip(self._driven, self._target, strict=True):
+        for joint, value in zip((*self._driven, *self._followers), self._with_passive(self._target), strict=True):
             p.resetJointState(self._machine, joint, float(value), 0.0, physicsClientId=client)
         if self._bodies.hanging is not None:
             place, turn = self._link(self._tip)
@@ -300,20 +303,25 @@ class World:
     def _drive_to(self, target: Array) -> None:
         """Advance by one step while the driven joints move linearly to ``target``."""
         p, client, machine = self._p, self._client, self._machine
-        begin, parts = self._target, self.substeps
-        slope = (target - begin) * self.rate_hz
+        joints, forces = [*self._driven, *self._followers], [*self._force, *(_UNLIMITED for _ in self._followers)]
+        begin, end, parts = self._with_passive(self._target), self._with_passive(target), self.substeps
+        slope = (end - begin) * self.rate_hz
         for part in range(parts):
             # Feed-forward speed plus position error.
             p.setJointMotorControlArray(
-                machine, self._driven, p.POSITION_CONTROL, targetPositions=list(begin + (target - begin) * part / parts),
-                targetVelocities=list(slope), forces=self._force, positionGains=[1.0] * len(slope),
+                machine, joints, p.POSITION_CONTROL, targetPositions=list(begin + (end - begin) * part / parts),
+                targetVelocities=list(slope), forces=forces, positionGains=[1.0] * len(slope),
                 velocityGains=[1.0] * len(slope), physicsClientId=client,
             )  # fmt: skip
             p.stepSimulation(physicsClientId=client)
         if self.mode == "kinematic":
-            for joint, value, speed in zip(self._driven, target, slope, strict=True):
+            for joint, value, speed in zip(joints, end, slope, strict=True):
                 p.resetJointState(machine, joint, float(value), float(speed), physicsClientId=client)
         self._target = target
+
+    def _with_passive(self, target: Array) -> Array:
+        """Values of the axes, then those of the passive joints that follow them."""
+        return np.array([*target, *(drive.ratio * target[drive.column] + drive.offset for drive in self._follow)])
 
     def _read(self, state: LaneState) -> WorldState:
         angles = self._p.getJointStates(self._machine, self._driven, physicsClientId=self._client)

@@ -71,7 +71,7 @@ def structured(kind: str = "calibrated", members: int = 0, seed: int = 0) -> Str
     assert kinematics is not None
     geometry = Geometry(kinematics)
     count = len(geometry.parameters)
-    values = 0.5 * geometry.priors * rng.normal(size=count)
+    values = 0.5 * geometry.priors * rng.normal(size=count) * ~geometry.elastic
     q = LOW + (HIGH - LOW) * rng.uniform(size=(200, 4))
     if kind == "calibrated":
         structure: object = Calibration(geometry, values, np.diag((0.01 * geometry.priors) ** 2), 1e-3, ())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import crane_data
 import pytest
 from plant_data import arm, slide
 
@@ -107,3 +108,30 @@ def test_a_joint_without_a_urdf_may_be_either() -> None:
 def test_a_misspelt_key_is_named_before_the_key_that_it_leaves_missing() -> None:
     with pytest.raises(SettingsError, match=r"unknown key 'axes\[0\]\.actuaton'; expected 'actuation'\?"):
         changed('actuation = "velocity"', 'actuaton = "velocity"')
+
+
+def test_markers_are_signals_on_links_of_the_chain() -> None:
+    files = {
+        "machine.toml": crane_data.MACHINE.replace("[noise]", '[markers]\nelbow = "stick"\n[noise]'),
+        "crane.urdf": crane_data.URDF,
+    }
+    machine = machine_from_files(files, "crane")
+    assert machine.signals[-3:] == ("elbow.x", "elbow.y", "elbow.z")
+    assert machine.expected_unit("elbow.y") == "m"
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('elbow = "stik"', r"crane: markers: 'elbow': link 'stik', which is not between base and tip; .*stick"),
+        ('boom = "stick"', "crane: markers: 'boom': a name that no marker can have"),
+        ('"a.b" = "stick"', r"crane: markers: 'a\.b': a name that no marker can have"),
+    ],
+)
+def test_a_wrong_marker_is_refused(entry: str, message: str) -> None:
+    files = {
+        "machine.toml": crane_data.MACHINE.replace("[noise]", f"[markers]\n{entry}\n[noise]"),
+        "crane.urdf": crane_data.URDF,
+    }
+    with pytest.raises(SettingsError, match=message):
+        machine_from_files(files, "crane")

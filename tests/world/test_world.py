@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from palletiser import JOINTS, urdf
 from plant_data import loaded_arm, nominal
 
 from sysid.datasets.recording import Recording
@@ -349,3 +350,19 @@ def test_a_missing_pybullet_is_explained(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(SettingsError, match=r"pybullet is not installed \(Python 3\.\d+\); expected pybullet .*Python 3\.11"):
         World(crane())
+
+
+def test_a_passive_joint_follows_its_master() -> None:
+    axes = "".join(
+        f'[[axes]]\nname = "{name}"\njoint = "{name}"\nactuation = "position"\ndrives = "joint"\n' for name in JOINTS
+    )
+    head = 'schema = 1\nname = "palletiser"\nrate_hz = 100.0\nurdf = "arm.urdf"\ntip = "wrist_link"\n'
+    machine = machine_from_files({"machine.toml": head + axes, "arm.urdf": urdf()}, "palletiser")
+    kinematics = machine.kinematics()
+    assert kinematics is not None
+    with World(nominal_plant(machine, {})) as world:
+        state = world.reset(np.zeros(4))
+        for command in np.linspace(0.0, 0.6, 20):
+            state = world.step(np.full(4, command))
+        np.testing.assert_allclose(state.ee, kinematics.tip_position(state.joints[None])[0], atol=1e-6)
+        assert state.joints[1] > 0.3

@@ -45,7 +45,7 @@ def offset_notes(
         length = float(np.linalg.norm(link))
         along = float(at @ link) / length if length > 0.0 else 0.0
         if length > 0.0 and abs(along) > ALONG * float(np.linalg.norm(at)):
-            axis = next(axis.name for axis in machine.axes if axis.joint == joint.name)
+            axis = machine.axis_names[kinematics.drives[joint.name].column]
             notes.append(
                 f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and an error "
                 f"of the length of that link (link_length_error of {axis}) are not distinguishable in these data: survey the "

@@ -1,0 +1,63 @@
+"""Masses that each joint of a chain moves: the bodies whose weight loads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine.kinematics import Kinematics
+
+Array = npt.NDArray[np.float64]
+
+#: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
+UNIT_MASS = 1.0
+
+
+@dataclass(frozen=True)
+class MovedBody:
+    """``mass`` [kg] of all that moves with a joint and no further one, and its ``centre`` (3,) [m] in the frame it moves."""
+
+    mass: float
+    centre: Array
+
+
+def moved_bodies(kinematics: Kinematics) -> tuple[MovedBody, ...]:
+    """One for each joint of the chain that an axis moves, itself or as a passive joint, from base to tip."""
+    groups: list[list[tuple[float, Array]]] = []
+    frame = np.eye(4)
+    for joint in kinematics.chain:
+        frame = frame @ joint.origin
+        if joint.name in kinematics.drives:
+            groups.append([])
+            frame = np.eye(4)
+        if groups:  # fixed masses load no axis
+            groups[-1] += _bodies(kinematics, joint.child, frame)
+    if groups and not any(mass for group in groups for mass, _ in group):
+        groups[-1].append((UNIT_MASS, frame[:3, 3]))
+    return tuple(_joined(group) for group in groups)
+
+
+def _joined(group: list[tuple[float, Array]]) -> MovedBody:
+    mass = float(sum(mass for mass, _ in group))
+    return MovedBody(mass, sum((mass * at for mass, at in group), np.zeros(3)) / mass if mass > 0.0 else np.zeros(3))
+
+
+def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float, Array]]:
+    """(mass, centre in the moved frame) of a link and of all that is attached to it beside the chain.
+
+    A part on a joint beside the chain (a gripper, the rod of a parallel linkage) hangs: its weight acts at that joint.
+    """
+    found = []
+    if link in kinematics.masses:
+        mass, centre = kinematics.masses[link]
+        found.append((mass, (frame @ np.array([*centre, 1.0]))[:3]))
+    on_chain = {joint.name for joint in kinematics.chain}
+    for joint in kinematics.joints.values():
+        if joint.parent == link and joint.name not in on_chain:
+            at = frame @ joint.origin
+            attached = _bodies(kinematics, joint.child, at)
+            hangs = joint.kind in ("revolute", "continuous")
+            found += [(mass, at[:3, 3]) for mass, _ in attached] if hangs else attached
+    return found

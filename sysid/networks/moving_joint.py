@@ -1,0 +1,133 @@
+"""Moving joints of a chain as a calibration sees them: fixed transforms merged, axes and the directions of displacements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine.kinematics import Drive, Joint, Kinematics, rotation_about
+from sysid.machine.moved_bodies import moved_bodies
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MovingJoint:
+    """A joint that an axis moves, itself or as a passive (mimic) joint.
+
+    Args:
+        joint: without its origin.
+        drive: the axis that moves it.
+        passive: whether it follows that axis's own joint.
+        before: constant transform from the previous moving joint to this one's origin, (4, 4).
+        directions: of translations and rotations, rows in the frame of the origin, (3, 3).
+        names: name and unit of the six displacements.
+        own: which of the directions is the joint's axis.
+        mass, centre: of all that it moves and no further joint, in the frame that it moves [kg], (3,) [m].
+    """
+
+    joint: Joint
+    drive: Drive
+    passive: bool
+    before: Array
+    directions: Array
+    names: tuple[tuple[str, str], ...]
+    own: int
+    mass: float
+    centre: Array
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """The two directions across the joint's axis."""
+        first, second = (part for part in range(3) if part != self.own)
+        return first, second
+
+    def letter(self, part: int) -> str:
+        """``x`` … of a direction across the axis."""
+        return self.names[3 + part][0].removeprefix("r")
+
+
+def moving_joints(kinematics: Kinematics) -> tuple[MovingJoint, ...]:
+    """From base to tip."""
+    before, found = np.eye(4), []
+    bodies = iter(moved_bodies(kinematics))
+    for joint in kinematics.chain:
+        before = before @ joint.origin
+        drive = kinematics.drives.get(joint.name)
+        if drive is not None:
+            body = next(bodies)
+            directions, names, own = _displacements(joint)
+            bare = replace(joint, origin=np.eye(4))
+            passive = joint.name not in kinematics.actuated
+            found.append(MovingJoint(bare, drive, passive, before, directions, names, own, body.mass, body.centre))
+            before = np.eye(4)
+    return tuple(found)
+
+
+def point_on(kinematics: Kinematics, link: str) -> tuple[int, Array]:
+    """Number of the last moving joint before a link of the chain, −1 for a link of the base, and the pose of the link's frame
+    in the frame which that joint moves, (4, 4)."""
+    number, pose = -1, np.eye(4)
+    for joint in kinematics.chain:
+        if joint.parent == link:
+            break
+        if joint.name in kinematics.drives:
+            number, pose = number + 1, np.eye(4)
+        else:
+            pose = pose @ joint.origin
+    return number, pose
+
+
+def _displacements(joint: Joint) -> tuple[Array, tuple[tuple[str, str], ...], int]:
+    """Displacements along the coordinate axes where the joint axis is one of them, else along the axis and across it."""
+    main = int(np.argmax(np.abs(joint.axis)))
+    if np.allclose(np.abs(joint.axis), np.eye(3)[main]):
+        directions, letters = np.eye(3), "xyz"
+        directions[main] = joint.axis
+    else:
+        across = np.cross(joint.axis, np.eye(3)[int(np.argmin(np.abs(joint.axis)))])
+        across /= np.linalg.norm(across)
+        directions, letters, main = np.array([across, np.cross(joint.axis, across), joint.axis]), "uvw", 2
+    names = [(letter, "m") for letter in letters] + [(f"r{letter}", "rad") for letter in letters]
+    own = main if joint.prismatic else 3 + main
+    names[own] = ("offset", names[own][1])
+    return directions, tuple(names), main
+
+
+def exp(rotation: Array) -> Array:
+    """The rotation by a rotation vector, (3, 3)."""
+    angle = float(np.linalg.norm(rotation))
+    return np.asarray(rotation_about(rotation / angle, np.array([angle]))[0]) if angle > 0.0 else np.eye(3)
+
+
+def exps(rotations: Array) -> Array:
+    """Rotations by rotation vectors (n, 3), (n, 3, 3) (Rodrigues)."""
+    x, y, z = rotations.T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    angle = np.sqrt(x * x + y * y + z * z)
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    sine, versine = np.where(small, 1.0, np.sin(safe) / safe), np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    return np.asarray(np.eye(3) + sine[:, None, None] * cross + versine[:, None, None] * (cross @ cross))
+
+
+def left_jacobian(rotation: Array) -> Array:
+    """Left Jacobian of SO(3) at a rotation vector, (3, 3)."""
+    angle = float(np.linalg.norm(rotation))
+    if angle < 1e-8:
+        return np.eye(3)
+    x, y, z = rotation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, versine = (angle - np.sin(angle)) / angle**3, (1.0 - np.cos(angle)) / angle**2
+    return np.asarray(np.eye(3) + versine * cross + sine * cross @ cross)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product over the last axis, for few vectors faster than numpy's."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    x, y, z, u, v, w = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
+    out[..., 0], out[..., 1], out[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return out
