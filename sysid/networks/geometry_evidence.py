@@ -123,13 +123,15 @@ class SubsetEvidence:
         found = {}
         for parameter in sorted(members):
             rest = members - {parameter}
-            rival = max(
+            alternative = max(
                 (other for other in self.candidates if other not in members),
                 key=lambda other: self(rest | {other}),
                 default=None,
             )
-            tied = rival is not None and self(rest | {rival}) > self(members) - MIN_GAIN
-            found[parameter] = Support(self(members) - self(rest), keys[rival] if tied and rival is not None else None)
+            tied = alternative is not None and self(rest | {alternative}) > self(members) - MIN_GAIN
+            found[parameter] = Support(
+                self(members) - self(rest), keys[alternative] if tied and alternative is not None else None
+            )
         return found
 
     def _larger(self, members: Set) -> list[Set]:
