@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from arms.case import AxisText, Case, Hidden
+from arms.case import AxisText, Case, Hidden, noisy
 from arms.motion import fourier
 from arms.rigid import Link, Payload, RigidArm, inverse_dynamics, mujoco_model, solid, urdf_text
 
@@ -47,6 +47,11 @@ class Sensors:
     joint: float
     torque: Array
 
+    def noise(self, names: list[str]) -> dict[str, float]:
+        """Signal → standard deviation, axis by axis."""
+        parts = ({f"{name}.joint": self.joint, f"{name}.command": float(t)} for name, t in zip(names, self.torque, strict=True))
+        return {signal: level for part in parts for signal, level in part.items()}
+
 
 def cases(seed: int) -> Iterator[Case]:
     """The arm with this seed; odd seeds carry a payload."""
@@ -68,7 +73,7 @@ def make(seed: int, friction: bool = True, payload: bool = False, mass_error: fl
     for k in range(int(draw.integers(3, 6))):
         table = record(owner, real, rubbing, draw, rate, float(draw.uniform(20.0, 30.0)))
         clean[f"motion-{k + 1}"] = table
-        logs[f"motion-{k + 1}"] = noisy(table, owner.names, sensors, draw)
+        logs[f"motion-{k + 1}"] = noisy(table, sensors.noise(owner.names), draw)
     hidden = []
     spread = payload_spread(owner, carried, sensors, mass_error, list(clean.values())) if payload else None
     for k, name in enumerate(owner.names):
@@ -299,19 +304,10 @@ def coulomb_step(inverse: Array, free: Array, limit: Array, force: Array) -> Non
         for i in range(len(free)):
             speed = free[i]
             for j in range(len(free)):
-                speed -= 5e-4 * inverse[i, j] * force[j]
-            new = force[i] + speed / (5e-4 * inverse[i, i])
+                speed -= STEP * inverse[i, j] * force[j]
+            new = force[i] + speed / (STEP * inverse[i, i])
             new = min(max(new, -limit[i]), limit[i])
             change = max(change, abs(new - force[i]))
             force[i] = new
         if change < 1e-9:
             break
-
-
-def noisy(table: pd.DataFrame, names: list[str], sensors: Sensors, draw: np.random.Generator) -> pd.DataFrame:
-    """The log with noise of encoders and torque sensors."""
-    found = table.copy()
-    for k, name in enumerate(names):
-        found[f"{name}.joint"] += sensors.joint * draw.standard_normal(len(table))
-        found[f"{name}.command"] += sensors.torque[k] * draw.standard_normal(len(table))
-    return found

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 
@@ -24,7 +25,7 @@ class Hidden:
         name: of the truth, a key of :data:`arms.names.ACCEPTED`.
         target: axis, signal or ``tool`` where it acts.
         parameters: true values in SI.
-        due: whether a missing name counts; False where the log need not tell.
+        due: whether a missing name counts; False where the log may not show it.
     """
 
     name: str
@@ -74,6 +75,11 @@ class Case:
     poses: bool = False
     known: Sequence[Hidden] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+def noisy(table: pd.DataFrame, noise: Mapping[str, float], draw: np.random.Generator) -> pd.DataFrame:
+    """The log with white noise of these standard deviations, drawn signal by signal in this order."""
+    return table.assign(**{name: table[name] + level * draw.standard_normal(len(table)) for name, level in noise.items()})
 
 
 def write_case(case: Case, folder: Path) -> Path:

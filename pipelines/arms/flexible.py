@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from arms.case import AxisText, Case, Hidden
+from arms.case import AxisText, Case, Hidden, noisy
 from arms.motion import chirp, multisine, steps
 
 Array = npt.NDArray[np.float64]
@@ -93,12 +93,7 @@ def make_force(seed: int, flexible: bool = True, friction: bool = True) -> Case:
         torque, q = simulate_force(drive, wanted, 1.0 / rate, total * 3.0**2, 2.0 * 0.3 * total * 3.0)
         table = pd.DataFrame({"time": time, "drive.command": torque, "drive.joint": q})
         clean[f"{program}-{k + 1}"] = table
-        logs[f"{program}-{k + 1}"] = table.assign(
-            **{
-                "drive.command": torque + noise_t * draw.standard_normal(len(time)),
-                "drive.joint": q + noise_q * draw.standard_normal(len(time)),
-            }
-        )
+        logs[f"{program}-{k + 1}"] = noisy(table, {"drive.command": noise_t, "drive.joint": noise_q}, draw)
     hidden = []
     if flexible:
         hidden.append(Hidden("flexible_drive", "drive", _truth(drive)))
@@ -138,7 +133,7 @@ def make_velocity(seed: int, flexible: bool = True) -> Case:
         q = simulate_velocity(drive, command, 1.0 / rate, gain, lag, flexible)
         table = pd.DataFrame({"time": time, "drive.command": command, "drive.joint": q})
         clean[f"{program}-{k + 1}"] = table
-        logs[f"{program}-{k + 1}"] = table.assign(**{"drive.joint": q + noise * draw.standard_normal(len(time))})
+        logs[f"{program}-{k + 1}"] = noisy(table, {"drive.joint": noise}, draw)
     hidden = [Hidden("flexible_drive_velocity", "drive", _truth(drive))] if flexible else []
     return Case(
         row=NAME,

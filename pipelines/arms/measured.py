@@ -33,20 +33,20 @@ def figures(workspace: Path, data: Path) -> dict[str, float]:
     return found
 
 
+#: Pipeline → entry of its result that has the runs, and key of the gap of a run; None: the run is a gap.
+GAPS = {"emps": ("runs", "gap"), "xl330": ("views", "together"), "so101": ("runs", None)}
+
+
 def names(workspace: Path) -> dict[str, list[str]]:
     """Run → named effects, ``effect(target)``."""
-    runs: dict[str, Mapping[str, Any]] = {}
-    for name in ("emps", "xl330", "so101"):
-        path = workspace / name / "result.json"
-        if not path.exists():
-            continue
-        result = json.loads(path.read_text("utf-8"))
-        parts = result["views"] if name == "xl330" else result["runs"]
-        runs |= {
-            f"{name}, {run}": each["together" if name == "xl330" else "gap"] if name != "so101" else each
-            for run, each in parts.items()
-        }
-    return {run: [f"{effect['name']}({effect['target']})" for effect in gap["effects"]] for run, gap in runs.items()}
+    found: dict[str, list[str]] = {}
+    for pipeline, (runs, key) in GAPS.items():
+        path = workspace / pipeline / "result.json"
+        if path.exists():
+            for run, each in json.loads(path.read_text("utf-8"))[runs].items():
+                effects = (each if key is None else each[key])["effects"]
+                found[f"{pipeline}, {run}"] = [f"{effect['name']}({effect['target']})" for effect in effects]
+    return found
 
 
 def _emps(result: Mapping[str, Any]) -> dict[str, float]:

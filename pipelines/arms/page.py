@@ -95,8 +95,8 @@ def goal_rows(cases: Sequence[Case]) -> list[tuple[str, str, str, str]]:
 def measured_table(rows: Sequence[tuple[str, str, str, str]]) -> str:
     """Errors on measured machines before and after."""
     counts = Counter(change for *_, change in rows)
-    told = ", ".join(f"{count} {change}" for change, count in counts.items())
-    return f"{len(rows)} figures: {told}.\n\n" + markdown(("error", "before", "after", ""), rows, "lrrl")
+    summary = ", ".join(f"{count} {change}" for change, count in counts.items())
+    return f"{len(rows)} figures: {summary}.\n\n" + markdown(("error", "before", "after", ""), rows, "lrrl")
 
 
 def _line(case: Case) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ PIPELINES = Path(__file__).resolve().parents[1]
 
 
 def run_all(
-    rows: Sequence[str], seeds: Sequence[int], work: Path, workers: int, keep: bool, tell: Callable[[str], None]
+    rows: Sequence[str], seeds: Sequence[int], work: Path, workers: int, keep: bool, report: Callable[[str], None]
 ) -> None:
     """Make and answer every case of ``rows`` and ``seeds`` that has no answer."""
     context = multiprocessing.get_context("spawn")
@@ -35,7 +35,7 @@ def run_all(
         waiting = {pool.submit(run_seed, row, seed, work, workers, keep): (row, seed) for seed in seeds for row in rows}
         for done in as_completed(waiting):
             for line in done.result():
-                tell(line)
+                report(line)
 
 
 def run_seed(row: str, seed: int, work: Path, workers: int, keep: bool) -> list[str]:

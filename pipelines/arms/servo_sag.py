@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from arms.case import AxisText, Case, Hidden
+from arms.case import AxisText, Case, Hidden, noisy
 from arms.motion import fourier, moves
 from arms.rigid import Link, RigidArm, mujoco_model, solid, urdf_text
 
@@ -42,11 +42,12 @@ def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
     delay = draw.integers(5, 40, count) * STEP
     lag = draw.uniform(0.03, 0.12, count)
     noise = float(draw.uniform(1e-4, 5e-4))
+    encoders = {f"{name}.joint": noise for name in names}
     logs, clean = {}, {}
     for k in range(4):
         table = record(arm, compliance, delay, lag, draw, float(draw.uniform(40.0, 60.0)), smooth=k == 1)
         clean[f"motion-{k + 1}"] = table
-        logs[f"motion-{k + 1}"] = noisy(table, names, noise, draw)
+        logs[f"motion-{k + 1}"] = noisy(table, encoders, draw)
     # Delay, lag and damping together are a servo of third order: any form of them is right, and none is due.
     servo = [Hidden(kind, name, due=False) for kind in ("servo_lag", "input_delay") for name in names]
 
@@ -65,7 +66,7 @@ def make(seed: int, sags: bool = True) -> tuple[Case, Case]:
             logs=logs,
             clean=clean,
             hidden=servo + gives,
-            noise={f"{name}.joint": noise for name in names},
+            noise=encoders,
             urdf=urdf_text(arm) if with_masses else None,
             extra={
                 "variant": variant,
@@ -159,10 +160,3 @@ def simulate(arm: RigidArm, compliance: Array, delay: Array, lag: Array, setpoin
         data.qfrc_applied[:] = stiff * (reference - data.qpos)
         mujoco.mj_step(model, data)
     return q
-
-
-def noisy(table: pd.DataFrame, names: list[str], noise: float, draw: np.random.Generator) -> pd.DataFrame:
-    found = table.copy()
-    for name in names:
-        found[f"{name}.joint"] += noise * draw.standard_normal(len(table))
-    return found

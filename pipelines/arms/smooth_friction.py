@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from arms.case import AxisText, Case, Hidden
+from arms.case import AxisText, Case, Hidden, noisy
 from arms.motion import fourier
 from arms.rigid import Link, RigidArm, urdf_text
 
@@ -90,12 +90,7 @@ def make(seed: int, kind: str | None = None, friction: bool = True) -> Case:
         torque, angle = simulate(axis, q[:, 0], v[:, 0], a[:, 0], 1.0 / rate)
         table = pd.DataFrame({"time": time, "axis1.command": torque, "axis1.joint": angle})
         clean[f"motion-{k + 1}"] = table
-        logs[f"motion-{k + 1}"] = table.assign(
-            **{
-                "axis1.command": torque + noise_t * draw.standard_normal(len(time)),
-                "axis1.joint": angle + noise_q * draw.standard_normal(len(time)),
-            }
-        )
+        logs[f"motion-{k + 1}"] = noisy(table, {"axis1.command": noise_t, "axis1.joint": noise_q}, draw)
     return Case(
         row=NAME,
         name=f"{NAME}-{seed:03d}",

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.motion import MOVED_SHARE, travel_of
 from sysid.datasets.roles.needs import MIN_POSES, is_pose_set, measured_together, poses_together
+from sysid.datasets.roles.shortage import ROLES
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
 from sysid.gap.drift import BIN
@@ -224,10 +225,7 @@ class Split:
 
 def split_of(dataset: Dataset) -> Split:
     """Motion recordings by the roles of the dataset version."""
-    return Split(*(dataset.with_role(role) for role in _ROLES))
-
-
-_ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
+    return Split(*(dataset.with_role(role) for role in ROLES))
 
 
 def pose_split(dataset: Dataset) -> Split:
@@ -237,7 +235,7 @@ def pose_split(dataset: Dataset) -> Split:
     """
     if is_pose_set(dataset):
         return Split(*pose_roles(dataset).values())
-    by_role = [dataset.with_role(role, kind="poses") for role in _ROLES]
+    by_role = [dataset.with_role(role, kind="poses") for role in ROLES]
     if sum(bool(part) for part in by_role) > 1:
         return Split(*by_role)
     parts: list[list[Recording]] = [[], [], []]

@@ -150,15 +150,14 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     if is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
-        progress(1.0, stage.label)
-        return result if problem is stage.problem else on_itself(result, stage, stage.theta)
-    fitted = fit_stage(
-        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
-        _equivalence(case, problem.stage, candidates),
-        on_fit=fits,
-        shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
-    )  # fmt: skip
-    result = _result(problem, seen, fitted, nominal)
+    else:
+        fitted = fit_stage(
+            compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
+            _equivalence(case, problem.stage, candidates),
+            on_fit=fits,
+            shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
+        )  # fmt: skip
+        result = _result(problem, seen, fitted, nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 

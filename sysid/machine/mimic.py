@@ -15,6 +15,9 @@ from xml.etree.ElementTree import Element
 from sysid.errors import SettingsError, nearest
 from sysid.numbers import Finite, number
 
+#: Attributes of the element and their default values.
+_NUMBERS = (("multiplier", "1"), ("offset", "0"))
+
 
 @dataclass(frozen=True)
 class Mimic:
@@ -39,9 +42,6 @@ def parse_mimic(element: Element, joint: str) -> Mimic | None:
         raise SettingsError(where, "no joint", 'joint="<the joint that it follows>"')
     ratio, offset = (number(found.get(key, default), Finite, f"{where}: {key}") for key, default in _NUMBERS)
     return Mimic(str(found.get("joint")), ratio, offset)
-
-
-_NUMBERS = (("multiplier", "1"), ("offset", "0"))
 
 
 def resolved(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic:

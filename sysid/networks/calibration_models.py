@@ -6,7 +6,7 @@ Every model is fitted anew in each of :data:`FOLDS` folds of the poses, the sele
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -42,15 +42,7 @@ class ComparedModel:
     standard_error: float
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "parameters": self.parameters,
-            "log_evidence": self.log_evidence,
-            "held_out_rmse": self.held_out_rmse,
-            "held_out_median": self.held_out_median,
-            "worse": self.worse,
-            "standard_error": self.standard_error,
-        }
+        return asdict(self)
 
     @staticmethod
     def from_json(entry: Mapping[str, Any]) -> ComparedModel:

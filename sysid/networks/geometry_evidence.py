@@ -96,8 +96,8 @@ class SubsetEvidence:
         square = float(square[best, 0])
         mean = directions @ (along / (strengths + square))
         variance = (directions**2 / (strengths / square + 1.0)).sum(axis=1)
-        kinds = [parameter.kind for parameter in self.fit.geometry.parameters]
-        one_sided = [k for k, p in enumerate(sorted(members), len(self._always)) if kinds[p] in ("compliance", "lateral")]
+        elastic = self.fit.geometry.elastic
+        one_sided = [k for k, parameter in enumerate(sorted(members), len(self._always)) if elastic[parameter]]
         half = np.log(2.0) + log_ndtr(mean[one_sided] / np.sqrt(variance[one_sided]))
         return float(value[best] + half.sum())
 
@@ -128,10 +128,10 @@ class SubsetEvidence:
                 key=lambda other: self(rest | {other}),
                 default=None,
             )
-            tied = alternative is not None and self(rest | {alternative}) > self(members) - MIN_GAIN
-            found[parameter] = Support(
-                self(members) - self(rest), keys[alternative] if tied and alternative is not None else None
-            )
+            instead = None
+            if alternative is not None and self(rest | {alternative}) > self(members) - MIN_GAIN:
+                instead = keys[alternative]
+            found[parameter] = Support(self(members) - self(rest), instead)
         return found
 
     def _larger(self, members: Set) -> list[Set]:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
-from sysid.networks.calibration import MIN_POSES as FEWEST
+from sysid.networks import calibration
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
@@ -101,7 +101,7 @@ def fit_structured(
         SettingsError: the machine has no URDF to calibrate, or training diverges.
     """
     calibrates = recipe.forward.model == "structured"
-    fit, select = training_rows(dataset, recipe, FEWEST if calibrates else MIN_POSES, markers_of(dataset) if calibrates else ())
+    fit, select = training_rows(dataset, recipe, _least_poses(recipe), markers_of(dataset) if calibrates else ())
     joints = forward_joints(dataset)
     count = len(joints)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
@@ -123,6 +123,11 @@ def fit_structured(
         high=q.max(axis=0),
         learning_curves=learning_curves,
     )
+
+
+def _least_poses(recipe: NetworkRecipe) -> int:
+    """A calibration needs fewer poses than a network or the products of a chain."""
+    return calibration.MIN_POSES if recipe.forward.model == "structured" else MIN_POSES
 
 
 def _calibrated(dataset: Dataset, q: Array, points: Array) -> Calibration:
@@ -203,7 +208,7 @@ def fit_forward(
     """
     learn = fit_forward_network if recipe.forward.model == "network" else fit_structured
     model = learn(dataset, recipe, progress, checkpoints)
-    fit, select = training_rows(dataset, recipe, FEWEST if recipe.forward.model == "structured" else MIN_POSES)
+    fit, select = training_rows(dataset, recipe, _least_poses(recipe))
     count = len(model.joints)
     q = select.values[:, :count]
     errors = select.values[:, count:] - model.predict(q)

@@ -41,8 +41,8 @@ def undetermined(search: SetSearch) -> Iterator[str]:
 
 
 def _plausible(starts: tuple[tuple[float, ...], ...], k: int) -> float:
-    """Plausible size of an unknown: its largest start value; a centimetre or a hundredth of a radian where that is nominal."""
-    return max(float(np.ptp([row[k] for row in starts])) / 2.0, 0.0) or 0.01
+    """Plausible size of an unknown: half the spread of its start values, else 0.01 (m or rad)."""
+    return float(np.ptp([row[k] for row in starts])) / 2.0 or 0.01
 
 
 def _sparse(loadings: Array) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.shortage import ROLES
 
 Array = npt.NDArray[np.float64]
 
@@ -28,12 +29,10 @@ FOLDS, ROUNDS, LEAST = 5, 3, 2
 #: Largest relative difference of parameter vectors that are the same.
 SAME = 1e-9
 
-_ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
-
 
 def pose_roles(dataset: Dataset) -> dict[Role, tuple[Recording, ...]]:
     """The poses of each role: as in the dataset if it has poses to fit and to test, else all folds in both roles."""
-    given = {role: dataset.with_role(role, kind="poses") for role in _ROLES}
+    given = {role: dataset.with_role(role, kind="poses") for role in ROLES}
     if given["fit"] and given["held_out"]:
         return given
     folds = tuple(fold for recording in dataset.of_kind("poses") for fold in dealt(recording))

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.machine import Kinematics
+from sysid.machine.moved_bodies import moved_bodies
 
 Array = npt.NDArray[np.float64]
 
@@ -84,21 +85,11 @@ def _across(axis: Array) -> Array:
 
 
 def _weights(kinematics: Kinematics, poses: dict[str, Array]) -> list[tuple[float, Array]]:
-    """(mass [kg], its centre (n, 3)) moved by each actuated joint and by no further one; a unit mass at the tip without any."""
-    found: list[list[tuple[float, Array]]] = []
-    for joint in kinematics.chain:
-        if joint.name in kinematics.actuated:
-            found.append([])
-        if found and joint.child in kinematics.masses:
-            mass, centre = kinematics.masses[joint.child]
-            found[-1].append((mass, (poses[joint.child] @ np.array([*centre, 1.0]))[:, :3]))
-    if found and not any(mass for group in found for mass, _ in group):
-        found[-1].append((1.0, poses[kinematics.tip][:, :3, 3]))
-    zero = np.zeros((len(poses[kinematics.tip]), 3))
-    total = [sum(mass for mass, _ in group) for group in found]
+    """(mass [kg], its centre (n, 3)) moved by each joint of the chain that an axis moves and by no further one."""
+    driven = [joint.child for joint in kinematics.chain if joint.name in kinematics.drives]
     return [
-        (whole, sum((mass * at for mass, at in group), zero) / whole if whole > 0.0 else zero)
-        for whole, group in zip(total, found, strict=True)
+        (body.mass, (poses[child] @ np.array([*body.centre, 1.0]))[:, :3])
+        for child, body in zip(driven, moved_bodies(kinematics), strict=True)
     ]
 
 
