@@ -183,6 +183,7 @@ def decide(
     free: FreeRun | None = None,
     without: Callable[[ModelFit, Candidate], ModelFit] | None = None,
     independent: bool = False,
+    fewest: Callable[[ModelFit], Sequence[ModelFit]] | None = None,
 ) -> Decision:
     """Apply the rule to the models of a stage.
 
@@ -198,6 +199,7 @@ def decide(
         without: a model without one of its effects, the others refitted; by default looked up among ``models``.
         independent: the errors of rows are independent (static poses), so that their mean shows effects below the noise floor:
             evidence alone decides between a model and a simpler one that reaches the floor.
+        fewest: where formulas are wrong and errors do not accumulate, the acceptable sets of fewest effects of a model.
     """
     rope, free = rope or {}, free or FreeRun()
     best = max(models, key=lambda f: float(f.predictive.sum()))
@@ -208,8 +210,10 @@ def decide(
         likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free)
     accumulates = integrates and not exact
+    servo = fewest is not None and not exact and not integrates
     if not accumulates:
-        acceptable, model = likely, likely[0]
+        acceptable = likely if fewest is None or not servo else list(fewest(likely[0]))
+        model = acceptable[0]
     else:
         acceptable = _nearest(models, unsure, free, own_evidence)
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
@@ -229,6 +233,8 @@ def decide(
         for c in model.candidates:
             if not lacking[c.key] and less(model, c).left <= EXPLAINED * max(model.left, 1.0):
                 lacking[c.key] = LITTLE
+    if servo and without is not None:
+        lacking |= dict.fromkeys(_beyond_price(model, lacking, nothing, without), LITTLE)
     certain = sum(not lacks for lacks in lacking.values())
     worth = exact or integrates or pays(nothing, model.left, max(certain, 1))
     named, near, tied = [], [], []
@@ -273,6 +279,24 @@ def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Call
     likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
     others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
     return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
+
+
+def _beyond_price(
+    model: ModelFit, lacking: Mapping[Key, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
+) -> list[Key]:
+    """The certain effects that leave least without them, until the others alone are worth the price of their number."""
+    certain = [c for c in model.candidates if not lacking[c.key]]
+    certain.sort(key=lambda c: without(model, c).left)
+    lost = list[Key]()
+    while certain:
+        alone = model
+        for candidate in model.candidates:
+            if candidate not in certain:
+                alone = without(alone, candidate)
+        if pays(nothing, alone.left, len(certain)):
+            break
+        lost.append(certain.pop(0).key)
+    return lost
 
 
 def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import Decision, Key, decide, smallest_sets
+from sysid.gap.decision import EXPLAINED, Decision, Key, decide, smallest_sets
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
@@ -20,6 +20,7 @@ from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
+from sysid.gap.servo.fewest import fewest_sets
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
@@ -118,10 +119,22 @@ def fit_stage(
         proposals.around()
     acceptable = [proposals.warm(f.candidates, f) for f in sets]
 
+    def fewest(fit: ModelFit) -> list[ModelFit]:
+        return fewest_sets(fit, excited, proposals.warm, EXPLAINED)
+
     def decided() -> Decision:
         models = {f.labels: f for f in (*proposals.near(), *acceptable)}
         return decide(
-            tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, free, proposals.without
+            tuple(models.values()),
+            nameable,
+            rope,
+            shared,
+            own_of,
+            needed,
+            problem.integrates,
+            free,
+            proposals.without,
+            fewest=fewest if is_servo(model, problem) else None,
         )
 
     decision = decided()
@@ -138,6 +151,11 @@ def fit_stage(
         return fitted
     alone = replace(decision, model=_valued(proposals.warm(decision.named, decision.model), decision, free), tied=())
     return replace(fitted, names_alone=_fitted(proposals, alone, free))
+
+
+def is_servo(model: Model, problem: Problem) -> bool:
+    """Whether the stage is that of a position axis."""
+    return problem.stage == "command" and model.machine.axis(problem.target).actuation == "position"
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -18,6 +19,7 @@ from sysid.plant.plant import effect_key
 
 Key = tuple[str, str, str | None]
 DEAD_TIME, LAG = ("input_delay", "delay"), ("first_order_lag", "time_constant")
+SECOND_ORDER = "second_order_lag"
 _ORDER = ("named", "tied", "adjusted")
 
 
@@ -46,10 +48,17 @@ def axis_delays(before: Plant, after: Plant) -> tuple[AxisDelay, ...]:
     """Dead time and lag of every axis that has one, before or after."""
     found = []
     for axis in after.machine.axis_names:
-        dead, lag = ((_value(before, *place, axis), _value(after, *place, axis)) for place in (DEAD_TIME, LAG))
+        dead = _value(before, *DEAD_TIME, axis), _value(after, *DEAD_TIME, axis)
+        lag = _lag(before, axis), _lag(after, axis)
         if any((*dead, *lag)):
             found.append(AxisDelay(axis, dead, lag))
     return tuple(found)
+
+
+def _lag(plant: Plant, axis: str) -> float:
+    """Delay of the lags of an axis at low frequencies [s]; 2ζT of a second-order one."""
+    second = (_value(plant, SECOND_ORDER, name, axis) for name in ("damping_ratio", "time_constant"))
+    return _value(plant, *LAG, axis) + 2.0 * math.prod(second)
 
 
 def _value(plant: Plant, name: str, parameter: str, axis: str) -> float:

@@ -160,7 +160,7 @@ def find_start(
         _start_force(p, arrays, i, s, start, command, measured, load, share, first, last, dt, out, behind, net)
     else:
         if kind == POSITION and not level:
-            start_servo(p, arrays, i, start, command, measured, first, last, dt)
+            start_servo(p, arrays, i, start, command, measured, load, first, last, dt, out)
         _start_level(p, arrays, i, s, start, command, measured, load, share, first, near, dt, out, behind, scratch, net)
     if cylinder:
         _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, net)

@@ -23,6 +23,7 @@ from sysid.effects import (
     joint_compliance,
     load_dependent_flow,
     oil_compressibility,
+    second_order_lag,
     stiction,
     stribeck_friction,
     temperature_drift,
@@ -65,13 +66,18 @@ def command_stage(u, p, b, s, m, size, gain, load, dt):
 
 
 @inlined
-def position_stage(u, p, b, s, m, size, dt):
-    """Commanded position → position of a servo axis at the end of the step (the other stages take means over the step)."""
+def position_stage(u, p, b, s, m, size, load, dt):
+    """Commanded position → position of a servo axis at the end of the step (the other stages take means over the step).
+
+    Under a ``load`` the servo is a spring; its sag, which :func:`joint_stage` subtracts, follows the load through its loop.
+    """
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
     command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
     u = s[m + STATE.command_rate_limit]
     first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
-    return s[m + STATE.first_order_lag]
+    u = s[m + STATE.first_order_lag]
+    second_order_lag.follow_load(load, p, b + AT.second_order_lag, s, m + STATE.second_order_lag, dt)
+    return second_order_lag.step(u, p, b + AT.second_order_lag, s, m + STATE.second_order_lag, dt)
 
 
 @inlined
@@ -115,7 +121,7 @@ def demand(u, p, s, m, size, axes, i, load, dt):
     if kind == VELOCITY:
         return command_stage(u, p, b, s, m, size, gain, axes[i, SENSE] * load, dt)
     if kind == POSITION:
-        return min(max(position_stage(u, p, b, s, m, size, dt), axes[i, LOW]), axes[i, HIGH])
+        return min(max(position_stage(u, p, b, s, m, size, load, dt), axes[i, LOW]), axes[i, HIGH])
     before = s[m + STATE.speed]
     s[m + STATE.speed] = force_stage(u, before, p, b, gain, dt)
     return 0.5 * (before + s[m + STATE.speed])
@@ -145,7 +151,8 @@ def move(demanded, s, m, axes, i, dt):
 def joint_stage(x, p, b, s, m, load):
     """Drive (behind the linkage) → joint at its sensor; ``load`` is the gravity moment about the joint."""
     q = backlash.step(x, p, b + AT.backlash_drive, s, m + STATE.backlash_drive)
-    return joint_compliance.step(q, p, b + AT.joint_compliance_drive, load)
+    deflecting = second_order_lag.deflecting_load(load, p, b + AT.second_order_lag, s, m + STATE.second_order_lag)
+    return joint_compliance.step(q, p, b + AT.joint_compliance_drive, deflecting)
 
 
 @inlined

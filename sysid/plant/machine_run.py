@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.effects import pump_flow_limit
+from sysid.effects import pump_flow_limit, second_order_lag
 from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
@@ -98,6 +98,7 @@ def enter(p, arrays, i, s, size, load, start, command, dt, nets, t):
     if arrays.axes[i, KIND] == POSITION:
         where = chain.demand(command, p, s, i * size, size, arrays.axes, i, 0.0, dt)
         s[i * size + STATE.position] = where
+        s[i * size + STATE.second_order_lag + second_order_lag.LOAD] = np.nan  # the load of the place is not known yet
 
 
 @loop

@@ -103,11 +103,19 @@ def fed_by_one_pump(commands: Array, dt: float, gains: Sequence[float], limit: f
     return np.array(travel)
 
 
-def servo_axis(command: Array, dt: float, delay: float = 0.0, rate: float = math.inf, lag: float = 0.0) -> Array:
+def servo_axis(
+    command: Array,
+    dt: float,
+    delay: float = 0.0,
+    rate: float = math.inf,
+    lag: float = 0.0,
+    second_order: tuple[float, float] | None = None,
+) -> Array:
     """Position of a servo axis at the samples: the set-point, linear between samples, is held over the step that ends there."""
     h = dt / PARTS
     times = np.arange(len(command)) * dt
-    ramp = slow = float(command[0])
+    ramp = slow = place = float(command[0])
+    speed = 0.0
     out = np.empty(len(command))
     for k, u in enumerate(np.interp(times - delay, times, command)):
         for _ in range(PARTS):
@@ -115,7 +123,10 @@ def servo_axis(command: Array, dt: float, delay: float = 0.0, rate: float = math
             ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
         for _ in range(PARTS):
             slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
-        out[k] = slow
+            if second_order is not None:
+                away, speed = _spring(place - slow, speed, 1.0 / second_order[0], second_order[1], h)
+                place = slow + away
+        out[k] = slow if second_order is None else place
     return out
 
 

@@ -149,11 +149,15 @@ def test_all_velocity_effects_together() -> None:
         ("input_delay", {"delay": 0.037}, "delay"),
         ("command_rate_limit", {"rate": 3.0}, "rate"),
         ("first_order_lag", {"time_constant": 0.08}, "lag"),
+        ("second_order_lag", {"time_constant": 0.05, "damping_ratio": 0.3}, "second_order"),
+        ("second_order_lag", {"time_constant": 0.08, "damping_ratio": 1.0}, "second_order"),
+        ("second_order_lag", {"time_constant": 0.04, "damping_ratio": 2.0}, "second_order"),
     ],
 )
 def test_position_axis(effect: str, values: dict[str, float], keyword: str) -> None:
     command = RECORDING.values("wrist.command")
-    expected = references.servo_axis(command, DT, **{keyword: next(iter(values.values()))})
+    given = tuple(values.values())
+    expected = references.servo_axis(command, DT, **{keyword: given if len(given) > 1 else given[0]})
     assert np.abs(run(effect, "wrist", dict(values))[:, 0] - expected).max() < 2e-3 * np.ptp(expected)
 
 
@@ -423,7 +427,7 @@ def test_a_tip_that_jumps_leaves_the_swing_finite() -> None:
 def test_every_effect_has_a_reference() -> None:
     """A new effect brings its own."""
     compared = {name for name, *_ in (*VELOCITY, *FORCE)}
-    compared |= {"backlash", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"}
+    compared |= {"second_order_lag", "backlash", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"}
     compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance"}
     compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
     assert compared == {effect.name for effect in CATALOGUE}

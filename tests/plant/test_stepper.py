@@ -102,6 +102,7 @@ ALL = {
     "flow_saturation": {"limit": 0.8},
     "command_rate_limit": {"rate": 6.0},
     "first_order_lag": {"time_constant": 0.05},
+    "second_order_lag": {"time_constant": 0.06, "damping_ratio": 0.4},
     "gain_error": {"ratio": 1.2},
     "asymmetric_gain": {"ratio": 0.8},
     "temperature_drift": {"fraction": 0.3, "time_constant": 5.0},

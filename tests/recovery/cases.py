@@ -47,6 +47,7 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("command_rate_limit", "wrist", {"rate": 1.2}),
     KnownEffect("first_order_lag", "boom", {"time_constant": 0.12}),
     KnownEffect("first_order_lag", "wrist", {"time_constant": 0.09}),
+    KnownEffect("second_order_lag", "wrist", {"time_constant": 0.08, "damping_ratio": 0.5}),
     KnownEffect("gain_error", "slew", {"ratio": 0.86}),
     KnownEffect("asymmetric_gain", "boom", {"ratio": 1.3}),
     KnownEffect("internal_leakage", "boom", {"rate": 2e-4}),

@@ -34,8 +34,6 @@ STILL = 1e-3
 HOLDS_PER_COEFFICIENT = 3
 #: Level of the F-tests.
 LEVEL = 0.01
-#: An error at rest matters from this multiple of the sensor noise (root mean square over the holds).
-OVER_NOISE = 2.0
 
 
 @dataclass(frozen=True)
@@ -54,14 +52,14 @@ class StaticError:
 
 
 def static_error(
-    problem: Problem, machine: Machine, theta: Array, recordings: Sequence[Recording], noise: float
+    problem: Problem, machine: Machine, theta: Array, recordings: Sequence[Recording], least: float
 ) -> StaticError | None:
-    """The error at rest of a position axis that is significant and larger than the noise; None otherwise.
+    """The error at rest of a position axis, if it is significant and not smaller than ``least``; else None.
 
     Args:
         problem: its command stage.
         theta: parameters without a static error, (N,).
-        noise: standard deviation of the sensor [rad or m].
+        least: least error of practical significance, root mean square over the holds [rad or m].
     """
     found = [_holds(problem, machine, theta, recording) for recording in recordings]
     error, direction, posture = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.empty(0),) * 3
@@ -78,7 +76,7 @@ def static_error(
         return None
     weights = np.linalg.lstsq(whole, error, rcond=None)[0]
     rms = float(np.sqrt(np.mean((whole[:, friction.shape[1] :] @ weights[friction.shape[1] :]) ** 2)))
-    if rms < OVER_NOISE * noise:
+    if rms < least:
         return None
     return StaticError(rms, whole is not constant and _probability(error, constant, whole) < LEVEL, count)
 

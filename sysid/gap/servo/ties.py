@@ -10,6 +10,7 @@ import numpy.typing as npt
 from sysid.effects import joint_compliance, sensor_bias, sensor_scale
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
+from sysid.gap.decision import STANDARD_ERRORS, equivalent_change
 from sysid.gap.servo.load import load_known
 from sysid.gap.servo.static_error import StaticError, static_error
 
@@ -77,5 +78,5 @@ def _static_error(case: Case, stage: Stage) -> StaticError | None:
         if _of_sensor(candidate) or candidate.effect.name == joint_compliance.EFFECT.name:
             for unknown in candidate.unknowns:
                 theta[list(unknown.places)] = unknown.nominal
-    noise = case.noise.get(stage.problem.signals[0], 0.0)
-    return static_error(stage.problem, case.plant.machine, theta, stage.split.seen, noise)
+    least = float(stage.sigma[0]) * max(STANDARD_ERRORS, equivalent_change(stage.found.final_rmse))
+    return static_error(stage.problem, case.plant.machine, theta, stage.split.seen, least)

@@ -23,7 +23,7 @@ def error_of(axis: str, recordings: list[Recording]) -> StaticError | None:
         plant = plant.with_effect(KnownEffect("input_delay", name, {"delay": DELAY}))
         plant = plant.with_effect(KnownEffect("first_order_lag", name, {"time_constant": LAG}))
     model = compile_plant(plant)
-    return static_error(drive_problem(model, machine.axis(axis)), machine, model.theta, recordings, NOISE)
+    return static_error(drive_problem(model, machine.axis(axis)), machine, model.theta, recordings, 2.0 * NOISE)
 
 
 def takes(servos: Servos) -> list[Recording]:

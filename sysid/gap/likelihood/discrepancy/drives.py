@@ -14,7 +14,18 @@ from scipy import signal
 
 from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
-from sysid.gap.likelihood.discrepancy.shapes import SMALL, bumps, delayed, low_pass, slope, slow_cosines, smooth, span_of, waves
+from sysid.gap.likelihood.discrepancy.shapes import (
+    SMALL,
+    bumps,
+    delayed,
+    low_pass,
+    second_order,
+    slope,
+    slow_cosines,
+    smooth,
+    span_of,
+    waves,
+)
 from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
@@ -89,6 +100,7 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
     i = model.axis_index(axis.name)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag = float(block[AT.input_delay]), float(block[AT.first_order_lag])
+    time_constant, damping_ratio = block[AT.second_order_lag : AT.second_order_lag + 2]
     middle, half = span_of(tuple(recordings), axis.driven)
     largest = _largest_load(model, recordings, i)
     fastest = _fastest(recordings, axis.driven)
@@ -96,6 +108,7 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
     def columns(recording: Recording) -> dict[str, Array]:
         dt = 1.0 / recording.rate_hz
         u = low_pass(delayed(model.held(recording, axis.name)[0], delay, dt), lag, dt)
+        u = second_order(u, time_constant, damping_ratio, dt)
         speed = np.gradient(u, dt) / fastest
         change = np.gradient(smooth(speed, round(0.1 / dt)), dt)
         q = (u - middle) / half
@@ -112,7 +125,8 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
         }
         if largest > 0.0:
             load = _load(model, recording, i) / largest
-            parts["load"] = [load, load * load, load * np.tanh(speed / 0.02), load * speed]
+            # What is proportional to the load is a compliance, a candidate of each axis that carries one.
+            parts["load"] = [load * load, load * np.tanh(speed / 0.02), load * speed]
         return {name: half * np.column_stack(values)[:, :, None] for name, values in parts.items()}
 
     return columns

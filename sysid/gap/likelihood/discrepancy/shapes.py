@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy import signal
 
 from sysid.datasets.recording import Recording
+from sysid.effects import second_order_lag
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +45,16 @@ def low_pass(x: Array, time_constant: float, dt: float) -> Array:
     begin = start.reshape((1,) + (1,) * (x.ndim - 1)) * x[:1]
     out, _ = signal.lfilter([1.0 - e], [1.0, -e], x, axis=0, zi=begin)
     return np.asarray(out)
+
+
+def second_order(x: Array, time_constant: float, damping_ratio: float, dt: float) -> Array:
+    """Second-order lag of ``x`` (n,), begun at rest at its first value (:mod:`sysid.effects.second_order_lag`)."""
+    if time_constant < second_order_lag.ABSENT or not len(x):
+        return x
+    fast = [1.0], [time_constant**2, 2.0 * damping_ratio * time_constant, 1.0]
+    numerator, denominator, _ = signal.cont2discrete(fast, dt)
+    start = signal.lfilter_zi(numerator[0], denominator)
+    return np.asarray(signal.lfilter(numerator[0], denominator, x, zi=start * x[0])[0])
 
 
 def delayed(x: Array, delay: float, dt: float) -> Array:
