@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
+Stage = Literal["command", "force", "links", "joint", "end_effector", "tool", "sensor"]
 TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]
 #: Properties that :func:`sysid.testing.check_effect` checks, unless the effect is exempt by its nature.
-Promise = Literal["causal", "finite", "time_invariant", "memoryless"]
+Promise = Literal["acts", "causal", "finite", "time_invariant", "memoryless"]
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,8 @@ class Effect:
         memory: step time [s] → number of state values of the step.
         sides: admissible places, if there are two.
         example: values of the picture on its page; by default start values.
-        exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
+        exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time; what acts on
+            the forces of a whole arm does not act on a run of one axis.
         rate_independent: the output depends on the path of the input only, not on its speed.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up

@@ -14,6 +14,7 @@ from sysid.datasets.roles.needs import MIN_POSES, is_pose_set, measured_together
 from sysid.datasets.roles.shortage import ROLES
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
+from sysid.gap.arm.forces import ArmForces
 from sysid.gap.drift import BIN
 from sysid.gap.poses.folds import pose_roles
 from sysid.machine import Axis
@@ -122,6 +123,24 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hol
         lambda recording: inputs_of(recording).force[:, None],
         lambda recording: known[recording.name][1].rows,
         only=frozenset(known),
+    )
+
+
+def links_problem(model: Model, axes: Sequence[Axis], recordings: Sequence[Recording]) -> Problem:
+    """Measured motion → forces of all force axes of an arm at once, without the friction of the joints.
+
+    Its effects are those of the links, which act on several axes.
+    """
+    forces = ArmForces(model, axes, recordings)
+    return Problem(
+        "links",
+        "arm",
+        ("tool", *(axis.name for axis in axes)),
+        tuple(axis_signal(axis.name, "command") for axis in axes),
+        forces.predicted,
+        forces.measured,
+        forces.rows,
+        only=forces.names,
     )
 
 
@@ -247,21 +266,36 @@ def pose_split(dataset: Dataset) -> Split:
     return Split(*(tuple(part) for part in parts))
 
 
+def all_joints(model: Model, recordings: Sequence[Recording]) -> bool:
+    """Whether the joints of all axes are measured together, which the torques of links need."""
+    return measured_together(recordings, *(axis_signal(name, "joint") for name in model.machine.axis_names))
+
+
 def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     """The stages that this dataset measures at both ends, in the order of the chain."""
     split = split_of(dataset)
     motion = (*split.seen, *split.held_out)
     problems: list[Problem] = []
+    arm = list[tuple[Axis, tuple[Recording, ...]]]()
     for axis in model.machine.axes:
+        if axis.actuation == "force" and model.rigid is not None and not all_joints(model, motion):
+            continue
         if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
             least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
             moving = Split(*(tuple(r for r in part if force_determined(r, axis, least)) for part in split.roles))
             if any(moving.roles) and all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
-                problems.append(force_problem(model, axis, (*moving.seen, *moving.held_out), hold_of(moving.seen, axis)))
+                tested = (*moving.seen, *moving.held_out)
+                problems.append(force_problem(model, axis, tested, hold_of(moving.seen, axis)))
+                arm.append((axis, tested))
         else:
             problems.append(drive_problem(model, axis))
+    if model.rigid is not None and arm:
+        shared = [r for r in motion if all(r.name in {t.name for t in tested} for _, tested in arm)]
+        names = {r.name for r in shared}
+        if all(any(r.name in names for r in role) for role in split.roles if role):
+            problems.insert(0, links_problem(model, [axis for axis, _ in arm], shared))
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
         if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):

@@ -18,6 +18,8 @@ from scipy import signal
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
+from sysid.plant.link_torque import link_torque
+from sysid.plant.smooth_motion import POSITION_HZ, smooth_motion
 from sysid.signals import axis_signal
 
 if TYPE_CHECKING:
@@ -34,7 +36,7 @@ class ForceFilter:
     differ from that of the true speed.
     """
 
-    position_hz: float = 50.0
+    position_hz: float = POSITION_HZ
     force_hz: float = 10.0
     order: int = 4
     still: float = 0.01
@@ -51,6 +53,7 @@ class ForceInputs:
         rests: samples at which the sign of dry friction is unknown and the measured force is used instead (n,).
         raw: measured force on all rows, not filtered (n,).
         force: measured force on ``rows`` (m,).
+        recording: that contains them.
     """
 
     rows: npt.NDArray[np.int64]
@@ -61,13 +64,14 @@ class ForceInputs:
     force: Array
     low_pass: Array
     position: Array
-    rate_hz: float
+    recording: Recording
 
     def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
         out = np.empty((len(thetas), len(self.rows)))
         for lane, theta in enumerate(thetas):
-            full = model.inverse(theta, axis, self.position, self.speed, self.acceleration, 1.0 / self.rate_hz)
+            full = model.inverse(theta, axis, self.position, self.speed, self.acceleration, 1.0 / self.recording.rate_hz)
+            full += link_torque(model, theta, self.recording, axis)
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
@@ -91,25 +95,21 @@ def force_inputs(
         ExcitationError: the axis is not measured throughout or hardly moves.
     """
     settings = settings or ForceFilter()
+    rate = recording.rate_hz
     position = recording.values(axis.driven)
     force = recording.values(axis_signal(axis.name, "command"))
     there = np.flatnonzero(~np.isnan(position) & ~np.isnan(force))
     if len(there) < 100:
         raise ExcitationError(f"{recording.name}: {axis.name}", "force and motion are not measured together", "100 samples")
-    rate = recording.rate_hz
-    position = np.interp(np.arange(len(position)), there, position[there])
     force = np.interp(np.arange(len(force)), there, force[there])
-    smooth = signal.butter(settings.order, min(settings.position_hz, 0.4 * rate), fs=rate, output="sos")
     low_pass = signal.butter(settings.order, min(settings.force_hz, 0.4 * rate), fs=rate, output="sos")
     force = (1.0 - hold) * force + hold * np.concatenate([force[:1], force[:-1]])
-    position = signal.sosfiltfilt(smooth, position)
-    speed = np.gradient(position, 1.0 / rate)
-    acceleration = np.gradient(speed, 1.0 / rate)
+    position, speed, acceleration = smooth_motion(position, rate, settings.position_hz, settings.order)
     filtered = signal.sosfiltfilt(low_pass, force)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     rests = np.abs(speed) < still + np.abs(acceleration) * 0.5 / settings.position_hz
     if rows is not None:
-        return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
+        return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, recording)
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
     rows = np.arange(edge, len(position) - edge, stride)
@@ -120,7 +120,7 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
+    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, recording)
 
 
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:
