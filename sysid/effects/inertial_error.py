@@ -1,7 +1,8 @@
 """``inertial_error``: differences of a link's inertial parameters from the URDF, adjusted together and never named.
 
 Measured torques determine combinations of the parameters of several links only (base parameters), so that a value here means
-little by itself; together they give the torques.
+little by itself; together they give the torques. A wrong constant between current and force of an axis is among them: it scales
+what the links load that axis with.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ EFFECT = Effect(
     part="link",
     stage="links",
     target="axis",
-    slots=(Slot("mass"), *(Slot(f"h{axis}") for axis in "xyz"), *(Slot(f"i{axes}") for axes in _AXES), Slot("rotor")),
+    slots=(
+        Slot("mass"),
+        *(Slot(f"h{axis}") for axis in "xyz"),
+        *(Slot(f"i{axes}") for axes in _AXES),
+        Slot("rotor"),
+        Slot("scale", 1.0),
+    ),
     forms=(
         Form(
             (
@@ -30,14 +37,15 @@ EFFECT = Effect(
                     "inertia", "kg·m²", _ANY, (0.0,), 1e-3, "xx, xy, yy, xz, yz, zz", sets=tuple((f"i{a}",) for a in _AXES)
                 ),
                 Parameter("rotor", "kg·m²", _ANY, (0.0,), 1e-3, "inertia of the rotor at the joint, beside machine.toml"),
+                Parameter("scale", "1", (0.05, 20.0), (1.0,), 1e-3, "measured over true force of the links at this axis"),
             )
         ),
     ),
-    equation="τ = Y(q, q̇, q̈)·(π + Δπ) + rotor·q̈, π about the frame of the joint",
+    equation="τ = scale·Y(q, q̇, q̈)·(π + Δπ) + rotor·q̈, π about the frame of the joint",
     source="Gautier and Khalil, IEEE Trans. Robotics and Automation 6(3), 1990 (base parameters)",
     excited_by="motion of all joints at once",
     confused_with={"inertia_error": "one ratio of the axis' inertia; the parameters of links change torques with the posture"},
-    example={"mass": 0.5, "first_moment": [0.0, 0.0, 0.1], "inertia": [0.0] * 6, "rotor": 0.1},
+    example={"mass": 0.5, "first_moment": [0.0, 0.0, 0.1], "inertia": [0.0] * 6, "rotor": 0.1, "scale": 0.95},
     need=Need("any_motion", 5, "Record all joints over their ranges, 30 s."),
     actuations=("force",),
     exempt=("acts",),

@@ -44,14 +44,14 @@ def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> 
     if model.rigid is None:
         return np.zeros(len(recording))
     i = model.axis_index(axis)
-    parameters, rotors = inertial_parameters(model, theta), rotor_inertias(model, theta)
-    key = (parameters.tobytes(), rotors.tobytes())
-    known: tuple[tuple[bytes, bytes], Array] | None = recording.derived.get(_TORQUE)
+    parameters, (rotors, scales) = inertial_parameters(model, theta), rotors_and_scales(model, theta)
+    key = (parameters.tobytes(), rotors.tobytes(), scales.tobytes())
+    known: tuple[tuple[bytes, ...], Array] | None = recording.derived.get(_TORQUE)
     if known is None or known[0] != key:
         motion = link_motion(model, recording)
         torque = np.zeros((len(recording), model.axes))
         if motion is not None:
-            torque = model.rigid.torque(*motion, parameters) + motion[2] * rotors
+            torque = model.rigid.torque(*motion, parameters) * scales + motion[2] * rotors
         known = recording.derived[_TORQUE] = (key, np.ascontiguousarray(torque.T))
     return known[1][i]
 
@@ -73,9 +73,10 @@ def inertial_parameters(model: Model, theta: Array) -> Array:
     return found
 
 
-def rotor_inertias(model: Model, theta: Array) -> Array:
-    """Inertia of each rotor beside that of machine.toml, (A,) [kg·m²]."""
-    return np.array([theta[i * AXIS_WIDTH + AT.inertial_error + PARAMETERS] for i in range(model.axes)])
+def rotors_and_scales(model: Model, theta: Array) -> tuple[Array, Array]:
+    """Inertia of each rotor beside that of machine.toml [kg·m²], and measured over true force of the links, (A,) each."""
+    places = np.arange(model.axes) * AXIS_WIDTH + AT.inertial_error + PARAMETERS
+    return theta[places], theta[places + 1]
 
 
 def payload_parameters(rigid: RigidBody, mass: float, first_moment: Array) -> Array:

@@ -17,8 +17,10 @@ from sysid.plant.link_torque import inertial_parameters
 
 Array = npt.NDArray[np.float64]
 
-#: Kinds of error of a link, each with a size of its own [share]: all parameters together, first moment, inertia.
-KINDS = ("mass", "first moment", "inertia")
+#: Kinds of error, each with a size of its own [share]: all parameters of a link together, first moment, inertia; and that of
+#: the constant from which the force of an axis was computed.
+KINDS = ("mass", "first moment", "inertia", "force constant")
+FORCE_CONSTANT = 3
 
 
 @dataclass(frozen=True)

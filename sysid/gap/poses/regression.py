@@ -72,8 +72,8 @@ class PoseRegression:
     nominal: Array
     rows: int
     sizes: Sizes
-    expected: float = TAU
-    spread: float = TAU_SPREAD
+    expected: Array | float = TAU
+    spread: Array | float = TAU_SPREAD
 
     @cached_property
     def products(self) -> Array:
@@ -127,7 +127,8 @@ class PoseRegression:
             return float(value + 0.5 * float(away @ away) + 0.5 * (z[-1] / NOISE_SPREAD) ** 2)
 
         begin = np.append(np.log(np.clip(self.sizes.tau, self.expected, None)), np.log(self.sizes.noise))
-        bounds = [(np.log(ABSENT), np.log(max(LARGEST, 20.0 * self.expected)))] * kinds + [(np.log(0.05), np.log(1e3))]
+        largest = np.maximum(LARGEST, 20.0 * np.broadcast_to(self.expected, kinds))
+        bounds = [(np.log(ABSENT), float(np.log(most))) for most in largest] + [(np.log(0.05), np.log(1e3))]
         found = minimize(negative, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
         return Sizes(np.exp(found.x[:kinds]), float(np.exp(found.x[-1])))
 
