@@ -11,7 +11,7 @@ TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]
 #: Properties that :func:`sysid.testing.check_effect` checks, unless the effect is exempt by its nature.
-Promise = Literal["acts", "causal", "finite", "time_invariant", "memoryless"]
+Promise = Literal["causal", "finite", "time_invariant", "memoryless"]
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,7 @@ class Effect:
         memory: step time [s] → number of state values of the step.
         sides: admissible places, if there are two.
         example: values of the picture on its page; by default start values.
-        exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time; what acts on
-            the forces of a whole arm does not act on a run of one axis.
+        exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up

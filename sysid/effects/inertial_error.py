@@ -48,6 +48,5 @@ EFFECT = Effect(
     example={"mass": 0.5, "first_moment": [0.0, 0.0, 0.1], "inertia": [0.0] * 6, "rotor": 0.1, "scale": 0.95},
     need=Need("any_motion", 5, "Record all joints over their ranges, 30 s."),
     actuations=("force",),
-    exempt=("acts",),
     fitted=False,
 )

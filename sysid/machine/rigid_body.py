@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from typing import Any
-from xml.etree.ElementTree import tostring
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ Array = npt.NDArray[np.float64]
 
 #: Inertial parameters of a body.
 PARAMETERS = 10
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: Rows whose regressors are in memory at a time.
 CHUNK = 4096
 
@@ -66,7 +67,7 @@ class RigidBody:
 
     def __init__(self, kinematics: Kinematics, urdf: str) -> None:
         pin = _pinocchio()
-        self._model = pin.buildModelFromXML(_with_limits(urdf))
+        self._model = pin.buildModelFromXML(_bare(urdf))
         self._model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
         self._data = self._model.createData()
         self.names: tuple[str, ...] = tuple(self._model.names)[1:]
@@ -136,19 +137,28 @@ def _known(joints: tuple[str, ...], tip: str, urdf: str) -> RigidBody:
     return RigidBody(Kinematics.from_urdf(urdf, joints, tip), urdf)
 
 
-def _with_limits(urdf: str) -> str:
-    """The URDF with continuous joints as revolute ones, which have one coordinate in the library instead of two."""
-    root = urdf_tree(urdf)
+def _bare(urdf: str) -> str:
+    """Links with their inertias and joints without limits, shapes and passive coupling, which the library need not read.
+
+    A continuous joint is written as a revolute one, which has one coordinate in the library instead of two.
+    """
+    root, bare = urdf_tree(urdf), Element("robot", {"name": "bare"})
+    for link in root.findall("link"):
+        own = SubElement(bare, "link", {"name": link.get("name", "")})
+        if link.find("inertial/mass") is not None:
+            inertial = SubElement(own, "inertial")
+            for key, default in (("origin", {}), ("mass", {}), ("inertia", dict.fromkeys(_MOMENTS, "0"))):
+                found = link.find(f"inertial/{key}")
+                SubElement(inertial, key, default | (dict(found.attrib) if found is not None else {}))
     for joint in root.findall("joint"):
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            for limit in joint.findall("limit"):
-                joint.remove(limit)
-            limit = joint.makeelement("limit", {"lower": "-1e9", "upper": "1e9", "velocity": "1e9", "effort": "1e9"})
-            joint.append(limit)
-        for mimic in joint.findall("mimic"):  # passive joints follow here
-            joint.remove(mimic)
-    return tostring(root, encoding="unicode")
+        kind = joint.get("type", "")
+        own = SubElement(bare, "joint", {"name": joint.get("name", ""), "type": "revolute" if kind == "continuous" else kind})
+        for key in ("parent", "child", "origin", "axis"):
+            for part in joint.findall(key):
+                SubElement(own, key, dict(part.attrib))
+        if kind != "fixed":
+            SubElement(own, "limit", dict.fromkeys(("upper", "velocity", "effort"), "1e9") | {"lower": "-1e9"})
+    return tostring(bare, encoding="unicode")
 
 
 def _pinocchio() -> Any:

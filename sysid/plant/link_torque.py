@@ -56,6 +56,14 @@ def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> 
     return known[1][i]
 
 
+def static_torque(model: Model, theta: Array, joints: Array) -> Array:
+    """Torques of the links at rest, joints (n, A) → (n, A) [N·m or N]."""
+    assert model.rigid is not None
+    rest = np.zeros_like(joints)
+    scales = rotors_and_scales(model, theta)[1]
+    return model.rigid.torque(joints, rest, rest, inertial_parameters(model, theta)) * scales
+
+
 def inertial_parameters(model: Model, theta: Array) -> Array:
     """Inertial parameters of the bodies of a plant, (B, 10) (:mod:`sysid.machine.rigid_body`)."""
     rigid = model.rigid
