@@ -185,8 +185,9 @@ def plain_reason(why: str) -> str:
 
 def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
     """A value with the known one that it replaces, and its interval."""
+    from sysid.effects.units import parameter_unit
     from sysid.reports.display import NOTHING, digits_for, interval
-    from sysid.reports.effect_units import parameter_unit, shown
+    from sysid.reports.effect_units import shown
 
     machine, units = dataset.machine, dataset.units
     ends = item.interval95.get(key)
@@ -225,6 +226,11 @@ def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
     return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
 
 
-def unnamed_texts(result: GapResult) -> Sequence[str]:
+def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
     """The unnamed errors as text."""
-    return [f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}" for item in result.unnamed]
+    from sysid.reports.reasons import with_titles
+
+    return [
+        f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"
+        for item in result.unnamed
+    ]

@@ -214,8 +214,12 @@ def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcom
     lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
     if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
         return
-    form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
+    together: dict[str, list[str]] = {}
+    for label, lacks in lacking.items():
+        together.setdefault(lacks, []).append(label)
+    form = "; ".join(f"{' + '.join(labels)} fits, not named: {lacks}" for lacks, labels in together.items())
     depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
+    depends = "earlier motion" if depends == "past" else depends
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
     outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 
