@@ -54,6 +54,7 @@ class NamedEffect:
 
     Args:
         undetermined: secondary parameters of the repaired plant that no recording determines.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -66,6 +67,7 @@ class NamedEffect:
     side: str | None = None
     evidence: EffectEvidence | None = None
     undetermined: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def given(self) -> dict[str, Value]:
@@ -85,6 +87,7 @@ class WrittenEffect:
         interval95: by parameter; without those whose uncertainty is unknown.
         gap_share: of a named effect; else None.
         why: of an adjusted one, the condition for a name that it fails.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -96,6 +99,7 @@ class WrittenEffect:
     gap_share: float | None = None
     why: str = ""
     side: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,7 @@ class NearMissResult:
         parameters, interval95: fitted values [SI] and their 95 % intervals.
         distance: of its values from those of the plant under test and from zero, in standard deviations; the largest of its
             parameters. Small where the recordings do not determine it.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -145,6 +150,7 @@ class NearMissResult:
     distance: float
     lacks: str
     side: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -450,6 +456,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "target": effect.target,
         "parameters": effect.given,
         "interval95": {key: list(effect.interval95[key]) for key in effect.given},
+        "units": dict(effect.units),
         "gap_share": effect.gap_share,
         "alternatives": [asdict(alternative) for alternative in effect.alternatives],
     }
