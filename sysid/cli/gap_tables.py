@@ -120,6 +120,7 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     """One text for each recording to make; effects that the same motion excites are grouped over their axes."""
     from sysid.effects import effect_named
     from sysid.gap.excitation import TRAVEL_UNITS, axis_of
+    from sysid.gap.servo.advice import advice_on_sag, sagging_axis
     from sysid.names import listed
     from sysid.reports.words import effect_place, effect_title
 
@@ -129,7 +130,9 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
         places = listed(list(dict.fromkeys(effect_place(effect.name, effect.target, machine) for effect in effects)))
         again = f", {planned.repeats} times" if planned.repeats > 1 else ""
         steps.append(f"Record {planned.name}.toml ({planned.about}, {planned.seconds:.0f} s{again}): {places}.")
-    for tie in result.ambiguous:
+    sagging = [axis for tie in result.ambiguous if (axis := sagging_axis(tie, machine))]
+    steps += [advice_on_sag(sagging)] if sagging else []
+    for tie in (tie for tie in result.ambiguous if not sagging_axis(tie, machine)):
         names = " or ".join(effect_place(name, target, machine) for name, target in tie)
         motions = dict.fromkeys(effect_named(name).need.advice.format(axis=target) for name, target in tie)
         steps.append(f"{' '.join(motions)} These recordings cannot distinguish {names}.")
@@ -191,8 +194,9 @@ def plain_reason(why: str) -> str:
 
 def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
     """A value with the known one that it replaces, and its interval."""
+    from sysid.effects.units import parameter_unit
     from sysid.reports.display import NOTHING, digits_for, interval
-    from sysid.reports.effect_units import parameter_unit, shown
+    from sysid.reports.effect_units import shown
 
     machine, units = dataset.machine, dataset.units
     ends = item.interval95.get(key)
@@ -231,6 +235,11 @@ def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
     return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
 
 
-def unnamed_texts(result: GapResult) -> Sequence[str]:
+def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
     """The unnamed errors as text."""
-    return [f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}" for item in result.unnamed]
+    from sysid.reports.reasons import with_titles
+
+    return [
+        f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"
+        for item in result.unnamed
+    ]

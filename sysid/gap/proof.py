@@ -35,6 +35,7 @@ from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
+from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
@@ -68,7 +69,8 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     outcome = ProofOutcome(case.plant)
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
-    for stage in _without_cheap_names([_with_proven_model(case, searched) for searched in stages]):
+    known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
+    for stage in _without_cheap_names(known):
         result = stage.found
         proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
@@ -76,6 +78,10 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
             refused = _accept(stage, outcome)
         elif result.named:
             outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
+        if proven and (found := sag_tie(case, stage)) is not None:
+            tie, note = found
+            outcome.ties += [tie] if not any(tie[-1] in other for other in outcome.ties) else []
+            outcome.notes.append(note)
         outcome.notes += _near_misses(stage)
         outcome.notes += result.stage_fit.combinations if result.stage_fit is not None else ()
         outcome.near_misses += near_misses(stage)
@@ -216,8 +222,12 @@ def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcom
     lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
     if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
         return
-    form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
+    together: dict[str, list[str]] = {}
+    for label, lacks in lacking.items():
+        together.setdefault(lacks, []).append(label)
+    form = "; ".join(f"{' + '.join(labels)} fits, not named: {lacks}" for lacks, labels in together.items())
     depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
+    depends = "earlier motion" if depends == "past" else depends
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
     outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 

@@ -29,6 +29,7 @@ from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, evaluate, held_out_score, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
+from sysid.gap.servo.advice import advice_on_sag, sagging_axis
 from sysid.gap.stages import Forms, search_stages
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
@@ -192,9 +193,12 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
 
 def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
     """Recordings that would distinguish ties and excite effects that are not excited."""
-    ties = (advice_on_tie(tie, study.case.plant.machine) for tie in proof.outcome.ties)
-    lacking = (advice(e, study.case.plant.machine) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
-    return tuple(dict.fromkeys((*ties, *lacking)))  # the same for all effects of an axis that did not move
+    machine = study.case.plant.machine
+    sagging = [axis for tie in proof.outcome.ties if (axis := sagging_axis(tie, machine))]
+    masses = [advice_on_sag(sagging)] if sagging else []
+    ties = (advice_on_tie(tie, machine) for tie in proof.outcome.ties if not sagging_axis(tie, machine))
+    lacking = (advice(e, machine) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
+    return tuple(dict.fromkeys((*masses, *ties, *lacking)))  # the same for all effects of an axis that did not move
 
 
 def store(study: Study, proof: Proof, registry: Registry) -> str:

@@ -1,4 +1,4 @@
-"""Position, speed and acceleration of a measured joint: zero-phase low-pass and central differences.
+"""Position, speed and acceleration of a measured joint: zero-phase low-pass and differences.
 
 Source: Gautier, Janot, Vandanjon, IEEE TCST 21 (2013).
 """
@@ -11,8 +11,10 @@ from scipy import signal
 
 Array = npt.NDArray[np.float64]
 
-#: Cut-off of the position [Hz], and order of its Butterworth filter in one direction.
+#: Least cut-off of the position [Hz], and order of its Butterworth filter in one direction.
 POSITION_HZ, ORDER = 50.0, 4
+#: Highest cut-off of a filter [share of the sample rate].
+HIGHEST = 0.4
 
 
 def smooth_motion(
@@ -21,6 +23,12 @@ def smooth_motion(
     """Low-passed position, speed and acceleration of positions (n,), each (n,); missing readings are interpolated."""
     there = np.flatnonzero(~np.isnan(position))
     filled = np.interp(np.arange(len(position)), there, position[there])
-    smooth = signal.sosfiltfilt(signal.butter(order, min(cut_hz, 0.4 * rate_hz), fs=rate_hz, output="sos"), filled)
-    speed = np.gradient(smooth, 1.0 / rate_hz)
-    return smooth, speed, np.gradient(speed, 1.0 / rate_hz)
+    low_pass = signal.butter(order, min(cut_hz, HIGHEST * rate_hz), fs=rate_hz, output="sos")
+    smooth = signal.sosfiltfilt(low_pass, filled)
+    return smooth, np.gradient(smooth, 1.0 / rate_hz), second_difference(smooth) * rate_hz**2
+
+
+def second_difference(values: Array) -> Array:
+    """x_(k+1) − 2·x_k + x_(k−1), repeated at both ends, (n,)."""
+    inner = np.diff(values, 2)
+    return np.concatenate([inner[:1], inner, inner[-1:]])

@@ -58,15 +58,33 @@ def test_the_repaired_simulation_predicts_the_last_block_better(result: dict[str
 def test_what_sags_under_the_arm_lags_by_the_same_width_in_each_recording_that_shows_it(
     result: dict[str, Any], joint: str
 ) -> None:
-    """Play, or friction that a weak servo does not overcome: from outside the two are one, and a load is the bias beside it."""
-    found = {item["name"]: item for item in result["stability"] if item["target"] in (joint, f"{joint}.joint")}
-    for name, key in (("backlash", "width"), ("sensor_bias", "bias")):
-        values = found[name]["parameters"][key]
-        assert len(values) >= 2
-        assert max(values) < 1.2 * min(values), name
+    """Play, or friction that a weak servo does not overcome: from outside the two are one."""
+    (found,) = [item for item in result["stability"] if (item["name"], item["target"]) == ("backlash", joint)]
+    values = found["parameters"]["width"]
+    assert len(values) >= 2
+    assert max(values) < 1.2 * min(values)
 
 
-@pytest.mark.xfail(strict=True, reason="play and a bias explain what sags, and are named")
+def test_without_masses_no_error_of_a_sensor_is_named(result: dict[str, Any]) -> None:
+    """The arm's weight lets the servos sag as well; the logs come without masses."""
+    named = {effect["name"] for run in result["runs"].values() for effect in run["effects"]}
+    assert not named & {"sensor_bias", "sensor_scale"}
+
+
+@pytest.mark.parametrize("joint", ["pitch", "elbow"])
+def test_what_sags_under_the_arm_is_a_tie_with_the_same_offset_in_each_recording(result: dict[str, Any], joint: str) -> None:
+    offsets = []
+    for name in ("friction_gravity", "multisine", "step_response"):
+        run = result["runs"][name]
+        ties = [{(item["name"], item["target"]) for item in tie} for tie in run["ambiguous"]]
+        assert {("sensor_bias", f"{joint}.joint"), ("joint_compliance", joint)} in ties
+        assert any(text.startswith("Gravity of") and joint in text for text in run["next_experiment"])
+        (bias,) = [e["parameters"]["bias"] for e in run["written"] if e["target"] == f"{joint}.joint" and e["kind"] == "tied"]
+        offsets.append(bias)
+    assert max(offsets) < 1.2 * min(offsets)
+
+
+@pytest.mark.xfail(strict=True, reason="play of the elbow, and of the pitch in one recording, is named")
 def test_what_sags_under_the_arm_is_left_over_and_said(result: dict[str, Any]) -> None:
     for recording in ("friction_gravity", "multisine"):
         left = {item["target"] for item in result["runs"][recording]["unnamed"]}

@@ -1,0 +1,1 @@
+"""Position axes under load: whether their gravity load is known, and their error at rest."""
