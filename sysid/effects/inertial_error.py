@@ -46,7 +46,7 @@ EFFECT = Effect(
     excited_by="motion of all joints at once",
     confused_with={"inertia_error": "one ratio of the axis' inertia; the parameters of links change torques with the posture"},
     example={"mass": 0.5, "first_moment": [0.0, 0.0, 0.1], "inertia": [0.0] * 6, "rotor": 0.1, "scale": 0.95},
-    need=Need("any_motion", 5, "Record all joints over their ranges, 30 s."),
+    need=Need("any_motion", 5, "Record {axis} and all other joints over their ranges, 30 s."),
     actuations=("force",),
     fitted=False,
 )

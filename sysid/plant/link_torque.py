@@ -53,7 +53,8 @@ def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> 
         if motion is not None:
             torque = model.rigid.torque(*motion, parameters) * scales + motion[2] * rotors
         known = recording.derived[_TORQUE] = (key, np.ascontiguousarray(torque.T))
-    return known[1][i]
+    torques: Array = known[1]
+    return np.asarray(torques[i])
 
 
 def static_torque(model: Model, theta: Array, joints: Array) -> Array:

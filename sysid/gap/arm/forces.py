@@ -41,7 +41,7 @@ class ArmForces:
 
     def measured(self, recording: Recording) -> Array:
         """(n, d); NaN where an axis rests."""
-        return self._on_common(recording, lambda own, axis: own.force[None])[0]
+        return np.asarray(self._on_common(recording, lambda own, axis: own.force[None])[0])
 
     def predicted(self, thetas: Array, recording: Recording) -> Array:
         """(lanes, n, d)."""

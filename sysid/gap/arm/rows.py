@@ -59,8 +59,8 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
         places = [model.axis_index(name) for name in names]
         for k in range(0, len(recording), CHUNK):
             part = rigid.regressor(*(values[k : k + CHUNK] for values in motion)) * scales[:, None]
-            for own, i in zip(slopes, places, strict=True):
-                own[k : k + CHUNK] = part[:, i]
+            for columns, i in zip(slopes, places, strict=True):
+                columns[k : k + CHUNK] = part[:, i]
         time = begin + rows / recording.rate_hz
         begin += len(recording) / recording.rate_hz
         for j, name in enumerate(names):
@@ -77,11 +77,11 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             found[name].append((filtered[:, 0], filtered[:, 1], filtered[:, last:], filtered[:, 2:last], time[there]))
     whole = max(begin, 1e-9)
     count = max(1, min(BLOCKS, int(whole / BLOCK)))
-    rows = []
+    axes = []
     for name, parts in found.items():
         target, force, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
-        rows.append(AxisRows(name, target, force, links, friction, (time * count / whole).astype(np.int64)))
-    return rows
+        axes.append(AxisRows(name, target, force, links, friction, (time * count / whole).astype(np.int64)))
+    return axes
 
 
 def inefficiency(residual: Array, columns: Array, block: npt.NDArray[np.int64]) -> float:
