@@ -11,7 +11,7 @@ import pytest
 from plant_data import arm, arm_inputs, loaded_arm, measured
 
 from sysid.datasets.recording import Recording
-from sysid.effects import BY_NAME, CATALOGUE, Effect
+from sysid.effects import CATALOGUE, Effect
 from sysid.errors import SettingsError
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Plant, compile_plant, free_run, nominal_plant
@@ -320,4 +320,4 @@ def test_mistakes_say_what_was_expected() -> None:
 
 
 def test_every_effect_is_looked_at() -> None:
-    assert {item.name for _, item in PLACED} == set(BY_NAME)
+    assert {item.name for _, item in PLACED} == {effect.name for effect in RUNNING}
