@@ -79,6 +79,7 @@ TOOL = ["tool.x", "tool.y", "tool.z"]
         KnownEffect("joint_offset", "stick", {"offset": 0.02}),
         KnownEffect("link_length_error", "boom", {"error": 0.01}),
         KnownEffect("link_length_error", "stick", {"error": -0.01}),
+        KnownEffect("tip_offset", "ee", {"translation": [0.02, -0.01, 0.03]}),
         KnownEffect("base_misalignment", "base", {"translation": [0.01, -0.02, 0.03], "rotation": [0.02, -0.03, 0.05]}),
     ],
     ids=lambda effect: f"{effect.name}-{effect.target}-{effect.side or ''}".rstrip("-"),
