@@ -23,7 +23,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
-from sysid.gap.result import Excitation
+from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.stage_result import StageResult
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
@@ -145,6 +145,17 @@ def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     tested = {stage.problem.target for stage in stages if stage.problem.stage == "force"}
     axes = [axis.name for axis in case.plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
     return tuple(f"{axis} is not tested: it has to move, measured with its force, in a recording of each role" for axis in axes)
+
+
+def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
+    """The filter of every force stage."""
+    found = []
+    for stage in stages:
+        settings, recordings = stage.problem.force_filter, stage.split.seen
+        if settings is not None and recordings:
+            delay = settings.delay / recordings[0].rate_hz
+            found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay))
+    return tuple(found)
 
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:

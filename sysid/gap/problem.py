@@ -18,7 +18,9 @@ from sysid.gap.drift import BIN
 from sysid.gap.poses.folds import pose_roles
 from sysid.machine import Axis
 from sysid.plant import Model
-from sysid.plant.force import ForceInputs, force_inputs, hold_of
+from sysid.plant.force import ForceFilter, ForceInputs, force_inputs
+from sysid.plant.force_band import force_filter
+from sysid.plant.force_delay import force_delay
 from sysid.plant.model import measured_point
 from sysid.signals import axis_signal, point_signals, split_signal
 
@@ -43,6 +45,7 @@ class Problem:
         short: the same problem restarted from the measurement every few seconds, where drift could lead to a local optimum.
         poses: static poses excite it too, each an independent measurement.
         only: names of the recordings of motion in which it can be compared; None: all.
+        force_filter: of a force stage.
     """
 
     stage: Stage
@@ -56,6 +59,7 @@ class Problem:
     short: Problem | None = None
     poses: bool = False
     only: frozenset[str] | None = None
+    force_filter: ForceFilter | None = None
 
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
@@ -104,14 +108,14 @@ def speed_problem(model: Model, axis: Axis) -> Problem:
     )
 
 
-def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hold: float) -> Problem:
+def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], settings: ForceFilter | None = None) -> Problem:
     """Measured motion → force on a force axis, on the filtered rows of each of ``recordings``."""
-    known = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in recordings}
+    known = {r.name: (r, force_inputs(r, axis, settings)) for r in recordings}
 
     def inputs_of(recording: Recording) -> ForceInputs:
         """A changed copy of a known recording (with noise added) is filtered on the same rows."""
         original, inputs = known[recording.name]
-        return inputs if recording is original else force_inputs(recording, axis, rows=inputs.rows, hold=hold)
+        return inputs if recording is original else force_inputs(recording, axis, settings, inputs.rows)
 
     return Problem(
         "force",
@@ -122,18 +126,31 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hol
         lambda recording: inputs_of(recording).force[:, None],
         lambda recording: known[recording.name][1].rows,
         only=frozenset(known),
+        force_filter=settings or ForceFilter(),
     )
 
 
-def force_determined(recording: Recording, axis: Axis, least_travel: float) -> bool:
+def force_determined(recording: Recording, axis: Axis, least_travel: float, settings: ForceFilter) -> bool:
     """Whether the motion of a force axis in a recording determines its force: it is measured, and moves by more than noise."""
     if travel_of(recording.values(axis.driven)) < least_travel:
         return False
     try:
-        force_inputs(recording, axis)
+        force_inputs(recording, axis, settings)
     except ExcitationError:
         return False
     return True
+
+
+def _force_problems(model: Model, axis: Axis, split: Split) -> list[Problem]:
+    """The force stage of an axis, if recordings of each role determine it; its filter is that of the seen recordings."""
+    motion = (*split.seen, *split.held_out)
+    least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
+    settings = force_filter([r for r in split.seen if travel_of(r.values(axis.driven)) >= least], axis)
+    moving = Split(*(tuple(r for r in part if force_determined(r, axis, least, settings)) for part in split.roles))
+    if not any(moving.roles) or not all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
+        return []
+    settings = replace(settings, delay=force_delay(moving.seen, axis, settings))
+    return [force_problem(model, axis, (*moving.seen, *moving.held_out), settings)]
 
 
 def joint_problem(model: Model, axis: Axis) -> Problem:
@@ -256,10 +273,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
         if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
-            least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
-            moving = Split(*(tuple(r for r in part if force_determined(r, axis, least)) for part in split.roles))
-            if any(moving.roles) and all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
-                problems.append(force_problem(model, axis, (*moving.seen, *moving.held_out), hold_of(moving.seen, axis)))
+            problems += _force_problems(model, axis, split)
         else:
             problems.append(drive_problem(model, axis))
     for axis in model.machine.axes:

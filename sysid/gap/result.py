@@ -117,6 +117,21 @@ class AxisDelay:
 
 
 @dataclass(frozen=True)
+class ForceComparison:
+    """Filter under which the force of an axis is compared, chosen from its recordings (:mod:`sysid.plant.force_band`).
+
+    Args:
+        bandwidth_hz, position_hz: cut-off of both forces, and of the position before it is differentiated [Hz].
+        delay: by which the logged force is ahead of the measured motion [s].
+    """
+
+    axis: str
+    bandwidth_hz: float
+    position_hz: float
+    delay: float
+
+
+@dataclass(frozen=True)
 class NearMissResult:
     """An effect of a model that predicts about as well as the chosen one, and the condition for a name that it fails.
 
@@ -350,7 +365,7 @@ class GapResult:
     ``machine_diff`` is the change of ``machine.toml`` by the repair, as a unified diff; a stored repair has a ``promotion``.
     ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
     named ones first; ``near_misses`` those that lack one condition for a name.
-    ``delays`` has the axes of which a dead time or a lag is known.
+    ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
     """
 
     dataset: str
@@ -381,6 +396,7 @@ class GapResult:
     written: tuple[WrittenEffect, ...] = ()
     near_misses: tuple[NearMissResult, ...] = ()
     delays: tuple[AxisDelay, ...] = ()
+    forces: tuple[ForceComparison, ...] = ()
 
     @property
     def repaired(self) -> bool:
@@ -417,6 +433,7 @@ class GapResult:
             "candidates": [asdict(item) for item in self.candidates],
             "written": [_given(item) for item in self.written],
             "delays": [asdict(item) for item in self.delays],
+            "forces": [asdict(item) for item in self.forces],
             "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, Stage, excitation, held_out_of, untested_forces
+from sysid.gap.case import Case, Stage, excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
@@ -138,6 +138,7 @@ def find_gap(
         ),
         near_misses=tuple(with_units(outcome.near_misses, dataset)),
         delays=axis_delays(case.plant, outcome.repaired),
+        forces=force_comparisons(stages),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(
