@@ -34,6 +34,8 @@ LEAST_HZ = 10.0
 POSITION_RATIO = 2.5
 #: Highest cut-off of a filter [share of the sample rate].
 HIGHEST = 0.4
+#: Standard deviations of its noise within which a speed has no certain sign.
+NOISE_WIDTHS = 2.0
 #: Rows that survive for each unknown of rigid motion with friction by direction (inertia, two viscous, two dry, a constant).
 ROWS_PER_UNKNOWN, UNKNOWNS = 3, 6
 
@@ -44,8 +46,9 @@ class ForceFilter:
 
     Args:
         position_hz, force_hz: cut-off of the position, and of the force on both sides [Hz].
-        still: speed [share of the 95th percentile] below which friction is not determined. Nor is it within half a period of
-            the position's low-pass around a reversal, where the sign of the filtered speed may differ from the true one.
+        still: speed [share of the 95th percentile] below which friction is not determined. Nor is it within the noise of the
+            speed, or within half a period of the position's low-pass around a reversal, where the sign of the filtered speed
+            may differ from that of the true speed.
         delay: of the force against the motion [samples], see :func:`sysid.plant.force_delay.force_delay`.
     """
 
@@ -143,7 +146,8 @@ def force_inputs(
     acceleration = second_difference(position) * rate**2
     filtered = signal.sosfiltfilt(low_pass, force)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
-    rests = np.abs(speed) < still + np.abs(acceleration) * 0.5 / settings.position_hz
+    uncertain = max(still, NOISE_WIDTHS * _speed_noise(motion, position, settings))
+    rests = np.abs(speed) < uncertain + np.abs(acceleration) * 0.5 / settings.position_hz
     if rows is None:
         rows = _rows(motion, speed, still, settings, where)
     return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
@@ -163,6 +167,16 @@ def second_difference(values: Array) -> Array:
     """x_(k+1) − 2·x_k + x_(k−1), repeated at both ends, (n,)."""
     inner = np.diff(values, 2)
     return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def _speed_noise(motion: Motion, position: Array, settings: ForceFilter) -> float:
+    """Standard deviation of the noise of the filtered speed: that of the position above its cut-off is white."""
+    rate = motion.rate_hz
+    share = min(2.0 * settings.position_hz / rate, 2.0 * HIGHEST)
+    removed = (motion.position - position)[motion.there]
+    # White noise below the cut-off, differentiated: ∫(2πf)²df.
+    variance = float(np.var(removed)) * share / max(1.0 - share, 0.2)
+    return float(np.sqrt(variance / 3.0)) * np.pi * share * rate
 
 
 def _rows(motion: Motion, speed: Array, still: float, settings: ForceFilter, where: str) -> npt.NDArray[np.int64]:
