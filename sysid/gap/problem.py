@@ -210,7 +210,7 @@ def tip_problem(model: Model) -> Problem:
     return Problem(
         "end_effector",
         "ee",
-        (*model.machine.axis_names, "base", *joints, *other_clocks(model, *joints, *point_signals("ee"))),
+        (*model.machine.axis_names, "base", "ee", *joints, *other_clocks(model, *joints, *point_signals("ee"))),
         point_signals("ee"),
         model.tip,
         lambda recording: measured_point(recording, "ee"),

@@ -458,7 +458,11 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     dropped = fitted.dropped[candidate.label]
     recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
     first, framed = stage.theta, fitted.framed
-    if framed is not None and candidate.target != "base" and any(c.target == "base" for c in fitted.decision.model.candidates):
+    if (
+        framed is not None
+        and candidate.target not in ("base", "ee")
+        and any(c.target == "base" for c in fitted.decision.model.candidates)
+    ):
         first = framed.theta  # the frame closes most of the gap of a pose set
     before, after, less = (_score(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0

@@ -191,8 +191,8 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
         return tuple(EffectPlace(target, None, "links", inputs) for target in targets)
     if effect.target == "tool":
         return (EffectPlace("tool", None, "tool", point_signals("ee")),)
-    if effect.target == "base":
-        return (EffectPlace("base", None, "tip", joints),)
+    if effect.target in ("base", "ee"):
+        return (EffectPlace(effect.target, None, "tip", joints),)
     if effect.target == "machine":
         return (EffectPlace("machine", None, "drive", tuple(axis_signal(a.name, "command") for a in machine.axes[:2])),)
     if effect.target == "signal":
