@@ -231,7 +231,7 @@ def problem_of(family: Family, model: Model, recordings: Sequence[Recording]) ->
         return tool_problem(model)
     axis = machine.axis(target)
     if family.stage == "force":
-        return force_problem(model, axis, recordings, 0.0)
+        return force_problem(model, axis, recordings)
     return drive_problem(model, axis) if family.stage == "command" else joint_problem(model, axis)
 
 

@@ -20,7 +20,7 @@ from sysid.cli.tables import show_calibration, show_directions, show_errors
 @json_option
 @click.pass_obj
 def fit(location: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
-    """Fit the networks of a dataset: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → boom tip).
+    """Fit the networks of a dataset: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → tip).
 
     With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks depend on past motion.
 

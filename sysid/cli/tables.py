@@ -144,7 +144,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
-        sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))
+        sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
         gap_tables.entry(out, sentence, "  ", True)
     out.line()
     gap_tables.show_written(out, result, dataset)
@@ -152,7 +152,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     for tie in result.ambiguous:
         names = " / ".join(effect_place(name, target, machine) for name, target in tie)
         gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ", True)
-    for text in gap_tables.unnamed_texts(result):
+    for text in gap_tables.unnamed_texts(result, dataset):
         gap_tables.entry(out, text, "  ", verbose)
     show_residual_models(out, result, dataset)
     gap_tables.show_near_misses(out, result, dataset, verbose)

@@ -18,6 +18,7 @@ from sysid.datasets.clocks.records import Alignment, KnownSkew, RecordingClocks,
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_sources, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
+from sysid.datasets.joint_units import with_joint_units
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.plausibility.stamps import likely_unit
 from sysid.datasets.poses import pose_table, still_phases
@@ -125,7 +126,7 @@ class IngestPass:
         progress: Progress = silent,
     ) -> Dataset:
         """The version to be stored, with recordings ``parts`` in ``roles``."""
-        units = _units(self.channels)
+        units, assumed = with_joint_units(_units(self.channels), machine)
         parts = tuple(_with_units(part, units) for part in parts)
         losses = {f"{name}/{file}": items for name, reading in self.readings.items() for file, items in reading.losses.items()}
         return Dataset(
@@ -141,7 +142,7 @@ class IngestPass:
             quality={
                 **describe(parts, self.readings, self.clocks, machine, progress),
                 "flags": list(self.flags),
-                "notes": list(self.notes),
+                "notes": [*self.notes, *assumed],
             },
             streams=_streams(self.recording_clocks, parts),
         )

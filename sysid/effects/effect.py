@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
-TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
+Stage = Literal["command", "force", "links", "joint", "end_effector", "tool", "sensor"]
+TargetKind = Literal["axis", "machine", "base", "ee", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
+#: Kind of drive of an axis, as :meth:`sysid.machine.Machine.drive_of` gives it.
+Drive = Literal["hydraulic", "electric", "unknown"]
 Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]
 #: Properties that :func:`sysid.testing.check_effect` checks, unless the effect is exempt by its nature.
 Promise = Literal["causal", "finite", "time_invariant", "memoryless"]
@@ -29,6 +31,7 @@ class Parameter:
     Args:
         name: as in the contract.
         unit: SI; ``drive`` or ``signal`` stands for m or rad, the unit of the target; ``command`` for the unit of its command.
+            Of two units with ``or`` the first is that of a prismatic axis, the second that of a revolute one.
         bounds: (low, high) of a fit.
         starts: start values of a fit.
         negligible: a negligible change, from which steps and tolerances of fits derive.
@@ -89,8 +92,9 @@ class Effect:
     Args:
         name: as in the contract.
         title: its name in reports and on the console.
-        titles: its name on axes of an actuation where the title does not fit: see :meth:`title_on`.
+        titles: its name on axes of an actuation or with a kind of drive where the title does not fit.
         sentences: templates over ``{target}`` and the parameters; a report uses the first one whose parameters are all known.
+        sentences_by: those for an actuation or a kind of drive, which come before the others.
         beside: another effect on the same target → the sentence to use if that one changes the meaning of this one's value.
         part: its place on the machine; without hydraulics a drive replaces valve and cylinder.
         stage: its place in the chain.
@@ -111,6 +115,8 @@ class Effect:
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
+        described_only: it is tested only where the machine description contains it, with any value: other effects do the same
+            where it is known to be absent.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -127,7 +133,8 @@ class Effect:
     source: str
     excited_by: str
     need: Need
-    titles: Mapping[Actuation, str] = field(default_factory=dict, hash=False)
+    titles: Mapping[Actuation | Drive, str] = field(default_factory=dict, hash=False)
+    sentences_by: Mapping[Actuation | Drive, tuple[str, ...]] = field(default_factory=dict, hash=False)
     beside: Mapping[str, str] = field(default_factory=dict, hash=False)
     confused_with: Mapping[str, str] = field(default_factory=dict, hash=False)
     actuations: tuple[Actuation, ...] = ()
@@ -138,11 +145,8 @@ class Effect:
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
     fitted: bool = True
+    described_only: bool = False
     surrogate_test: float | None = None
-
-    def title_on(self, actuation: Actuation | None) -> str:
-        """Its name on an axis of this actuation; None: no axis, or of several actuations."""
-        return self.titles.get(actuation, self.title) if actuation is not None else self.title
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""

@@ -12,7 +12,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="first_order_lag",
     title="First-order lag",
-    titles={"velocity": "Valve lag", "position": "Servo lag"},
+    titles={"hydraulic": "Valve lag", "position": "Servo lag"},
     sentences=("The {target} follows its command with a lag of {time_constant}.",),
     part="valve",
     stage="command",

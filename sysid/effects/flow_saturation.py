@@ -11,6 +11,7 @@ ABSENT = 10.0
 EFFECT = Effect(
     name="flow_saturation",
     title="Flow saturation",
+    titles={"unknown": "Speed saturation"},
     sentences=("The {target} gets no faster beyond a command of {limit}.",),
     part="valve",
     stage="command",

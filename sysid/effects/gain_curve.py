@@ -10,6 +10,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="gain_curve",
     title="Curved valve gain",
+    titles={"unknown": "Nonlinear gain"},
     sentences=("The speed of the {target} follows its command to the power of {exponent}.",),
     part="valve",
     stage="command",

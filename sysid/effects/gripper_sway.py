@@ -1,4 +1,4 @@
-"""``gripper_sway``: the tool hangs on two passive joints and swings as a damped pendulum below the boom tip."""
+"""``gripper_sway``: the tool hangs on two passive joints and swings as a damped pendulum below the tip."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+from sysid.machine.moved_bodies import GRAVITY
 
-GRAVITY = 9.80665
 #: State: bob x, y, its velocity x, y, last pivot x, y, z, last pivot velocity x, y, z.
 MEMORY = 10
 
@@ -34,12 +34,12 @@ EFFECT = Effect(
     ),
     equation="L·θ̈ + 2ζω₀L·θ̇ + g·θ = −a in both horizontal directions, ω₀² = g/L; hangs straight down at rest",
     source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
-    excited_by="starts and stops of the boom tip, and seconds of rest after them",
+    excited_by="starts and stops of the tip, and seconds of rest after them",
     confused_with={
         "oil_compressibility": "sway, 0.9–1.3 Hz, continues after the joints stop; oil, 5–13 Hz, moves the axis itself"
     },
     example={"length": 0.25, "damping_ratio": 0.05},
-    need=Need("tip_stops", 5, "Move the boom tip fast, stop, and let the tool swing for 5 s; ten times."),
+    need=Need("tip_stops", 5, "Move the tip fast, stop, and let the tool swing for 5 s; ten times."),
     memory=lambda dt: MEMORY,
 )
 

@@ -8,7 +8,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="internal_leakage",
     title="Internal leakage",
-    sentences=("With its valve closed the {target} creeps by {rate} a second.",),
+    titles={"unknown": "Creep at zero command"},
+    sentences=("With its valve closed the {target} creeps at {rate}.",),
+    sentences_by={"unknown": ("At zero command the {target} creeps at {rate}.",)},
     part="cylinder",
     stage="command",
     target="axis",

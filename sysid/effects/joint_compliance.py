@@ -18,11 +18,11 @@ EFFECT = Effect(
             (
                 Parameter(
                     "compliance",
-                    "rad/(N·m)",
+                    "m/N or rad/(N·m)",
                     (0.0, 10.0),
                     (1e-3, 5e-3),
                     2e-4,
-                    "deflection under the gravity moment (m/N on a prismatic joint)",
+                    "deflection under the gravity moment or force",
                     scale="1/load",
                 ),
             )

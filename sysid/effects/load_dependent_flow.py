@@ -8,6 +8,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="load_dependent_flow",
     title="Load-dependent flow",
+    titles={"unknown": "Load-dependent speed"},
     sentences=("The load changes the speed of the {target}: slower against it, faster with it ({coefficient}).",),
     part="valve",
     stage="command",
@@ -18,7 +19,7 @@ EFFECT = Effect(
             (
                 Parameter(
                     "coefficient",
-                    "1/(N·m)",
+                    "1/N or 1/(N·m)",
                     (-0.5, 0.5),
                     (0.05, 0.2),
                     0.01,

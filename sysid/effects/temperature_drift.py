@@ -13,6 +13,7 @@ EFFECT = Effect(
     name="temperature_drift",
     title="Warm-up drift",
     sentences=("As the oil warms up, the speed of the {target} drifts by {fraction}.",),
+    sentences_by={"unknown": ("As the drive warms up, the speed of the {target} drifts by {fraction}.",)},
     part="valve",
     stage="command",
     target="axis",

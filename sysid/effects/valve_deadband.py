@@ -13,6 +13,7 @@ EFFECT = Effect(
     sentences=(
         "The {target} does not move until its command exceeds +{positive} in one direction or −{negative} in the other.",
     ),
+    titles={"unknown": "Command dead-band"},
     part="valve",
     stage="command",
     target="axis",

@@ -10,7 +10,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="valve_hysteresis",
     title="Spool hysteresis",
+    titles={"unknown": "Command hysteresis"},
     sentences=("The spool of the {target} has a hysteresis of {width} of its command.",),
+    sentences_by={"unknown": ("The drive of the {target} has a hysteresis of {width} of its command.",)},
     part="valve",
     stage="command",
     target="axis",
@@ -22,7 +24,7 @@ EFFECT = Effect(
     confused_with={"input_delay": "a delay is a time independent of amplitude; a hysteresis loses a fixed part of the command"},
     example={"width": 0.15},
     rate_independent=True,
-    need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three openings."),
+    need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three values."),
     actuations=("velocity",),
     memory=lambda dt: 1,
 )

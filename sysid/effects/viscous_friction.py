@@ -5,7 +5,7 @@ from __future__ import annotations
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-_BOUNDS, _SLOPE = (0.0, 1e7), "N·s/m or N·m·s"
+_BOUNDS, _SLOPE = (0.0, 1e7), "N·s/m or N·m·s/rad"
 
 EFFECT = Effect(
     name="viscous_friction",

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
+from sysid.effects import link_mass_error
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -23,7 +24,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
-from sysid.gap.result import Excitation
+from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.stage_result import StageResult
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
@@ -147,10 +148,24 @@ def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     return tuple(f"{axis} is not tested: it has to move, measured with its force, in a recording of each role" for axis in axes)
 
 
+def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
+    """The filter of every force stage."""
+    found = []
+    for stage in stages:
+        settings, recordings = stage.problem.force_filter, stage.split.seen
+        if settings is not None and recordings:
+            delay = settings.delay / recordings[0].rate_hz
+            found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay))
+    return tuple(found)
+
+
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
-    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    scales = scales_of(case.plant, stage)
+    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales)
+    # Gravity weighs a link about its own joint; a link on a vertical axis shows by its inertia alone.
+    found = [c for c in found if c.effect is not link_mass_error.EFFECT or scales.loads.get(c.target)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found

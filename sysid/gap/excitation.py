@@ -17,6 +17,7 @@ from sysid.datasets.quality.noise import is_still
 from sysid.datasets.quality.use import level_of
 from sysid.datasets.recording import Recording
 from sysid.effects import Effect, effect_named
+from sysid.effects.wording import title_of
 from sysid.gap.candidates import Candidate
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
@@ -155,9 +156,8 @@ def advice_on_tie(tie: Sequence[tuple[str, str]], machine: Machine) -> str:
 
 
 def _title(name: str, target: str, machine: Machine) -> str:
-    """``Servo lag of pitch``: the title for the actuation of the axis."""
-    axis = axis_of(target, machine)
-    return f"{effect_named(name).title_on(machine.axis(axis).actuation if axis is not None else None)} of {target}"
+    """``Servo lag of pitch``: the title for actuation and drive of the axis."""
+    return f"{title_of(effect_named(name), axis_of(target, machine) or target, machine)} of {target}"
 
 
 def _advice(name: str, target: str) -> str:
@@ -247,8 +247,8 @@ def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
 
 
 def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Visited share of the joint's range [%]; for the base, the least over all axes."""
-    axes = machine.axis_names if axis == "base" else (axis,)
+    """Visited share of the joint's range [%]; for base and tip, the least over all axes."""
+    axes = machine.axis_names if axis in ("base", "ee") else (axis,)
     shares = []
     for name in axes:
         values = np.concatenate([r.values(axis_signal(name, "joint")) for r in recordings])
@@ -301,5 +301,5 @@ COUNTS: dict[str, tuple[Count, str]] = {
     "load_change": (load_change, "% change of the gravity load"),
     "joint_coverage": (joint_coverage, "% of the joint range"),
     "signal_travel": (signal_travel, "s of motion while it is measured"),
-    "tip_stops": (tip_stops, "s of boom tip motion"),
+    "tip_stops": (tip_stops, "s of tip motion"),
 }

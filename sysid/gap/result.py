@@ -54,6 +54,7 @@ class NamedEffect:
 
     Args:
         undetermined: secondary parameters of the repaired plant that no recording determines.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -66,6 +67,7 @@ class NamedEffect:
     side: str | None = None
     evidence: EffectEvidence | None = None
     undetermined: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def given(self) -> dict[str, Value]:
@@ -85,6 +87,7 @@ class WrittenEffect:
         interval95: by parameter; without those whose uncertainty is unknown.
         gap_share: of a named effect; else None.
         why: of an adjusted one, the condition for a name that it fails.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -96,6 +99,7 @@ class WrittenEffect:
     gap_share: float | None = None
     why: str = ""
     side: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,21 @@ class AxisDelay:
 
 
 @dataclass(frozen=True)
+class ForceComparison:
+    """Filter under which the force of an axis is compared, chosen from its recordings (:mod:`sysid.plant.force_band`).
+
+    Args:
+        bandwidth_hz, position_hz: cut-off of both forces, and of the position before it is differentiated [Hz].
+        delay: by which the logged force is ahead of the measured motion [s].
+    """
+
+    axis: str
+    bandwidth_hz: float
+    position_hz: float
+    delay: float
+
+
+@dataclass(frozen=True)
 class NearMissResult:
     """An effect of a model that predicts about as well as the chosen one, and the condition for a name that it fails.
 
@@ -120,6 +139,7 @@ class NearMissResult:
         parameters, interval95: fitted values [SI] and their 95 % intervals.
         distance: of its values from those of the plant under test and from zero, in standard deviations; the largest of its
             parameters. Small where the recordings do not determine it.
+        units: SI unit of each parameter.
     """
 
     name: str
@@ -130,6 +150,7 @@ class NearMissResult:
     distance: float
     lacks: str
     side: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -344,7 +365,7 @@ class GapResult:
     ``machine_diff`` is the change of ``machine.toml`` by the repair, as a unified diff; a stored repair has a ``promotion``.
     ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
     named ones first; ``near_misses`` those that lack one condition for a name.
-    ``delays`` has the axes of which a dead time or a lag is known.
+    ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
     """
 
     dataset: str
@@ -375,6 +396,7 @@ class GapResult:
     written: tuple[WrittenEffect, ...] = ()
     near_misses: tuple[NearMissResult, ...] = ()
     delays: tuple[AxisDelay, ...] = ()
+    forces: tuple[ForceComparison, ...] = ()
 
     @property
     def repaired(self) -> bool:
@@ -411,6 +433,7 @@ class GapResult:
             "candidates": [asdict(item) for item in self.candidates],
             "written": [_given(item) for item in self.written],
             "delays": [asdict(item) for item in self.delays],
+            "forces": [asdict(item) for item in self.forces],
             "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
@@ -433,6 +456,7 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         "target": effect.target,
         "parameters": effect.given,
         "interval95": {key: list(effect.interval95[key]) for key in effect.given},
+        "units": dict(effect.units),
         "gap_share": effect.gap_share,
         "alternatives": [asdict(alternative) for alternative in effect.alternatives],
     }

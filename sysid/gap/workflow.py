@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, Stage, excitation, held_out_of, untested_forces
+from sysid.gap.case import Case, Stage, excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
@@ -21,7 +21,7 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stages import Forms
-from sysid.gap.written import axis_delays, written_effects
+from sysid.gap.written import axis_delays, with_units, written_effects
 from sysid.plant import Plant, compile_plant
 from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
@@ -97,7 +97,7 @@ def find_gap(
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
-    if planning is not None and case.adapter is None and not localise_only:
+    if planning is not None and case.adapter is None and not localise_only and case.split.seen:  # poses alone: no motion
         report(0.85, "planning the next experiment")
         hypotheses = open_hypotheses(case, stages, outcome)
         planned = itertools.count()
@@ -115,7 +115,7 @@ def find_gap(
         plant_before=reference,
         plant_after=after_reference,
         verdict=verdict,
-        effects=tuple(outcome.named),
+        effects=tuple(with_units(outcome.named, dataset)),
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
         next_experiment=() if verdict == "no_gap" else steps.next_experiment(study, proof),
@@ -128,11 +128,17 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
-        written=written_effects(
-            case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
+        written=tuple(
+            with_units(
+                written_effects(
+                    case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
+                ),
+                dataset,
+            )
         ),
-        near_misses=tuple(outcome.near_misses),
+        near_misses=tuple(with_units(outcome.near_misses, dataset)),
         delays=axis_delays(case.plant, outcome.repaired),
+        forces=force_comparisons(stages),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(

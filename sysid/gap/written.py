@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from sysid.datasets.recording import Dataset
 from sysid.effects import effect_named
 from sysid.effects.described import side_of
+from sysid.effects.units import parameter_unit
 from sysid.gap.case import Stage
 from sysid.gap.decision import Z
 from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
@@ -18,6 +21,7 @@ from sysid.plant import Plant
 from sysid.plant.plant import effect_key
 
 Key = tuple[str, str, str | None]
+Entry = TypeVar("Entry", NamedEffect, WrittenEffect, NearMissResult)
 DEAD_TIME, LAG = ("input_delay", "delay"), ("first_order_lag", "time_constant")
 SECOND_ORDER = "second_order_lag"
 _ORDER = ("named", "tied", "adjusted")
@@ -65,6 +69,16 @@ def _value(plant: Plant, name: str, parameter: str, axis: str) -> float:
     known = plant.effect(name, axis, None)
     value = known.parameters[parameter] if known is not None else 0.0
     return float(value) if isinstance(value, (int, float)) else 0.0
+
+
+def with_units(entries: Sequence[Entry], dataset: Dataset) -> Iterator[Entry]:
+    """The entries with the SI unit of each of their parameters."""
+    for item in entries:
+        units = {
+            key: parameter_unit(item.name, key.partition("[")[0], item.target, dataset.machine, dataset.units)
+            for key in item.parameters
+        }
+        yield replace(item, units=units)
 
 
 def near_misses(stage: Stage) -> tuple[NearMissResult, ...]:

@@ -11,12 +11,15 @@ from sysid.config import Strict, inside, parse_settings, settings_text, toml_val
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.kinematics import Kinematics
+from sysid.machine.moved_bodies import has_masses
 from sysid.names import check_file_name
 from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
 
 Actuation = Literal["velocity", "position", "force"]
 Drives = Literal["cylinder", "joint"]
+#: Kind of drive of an axis: see :meth:`Machine.drive_of`.
+Drive = Literal["hydraulic", "electric", "unknown"]
 #: Names that neither an axis nor a marker may have.
 RESERVED = ("ee", "tool", "machine", "base", "time")
 _LETTERS = "letters, digits, '_' and '-', at most 64"
@@ -45,12 +48,17 @@ class Linkage(Strict):
 
 @dataclass(frozen=True)
 class Axis(Strict):
-    """One actuated joint; ``gain`` is the speed of the driven signal at command 1.0 [m/s or rad/s]."""
+    """One actuated joint; ``gain`` is the speed of the driven signal at command 1.0 [m/s or rad/s].
+
+    Args:
+        joint_type: as in a URDF; without both, units of the logs or the recipe decide.
+    """
 
     name: str
     actuation: Actuation
     drives: Drives
     joint: str | None = None
+    joint_type: Literal["revolute", "prismatic"] | None = None
     gain: Positive = 1.0
     inertia: Positive | None = None
     stroke: Interval | None = None
@@ -116,6 +124,19 @@ class Machine(Strict):
                 return axis
         raise SettingsError(f"machine {self.name}", f"unknown axis {name!r}", nearest(name, self.axis_names))
 
+    def drive_of(self, name: str) -> Drive:
+        """The kind of drive of an axis.
+
+        A cylinder is hydraulic; a joint that follows positions or forces is electric. A joint that is commanded by its speed is
+        hydraulic on a machine with cylinders, else either.
+        """
+        axis = self.axis(name)
+        if axis.drives == "cylinder":
+            return "hydraulic"
+        if axis.actuation != "velocity":
+            return "electric"
+        return "hydraulic" if any(other.drives == "cylinder" for other in self.axes) else "unknown"
+
     def kinematics(self) -> Kinematics | None:
         """The chain of the URDF from its root to ``tip``; None without a URDF."""
         if self.urdf_text is None or self.tip is None:
@@ -142,9 +163,9 @@ class Machine(Strict):
 
     def _joint_unit(self, axis: Axis) -> str | None:
         kinematics = self.kinematics()
-        if kinematics is None or axis.joint is None:
-            return None
-        return "m" if kinematics.is_prismatic(axis.joint) else "rad"
+        if kinematics is not None and axis.joint is not None:
+            return "m" if kinematics.is_prismatic(axis.joint) else "rad"
+        return {"revolute": "rad", "prismatic": "m", None: None}[axis.joint_type]
 
     def files(self) -> dict[str, str]:
         """File name → text, for :func:`machine_from_files`."""
@@ -197,6 +218,8 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
             if axis.joint is None:
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
         machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
+        _check_joint_types(machine, where)
+    _check_inertias(machine, where)
     _check_markers(machine, where)
     for signal in machine.noise:
         if signal not in machine.signals:
@@ -216,10 +239,27 @@ def _check_axes(machine: Machine, where: object) -> None:
             raise SettingsError(place, "a name that no signal can have", _LETTERS)
         if names.count(axis.name) > 1 or axis.name in RESERVED:
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
-        if axis.actuation == "force" and axis.inertia is None:
-            raise SettingsError(place, "no inertia", "inertia [kg or kg·m²] for a force-actuated axis")
         if axis.drives == "cylinder" and axis.stroke is None:
             raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
+
+
+def _check_inertias(machine: Machine, where: object) -> None:
+    """A force axis has an inertia; where the URDF gives the masses that it moves, that of its rotor, if it is known."""
+    kinematics = machine.kinematics()
+    massive = kinematics is not None and has_masses(kinematics)
+    for axis in machine.axes:
+        if axis.actuation == "force" and axis.inertia is None and not (massive and axis.drives == "joint"):
+            expected = "inertia [kg or kg·m²] of what a force-actuated axis moves, or a URDF with the masses of the links"
+            raise SettingsError(f"{where}: axis {shown(axis.name)}", "no inertia", expected)
+
+
+def _check_joint_types(machine: Machine, where: object) -> None:
+    for axis in machine.axes:
+        unit = machine.expected_unit(f"{axis.name}.joint")
+        actual = "prismatic" if unit == "m" else "revolute"
+        if axis.joint_type not in (None, actual):
+            place = f"{where}: axis {shown(axis.name)}: joint_type"
+            raise SettingsError(place, f"{axis.joint_type!r}", f"{actual!r} as joint {shown(axis.joint or '')} of the URDF")
 
 
 def _check_markers(machine: Machine, where: object) -> None:

@@ -13,7 +13,7 @@ from sysid.machine import Axis, Kinematics, Machine
 from sysid.machine.kinematics import Joint
 from sysid.reports.clearance import Canvas
 from sysid.reports.picture_parts import PARTS_HEIGHT, badge, base, cylinder, drive, joint, link, name, pipe, pump, tool, valve
-from sysid.reports.places import Mark, axis_of
+from sysid.reports.places import Mark, axis_of, has_valve
 from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> str:
     """Side view of the machine with numbered marks; without a URDF a row of parts for each axis."""
     kinematics = machine.kinematics()
     if kinematics is None or not kinematics.chain:
-        return _axis_rows(machine.axes, marks)
+        return _axis_rows(machine, marks)
     return _side_view(machine, kinematics, marks)
 
 
@@ -118,15 +118,13 @@ def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas:
     parts = []
     for axis in machine.axes:
         actuator = places["cylinder", axis.name]
-        spot = canvas.place(actuator, (22.5, 9.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0, 42.0))
+        spot = canvas.place(actuator, (22.5, 9.0) if has_valve(axis, machine) else (11.0, 11.0), (16.0, 22.0, 30.0, 42.0))
         symbol = (
-            valve(spot, ("valve", axis.name) in hot)
-            if axis.actuation == "velocity"
-            else drive(spot, ("drive", axis.name) in hot)
+            valve(spot, ("valve", axis.name) in hot) if has_valve(axis, machine) else drive(spot, ("drive", axis.name) in hot)
         )
         parts.append(pipe(actuator, spot) + symbol)
         places["valve", axis.name] = spot
-        if axis.actuation != "velocity":
+        if not has_valve(axis, machine):
             places["drive", axis.name] = spot
     return parts
 
@@ -223,12 +221,12 @@ def _fit_to_page(flat: Array) -> tuple[Array, float]:
 # -- without geometry ----------------------------------------------------------------------------------------------------
 
 
-def _axis_rows(axes: Sequence[Axis], marks: Sequence[Mark]) -> str:
+def _axis_rows(machine: Machine, marks: Sequence[Mark]) -> str:
     """One row per axis, in the order of the signal chain: valve → cylinder → joint."""
-    names = tuple(axis.name for axis in axes)
+    names = machine.axis_names
     parts, y = [], 36.0
-    for axis in axes:
-        boxes = {"velocity": ["valve"], "position": ["drive"], "force": ["drive"]}[axis.actuation]
+    for axis in machine.axes:
+        boxes = ["valve" if has_valve(axis, machine) else "drive"]
         boxes = [*boxes, *(["cylinder"] if axis.drives == "cylinder" else []), "joint"]
         parts.append(name(axis.name, np.array([60.0, y])))
         x = 118.0

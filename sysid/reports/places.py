@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sysid.effects import BY_NAME
 from sysid.gap.result import GapResult, StageGap
-from sysid.machine import Machine
+from sysid.machine import Axis, Machine
 from sysid.reports import words
 from sysid.signals import split_signal
 
@@ -37,9 +37,14 @@ def part_of(effect: str, target: str, machine: Machine) -> str:
     part: str = BY_NAME[effect].part if effect in BY_NAME else "valve"
     if part in ("valve", "cylinder") and target in machine.axis_names:
         axis = machine.axis(target)
-        if axis.actuation != "velocity" or (part == "cylinder" and axis.drives == "joint"):
+        if not has_valve(axis, machine) or (part == "cylinder" and axis.drives == "joint"):
             return "drive"
     return part
+
+
+def has_valve(axis: Axis, machine: Machine) -> bool:
+    """Whether the command of an axis moves a hydraulic valve."""
+    return axis.actuation == "velocity" and machine.drive_of(axis.name) == "hydraulic"
 
 
 def place_text(part: str, target: str) -> str:
@@ -51,7 +56,7 @@ def place_text(part: str, target: str) -> str:
     if part in ("tool", "base", "pump"):
         return part
     if part == "link" and target == "ee":
-        return "links up to the boom tip"
+        return "links up to the tip"
     return f"{part} of the {words.owner_name(target)}"
 
 
@@ -76,7 +81,7 @@ def stage_marks(found: Sequence[StageGap], machine: Machine) -> tuple[Mark, ...]
 
 def _of_stage(stage: str, target: str, machine: Machine) -> str:
     part = _OF_STAGE.get(stage, "valve")
-    if part in ("valve", "cylinder") and target in machine.axis_names and machine.axis(target).actuation != "velocity":
+    if part in ("valve", "cylinder") and target in machine.axis_names and not has_valve(machine.axis(target), machine):
         return "drive"
     return part
 

@@ -7,7 +7,9 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from sysid.effects import BY_NAME
 from sysid.gap.result import Alternative, ComparedModel, NamedEffect
+from sysid.machine import Machine
 from sysid.reports import display, words
 
 #: ``backlash(slew, drive)``: effect, target and further qualifiers; ``~`` marks effects that are only refitted.
@@ -35,6 +37,15 @@ def label_of(text: str) -> tuple[str, str, str, bool]:
     return match["name"], match["target"], match["rest"] or "", bool(match["refitted"])
 
 
+def with_titles(text: str, machine: Machine) -> str:
+    """The text with ``Servo lag of pitch`` in the place of the label ``first_order_lag(pitch)``."""
+
+    def title(match: re.Match[str]) -> str:
+        return words.effect_place(match["name"], match["target"], machine) if match["name"] in BY_NAME else match[0]
+
+    return LABEL.sub(title, text)
+
+
 def holds(row: ComparedModel, name: str, target: str) -> bool:
     """Whether a fitted set contains the effect, not only refitted."""
     return any(label_of(text)[:2] == (name, target) and not label_of(text)[3] for text in row.effects)
@@ -46,7 +57,7 @@ def least_error(rows: Iterable[ComparedModel]) -> float:
     return min(errors, default=math.nan)
 
 
-def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[RejectedEffect]:
+def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel], machine: Machine | None = None) -> list[RejectedEffect]:
     """Every alternative of a named effect, the one with the smallest error first."""
     stages = {(row.stage, row.target) for row in candidates if holds(row, effect.name, effect.target)}
     rows = [row for row in candidates if (row.stage, row.target) in stages]
@@ -55,7 +66,7 @@ def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[R
     for other in effect.alternatives:
         without = [row for row in rows if not holds(row, effect.name, effect.target)]
         times = least_error(row for row in without if holds(row, other.name, other.target)) / smallest
-        title, target = words.effect_title(other.name), words.owner_name(other.target)
+        title, target = words.effect_title(other.name, other.target, machine), words.owner_name(other.target)
         found.append(RejectedEffect(title, target, times, _why(times, other)))
     return sorted(found, key=lambda item: item.times if math.isfinite(item.times) else math.inf)
 
@@ -101,10 +112,10 @@ def outcome(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -
     return "could not be fitted", False
 
 
-def confidence(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[str]:
+def confidence(effect: NamedEffect, candidates: Sequence[ComparedModel], machine: Machine | None = None) -> list[str]:
     """Evidence for a name, and relative width of its intervals, as sentences."""
     sentences = []
-    others = rejected(effect, candidates)
+    others = rejected(effect, candidates, machine)
     if others:
         nearest = others[0]
         text = f"{len(others)} alternative{'s were' if len(others) > 1 else ' was'} tested"

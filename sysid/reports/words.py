@@ -6,6 +6,7 @@ import string
 from collections.abc import Collection, Mapping
 
 from sysid.effects import BY_NAME
+from sysid.effects.wording import sentences_of, title_of
 from sysid.machine import Machine
 
 #: Stage → what is compared, in the order of the signal chain.
@@ -17,7 +18,7 @@ STAGES: dict[str, tuple[str, str]] = {
     "tool": ("Tip → tool", "driven by the measured tip"),
 }
 
-OWNERS = {"ee": "boom tip", "tool": "tool", "machine": "whole machine", "base": "base"}
+OWNERS = {"ee": "tip", "tool": "tool", "machine": "whole machine", "base": "base"}
 
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
@@ -37,11 +38,10 @@ _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight",
 
 
 def effect_title(name: str, target: str = "", machine: Machine | None = None) -> str:
-    """The title of an effect, as its file gives it for the actuation of the axis ``target``."""
+    """The title of an effect, as its file gives it for actuation and drive of the axis ``target``."""
     if name not in BY_NAME:
         return name.replace("_", " ").capitalize()
-    axis = machine is not None and target in machine.axis_names
-    return BY_NAME[name].title_on(machine.axis(target).actuation if machine is not None and axis else None)
+    return title_of(BY_NAME[name], target, machine)
 
 
 def effect_place(name: str, target: str, machine: Machine) -> str:
@@ -49,7 +49,9 @@ def effect_place(name: str, target: str, machine: Machine) -> str:
     return f"{effect_title(name, target, machine)} of {OWNERS.get(target, target)}"
 
 
-def effect_sentence(name: str, target: str, parameters: Mapping[str, str], beside: Collection[str] = ()) -> str:
+def effect_sentence(
+    name: str, target: str, parameters: Mapping[str, str], beside: Collection[str] = (), machine: Machine | None = None
+) -> str:
     """One sentence about a named effect.
 
     Args:
@@ -58,12 +60,12 @@ def effect_sentence(name: str, target: str, parameters: Mapping[str, str], besid
     """
     values = {"target": owner_name(target), **parameters}
     effect = BY_NAME.get(name)
-    templates = [*(text for other, text in effect.beside.items() if other in beside), *effect.sentences] if effect else []
-    for template in templates:
+    special = [text for other, text in effect.beside.items() if other in beside] if effect else []
+    for template in (*special, *(sentences_of(effect, target, machine) if effect else ())):
         if {field for _, field, _, _ in string.Formatter().parse(template) if field} <= set(values):
             return template.format(**values)
     listed = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in parameters.items())
-    return f"{effect_title(name)} of the {values['target']}: {listed}."
+    return f"{effect_title(name, target, machine)} of the {values['target']}: {listed}."
 
 
 def owner_name(target: str) -> str:
@@ -71,7 +73,7 @@ def owner_name(target: str) -> str:
 
 
 def signal_name(signal: str) -> str:
-    """``boom.cylinder`` → ``boom cylinder``; ``ee.x`` → ``boom tip x``."""
+    """``boom.cylinder`` → ``boom cylinder``; ``ee.x`` → ``tip x``."""
     owner, _, quantity = signal.rpartition(".")
     return f"{owner_name(owner)} {quantity}"
 

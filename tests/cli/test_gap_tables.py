@@ -76,7 +76,7 @@ def test_the_console_has_a_row_for_each_and_the_total_delay(capsys: pytest.Captu
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert "A repair (--add) would write 4 effects:" in lines
     assert any(line.startswith("Dead time of pitch delay 67.0 ms 60.0 to 70.0 ms 2 % named") for line in lines), lines
-    assert any(line.startswith("Valve lag of boom time constant 100 ms (was 60.0 ms)") for line in lines)
+    assert any(line.startswith("First-order lag of boom time constant 100 ms (was 60.0 ms)") for line in lines)
     assert any(line.startswith("Servo lag of pitch") and line.endswith("no name") for line in lines)
     assert any(line.startswith("Backlash of boom") and line.endswith("one of a tie") for line in lines)
     assert "pitch 0 ms → 67.0 ms 0 ms → 30.0 ms 0 ms → 97.0 ms" in lines
@@ -107,7 +107,7 @@ def test_next_steps_are_grouped_over_axes_and_short(capsys: pytest.CaptureFixtur
     found = result(excitation=tuple(lacking), ambiguous=((("gain_error", "boom"), ("gain_curve", "boom")),))
     steps = next_steps(found, DATASET)
     assert len(steps) == 5, "one motion for twelve axes, one tie, one axis that stood still, two of pitch"
-    assert "Wrong speed gain of boom or Curved valve gain of boom" in steps[0]
+    assert "Wrong speed gain of boom or Nonlinear gain of boom" in steps[0]
     assert sum(all(name in step for name in names) for step in steps) == 1
     show_gap(Printer(), found, DATASET)
     out = capsys.readouterr().out.partition("Next, the most useful first:")[2].splitlines()[1:]

@@ -116,7 +116,7 @@ def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pyt
     assert re.search(r"Undo it:  sysid --workspace \S+ models promote lift@1 ", text)
     assert "Not run in the PyBullet world" in text
     assert "no URDF" in text
-    row = next(line.split() for line in text.splitlines() if line.lstrip().startswith("boom.cylinder"))
+    row = next(line.split() for line in text.splitlines() if re.match(r" *boom\.cylinder +\d", line))
     assert row[2:7:2] == ["mm", "mm", "mm"], "before, after and noise floor of every signal, in millimetres"
 
 

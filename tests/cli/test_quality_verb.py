@@ -36,7 +36,7 @@ def test_the_verdicts_say_what_there_is_and_what_to_record(workspace: Path, caps
     out = capsys.readouterr().out
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert any(line.startswith("boom 30 % 10 % / 10 % 16 / 16 0.0 / 0.0 32 12 ") for line in lines), out
-    assert "Valve dead-band boom 0 of 2 s of small commands on each side" in lines
+    assert "Command dead-band boom 0 of 2 s of small commands on each side" in lines
     assert "→ Record boom with slow commands from 0 to 30 % and back on both sides, 30 s." in lines
     assert "cannot be shown: machine.toml names no URDF" in lines
     assert any(line.startswith("Backlash boom ahead of the sensor 9 8 reversals") for line in lines), "three recordings count"

@@ -79,7 +79,9 @@ def test_what_sags_under_the_arm_is_a_tie_with_the_same_offset_in_each_recording
         ties = [{(item["name"], item["target"]) for item in tie} for tie in run["ambiguous"]]
         assert any({("sensor_bias", f"{joint}.joint"), ("joint_compliance", joint)} <= tie for tie in ties)
         assert any(text.startswith("Gravity of") and joint in text for text in run["next_experiment"])
-        (bias,) = [e["parameters"]["bias"] for e in run["written"] if (e["name"], e["target"]) == ("sensor_bias", f"{joint}.joint")]
+        (bias,) = [
+            e["parameters"]["bias"] for e in run["written"] if (e["name"], e["target"]) == ("sensor_bias", f"{joint}.joint")
+        ]
         offsets.append(bias)
     assert max(offsets) < 1.2 * min(offsets)
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from sysid.datasets.recording import Dataset
+from sysid.effects.units import parameter_unit
 from sysid.machine import Axis, machine_from_files
-from sysid.reports.effect_units import parameter_unit, remainder_unit, shown
+from sysid.reports.effect_units import remainder_unit, shown
 
 
 @pytest.mark.parametrize(
@@ -30,11 +31,26 @@ def test_unit(crane: Dataset, effect: str, parameter: str, target: str, unit: st
     assert parameter_unit(effect, parameter, target, crane.machine) == unit
 
 
-def test_a_force_axis_without_geometry_slides(crane: Dataset) -> None:
-    slide = Axis("slide", "force", "joint", inertia=95.0)
+def test_a_prismatic_force_axis_without_geometry_has_newtons(crane: Dataset) -> None:
+    slide = Axis("slide", "force", "joint", inertia=95.0, joint_type="prismatic")
     machine = replace(crane.machine, axes=(slide,), urdf=None, urdf_text=None, tip=None, tool=None)
-    assert parameter_unit("coulomb_friction", "force", "slide", machine) == "N"
-    assert shown("coulomb_friction", "force", "slide", 20.71, machine).startswith("20.7")
+    assert shown("coulomb_friction", "force", "slide", 20.71, machine) == "20.7\u202fN"
+    assert shown("viscous_friction", "coefficient", "slide", 203.0, machine) == "203\u202fN·s/m"
+
+
+def test_a_revolute_force_axis_without_geometry_has_newton_metres(crane: Dataset) -> None:
+    axes = (Axis("j1", "force", "joint", inertia=0.2), Axis("j2", "force", "joint", inertia=0.2, joint_type="revolute"))
+    machine = replace(crane.machine, axes=axes, urdf=None, urdf_text=None, tip=None, tool=None)
+    for name in ("j1", "j2"):
+        assert parameter_unit("coulomb_friction", "force", name, machine) == "N·m"
+        assert parameter_unit("viscous_friction", "coefficient", name, machine) == "N·m·s/rad"
+        assert parameter_unit("stribeck_friction", "stribeck_velocity", name, machine) == "rad/s"
+        assert parameter_unit("joint_compliance", "compliance", name, machine) == "rad/(N·m)"
+
+
+def test_the_load_of_a_joint_behind_a_cylinder_is_a_moment(crane: Dataset) -> None:
+    assert parameter_unit("load_dependent_flow", "coefficient", "boom", crane.machine) == "1/(N·m)"
+    assert parameter_unit("joint_compliance", "compliance", "telescope", crane.machine) == "m/N"
 
 
 def test_a_sensor_of_a_servo_without_geometry_reads_an_angle(crane: Dataset) -> None:

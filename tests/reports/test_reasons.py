@@ -84,7 +84,7 @@ def test_places_in_words(crane_machine: Machine) -> None:
     assert part_of("stiction", "slew", crane_machine) == "drive", "the slew has no cylinder"
     assert place_text("valve", "boom") == "valve of the boom"
     assert place_text("sensor", "boom.cylinder") == "sensor boom cylinder"
-    assert place_text("link", "ee") == "links up to the boom tip"
+    assert place_text("link", "ee") == "links up to the tip"
     assert place_text("clock", "mocap") == "clock of mocap"
 
 

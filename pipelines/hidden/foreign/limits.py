@@ -20,7 +20,8 @@ from hidden.kinds import Kind
 from hidden.limits import Limit, overlaid_lists
 from sysid.datasets import Recording
 from sysid.plant import compile_plant, free_run
-from sysid.plant.force import force_inputs, hold_of
+from sysid.plant.force import ForceFilter, force_inputs
+from sysid.plant.force_delay import force_delay
 from sysid.signals import point_signals
 
 #: Signal → RMSE of the owner's plant, in noise floors.
@@ -92,7 +93,7 @@ def _force_scores(known: Tables, owner: Owner, takes: Sequence[Take], spread: di
     axis = model.machine.axes[0]
     force, place = f"{axis.name}.command", f"{axis.name}.joint"
     first = recorded(known, takes[0])
-    hold = hold_of([first], axis)
+    settings = ForceFilter(delay=force_delay([first], axis, ForceFilter()))
 
     def left(tables: Tables, noisy: bool) -> float:
         """Mean square of the residual [N²]."""
@@ -102,7 +103,7 @@ def _force_scores(known: Tables, owner: Owner, takes: Sequence[Take], spread: di
             if noisy:
                 draw = np.random.default_rng([take.seed, 77])
                 table = table.assign(**{s: table[s] + spread[s] * draw.standard_normal(len(table)) for s in (force, place)})
-            seen = force_inputs(Recording(take.name, table, tables["rate"]), axis, hold=hold)
+            seen = force_inputs(Recording(take.name, table, tables["rate"]), axis, settings)
             parts.append(seen.force - seen.model_force(model, model.theta[None], axis.name)[0])
         return float(np.mean(np.concatenate(parts) ** 2))
 

@@ -29,6 +29,7 @@ from sysid.gap.experiment.open_hypothesis import OpenHypothesis
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
+from sysid.plant.force import ForceFilter
 from sysid.release import __version__
 
 Array = npt.NDArray[np.float64]
@@ -240,7 +241,8 @@ class Planner:
         """The stage of the hypothesis for a simulated recording."""
         stage, model = hypothesis.stage.problem, self._model(self.model.theta)
         if stage.stage == "force":
-            return force_problem(model, self.machine.axis(stage.target), [recording], 0.0)
+            settings = replace(stage.force_filter or ForceFilter(), delay=0.0)
+            return force_problem(model, self.machine.axis(stage.target), [recording], settings)
         if stage.stage in ("command", "joint"):
             make = drive_problem if stage.stage == "command" else joint_problem
             return make(model, self.machine.axis(stage.target))

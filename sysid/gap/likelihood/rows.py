@@ -72,7 +72,7 @@ class StageRows:
         begin = 0
         for r, recording in enumerate(self.recordings):
             measured = problem.measured(recording)
-            width = max(1, round(BIN * problem.rate(recording)))
+            width = _width(problem, recording)
             known = measured - problem.predict(theta[None], recording)[0]
             means = bin_means(known[None], width)[0]
             count = len(means)
@@ -210,7 +210,7 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
     """
     total, count = 0.0, 0
     for recording in recordings:
-        width = round(max(span, BIN) * problem.rate(recording)) if recording.kind == "motion" else 1
+        width = _width(problem, recording, max(span, BIN)) if recording.kind == "motion" else 1
         residual = problem.measured(recording) - problem.predict(theta[None], recording)[0]
         bins = len(residual) // width
         if width < 3 or not bins:
@@ -225,6 +225,11 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
         total += float((away**2).sum()) / (width - degrees) * (width - 1)
         count += parts.size
     return min(total / max(count, 1), 1.0)
+
+
+def _width(problem: Problem, recording: Recording, span: float = BIN) -> int:
+    """Samples of a row: those of ``span`` [s]; of a force, which is decimated until its samples are independent, one."""
+    return 1 if problem.stage == "force" else max(1, round(span * problem.rate(recording)))
 
 
 def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:

@@ -27,7 +27,7 @@ from sysid.gap.result import ResidualModelResult, Unnamed
 from sysid.gap.unnamed.residual_series import gain_p_value
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
-from sysid.plant.force import force_inputs, hold_of
+from sysid.plant.force import force_inputs
 from sysid.plant.residual import STAGES, WARNING, Residual, input_names
 from sysid.progress import Progress, part, silent
 
@@ -119,7 +119,7 @@ def _fit_stage(
     plain = repaired.without_residual(name, target)
     problem, model = _problem(plain, case.dataset, name, target)
     (signal,) = problem.signals
-    parts = {r.name: _residual_recording(problem, model, r, case.dataset, period) for r in split.seen}
+    parts = {r.name: _residual_recording(problem, model, r, period) for r in split.seen}
     fit, select = ([parts[r.name].windows() for r in rs] for rs in (split.fit, split.select))
     interval = _interval(name, case.dataset.machine.rate_hz)
     bound = _bound([parts[r.name].windows() for r in split.seen], problem.integrates, interval)
@@ -175,9 +175,7 @@ def _interval(stage: str, rate_hz: float) -> float:
     return max(1, round(wanted * rate_hz)) / rate_hz
 
 
-def _residual_recording(
-    problem: Problem, model: Model, recording: Recording, dataset: Dataset, period: float
-) -> _ResidualRecording:
+def _residual_recording(problem: Problem, model: Model, recording: Recording, period: float) -> _ResidualRecording:
     """Inputs of the network, and its target (or the integral of the target)."""
     axis = model.machine.axis(problem.target)
     i, rate = model.axis_index(axis.name), recording.rate_hz
@@ -188,7 +186,7 @@ def _residual_recording(
     if not all(len(model.held(recording, name)[1]) for name in model.machine.axis_names):
         load = np.zeros(len(recording))  # the pose of a free run is unknown; a constant zero disables the input
     if problem.stage == "force":
-        inputs = force_inputs(recording, axis, hold=hold_of([r for r in dataset.recordings if r.kind == "motion"], axis))
+        inputs = force_inputs(recording, axis, problem.force_filter)
         left = np.full(len(recording), np.nan)
         left[inputs.rows] = inputs.force - inputs.model_force(model, model.theta[None], axis.name)[0]
         left = _nearest(left, 2 * stride)

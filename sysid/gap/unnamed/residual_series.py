@@ -117,7 +117,7 @@ def variables_of(problem: Problem, recording: Recording, machine: Machine, predi
     axis = machine.axis(problem.target)
     position, command = recording.values(axis.driven), recording.values(axis_signal(axis.name, "command"))
     if problem.stage == "force":
-        speed = force_inputs(recording, axis, rows=problem.rows(recording)).speed
+        speed = force_inputs(recording, axis, problem.force_filter, problem.rows(recording)).speed
     elif problem.stage == "command" and axis.driven == problem.signals[0]:
         speed = np.gradient(filled(predicted), 1.0 / rate)
         speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart of the simulation is no motion

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from sysid.datasets.recording import Dataset
 from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import display, words
@@ -24,20 +25,20 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     for candidate in gap.candidates:
         groups.setdefault((candidate.stage, candidate.target), []).append(candidate)
     return {
-        "named": [_named(effect, gap) for effect in gap.effects],
-        "groups": [_group(stage, target, rows, gap, inputs.dataset.machine) for (stage, target), rows in groups.items()],
+        "named": [_named(effect, gap, inputs.dataset.machine) for effect in gap.effects],
+        "groups": [_group(stage, target, rows, gap, inputs.dataset) for (stage, target), rows in groups.items()],
     }
 
 
-def _named(effect: NamedEffect, gap: GapResult) -> dict[str, Any]:
-    found = rejected(effect, gap.candidates)
+def _named(effect: NamedEffect, gap: GapResult, machine: Machine) -> dict[str, Any]:
+    found = rejected(effect, gap.candidates, machine)
     largest = max((item.times for item in found if math.isfinite(item.times)), default=math.nan)
     target = words.owner_name(effect.target)
     by_reason: dict[str, list[RejectedEffect]] = {}
     for item in found:  # alternatives with the same reason share a line
         by_reason.setdefault(item.why, []).append(item)
     return {
-        "title": words.effect_title(effect.name),
+        "title": words.effect_title(effect.name, effect.target, machine),
         "target": target,
         "alternatives": [
             {
@@ -57,18 +58,18 @@ def _bar(times: float, largest: float) -> int | None:
     return round(100.0 * max(0.0, math.log(max(times, 1.0))) / math.log(max(largest, 1.1)))
 
 
-def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, machine: Machine) -> dict[str, Any]:
+def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, dataset: Dataset) -> dict[str, Any]:
     ordered = sorted(rows, key=lambda row: (not math.isfinite(row.selection_rmse), row.selection_rmse))
     best, named = least_error(ordered), [(effect.name, effect.target) for effect in gap.effects]
     shown_rows = []
     for row in ordered[:MAX_ROWS]:
         why, won = outcome(row, best, named)
-        added, refitted = _titles(row, target)
+        added, refitted = _titles(row, target, dataset.machine)
         shown_rows.append(
             {
                 "effects": added,
                 "refitted": refitted,
-                "parameters": _parameters(row, machine),
+                "parameters": _parameters(row, dataset),
                 "fit": display.fixed(row.fit_rmse, 2),
                 "bic": display.fixed(row.delta_bic, 0),
                 "verdict": why,
@@ -78,7 +79,7 @@ def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, m
     return {"stage": words.stage_name(stage), "target": words.owner_name(target), "count": len(ordered), "rows": shown_rows}
 
 
-def _titles(row: ComparedModel, target: str) -> tuple[str, str]:
+def _titles(row: ComparedModel, target: str, machine: Machine) -> tuple[str, str]:
     """Titles of the added effects, and of those that were only refitted."""
     added: list[str] = []
     refitted: list[str] = []
@@ -86,12 +87,12 @@ def _titles(row: ComparedModel, target: str) -> tuple[str, str]:
         name, of, rest, again = label_of(text)
         extra = [words.owner_name(of)] if of and of != target else []
         extra += [rest] if rest else []
-        title = words.effect_title(name) + (f" ({', '.join(extra)})" if extra else "")
+        title = words.effect_title(name, of or target, machine) + (f" ({', '.join(extra)})" if extra else "")
         (refitted if again else added).append(title)
     return " + ".join(added) or "nothing added", ", ".join(title.lower() for title in refitted)
 
 
-def _parameters(row: ComparedModel, machine: Machine) -> str:
+def _parameters(row: ComparedModel, dataset: Dataset) -> str:
     """Values as text; a key is ``parameter`` or ``effect(target).parameter``, with ``[i]`` for a vector component."""
     groups: dict[str, list[str]] = {}
     for key, value in row.parameters.items():
@@ -100,6 +101,6 @@ def _parameters(row: ComparedModel, machine: Machine) -> str:
         effect, target, _, refitted = label_of(label)
         if refitted:
             continue
-        text = shown(effect, name.partition("[")[0], target or row.target, value, machine)
+        text = shown(effect, name.partition("[")[0], target or row.target, value, dataset.machine, units=dataset.units)
         groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
     return "; ".join(", ".join(parts) for parts in groups.values())

@@ -8,6 +8,7 @@ from sysid.gap.result import EXPERIMENTS
 from sysid.reports import display, words
 from sysid.reports.effect_units import remainder_unit
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.reasons import with_titles
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
@@ -43,7 +44,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
                 "target": words.owner_name(item.target),
                 "rmse": display.quantity(item.rmse, remainder_unit(item.stage, item.target, inputs.dataset.machine, units)),
                 "depends_on": words.signal_name(item.depends_on) if item.depends_on in units else item.depends_on,
-                "form": item.form,
+                "form": with_titles(item.form, inputs.dataset.machine),
             }
             for item in gap.unnamed
         ],

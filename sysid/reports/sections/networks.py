@@ -22,7 +22,7 @@ ABOUT = {
     "actuator": "Cylinder displacement to joint angle and back, one network per direction.",
     "history": "Cylinder displacement to joint angle and back along a motion, depending on past motion.",
     "motion": "Commands to motion in free runs: errors some seconds after each start, and over whole recordings.",
-    "forward": "Joint values to the position of the boom tip.",
+    "forward": "Joint values to the position of the tip.",
 }
 ROWS = {"motion": "in motion", "poses": "static poses"}
 #: Spikes listed for each report.

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal, cast
 
 from markupsafe import Markup
 
+from sysid.effects.units import parameter_unit
 from sysid.gap.result import NamedEffect
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import effects_toml
 from sysid.reports import display, words
-from sysid.reports.effect_units import UNDETERMINED, parameter_unit, shown
+from sysid.reports.effect_units import UNDETERMINED, shown
 from sysid.reports.inputs import ReportInputs
 
 
@@ -19,7 +21,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     if inputs.gap is None or not inputs.gap.effects:
         return None
     machine = inputs.dataset.machine
-    rows = [row for effect in inputs.gap.effects for row in _rows(effect, machine)]
+    rows = [row for effect in inputs.gap.effects for row in _rows(effect, machine, inputs.dataset.units)]
     toml = effects_toml([_as_known(effect) for effect in inputs.gap.effects])
     return {"rows": rows, "toml": toml, "difference": inputs.gap.machine_diff, "after": inputs.gap.plant_after}
 
@@ -29,7 +31,7 @@ def _as_known(effect: NamedEffect) -> KnownEffect:
     return KnownEffect(effect.name, effect.target, parameters, cast(Literal["drive", "structure"] | None, effect.side))
 
 
-def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
+def _rows(effect: NamedEffect, machine: Machine, units: Mapping[str, str]) -> list[dict[str, Any]]:
     nominal = next((k.parameters for k in machine.effects if (k.name, k.target) == (effect.name, effect.target)), {})
     rows: list[dict[str, Any]] = []
     for name, value in effect.parameters.items():
@@ -42,10 +44,12 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
                 "parameter": name.replace("_", " "),
                 "value": UNDETERMINED
                 if name in effect.undetermined
-                else shown(effect.name, name, effect.target, value, machine, _digits(low, high)),
-                "interval": _interval(effect, name, low, high, machine),
+                else shown(effect.name, name, effect.target, value, machine, _digits(low, high), units),
+                "interval": _interval(low, high, parameter_unit(effect.name, name, effect.target, machine, units)),
                 "bar": Markup("") if name in effect.undetermined else _bar(value, low, high),
-                "nominal": shown(effect.name, name, effect.target, known, machine) if known is not None else "not in it",
+                "nominal": shown(effect.name, name, effect.target, known, machine, units=units)
+                if known is not None
+                else "not in it",
                 "first": not rows,
             }
         )
@@ -59,8 +63,7 @@ def _digits(low: Any, high: Any) -> int:
     return display.digits_for(float(low), float(high))
 
 
-def _interval(effect: NamedEffect, name: str, low: Any, high: Any, machine: Machine) -> str:
-    unit = parameter_unit(effect.name, name, effect.target, machine)
+def _interval(low: Any, high: Any, unit: str) -> str:
     if isinstance(low, (list, tuple)):
         return ", ".join(display.interval(float(a), float(b), unit) for a, b in zip(low, high, strict=True))
     if not math.isfinite(float(low) + float(high)):

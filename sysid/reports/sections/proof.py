@@ -8,6 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
+from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.sections.summary import dumbbells, signal_gaps
@@ -32,7 +33,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     return {
         "held_out": gap.held_out_recordings,
         "promotion": _promotion(gap.promotion, gap) if gap.promotion is not None else None,
-        "effects": [_effect(effect) for effect in gap.effects],
+        "effects": [_effect(effect, inputs.dataset.machine) for effect in gap.effects],
         "world": _world(gap.world_gap, inputs) if gap.world_gap is not None else None,
         "dataset": gap.dataset.partition("@")[0],
     }
@@ -60,10 +61,10 @@ def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
     }
 
 
-def _effect(effect: NamedEffect) -> dict[str, Any]:
+def _effect(effect: NamedEffect, machine: Machine) -> dict[str, Any]:
     found = effect.evidence
     return {
-        "title": words.effect_title(effect.name),
+        "title": words.effect_title(effect.name, effect.target, machine),
         "target": words.owner_name(effect.target),
         "share": effect.gap_share,
         "without": display.ratio(found.ratio) if found is not None else display.NOTHING,

@@ -15,7 +15,7 @@ from sysid.reports import display, words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
-from sysid.reports.places import Mark, marks_of, part_of, place_text, stage_marks
+from sysid.reports.places import Mark, has_valve, marks_of, part_of, place_text, stage_marks
 from sysid.reports.reasons import confidence
 from sysid.reports.sections.where import above_floor, over_name, sentence
 from sysid.signals import point_signals
@@ -85,8 +85,9 @@ def _legend(machine: Machine, numbers: str) -> str:
     """Legend of the drawing."""
     text = "Every axis from its drive to its joint."
     if machine.kinematics() is not None:
-        valves = ", valves" if any(axis.actuation == "velocity" for axis in machine.axes) else ""
-        text = f"The machine as its URDF describes it: joints (round: revolute, square: prismatic), cylinders{valves}."
+        cylinders = ", cylinders" if any(axis.drives == "cylinder" for axis in machine.axes) else ""
+        valves = ", valves" if any(has_valve(axis, machine) for axis in machine.axes) else ""
+        text = f"The machine as its URDF describes it: joints (round: revolute, square: prismatic){cylinders}{valves}."
     return f"{text} {numbers}".rstrip()
 
 
@@ -179,11 +180,11 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, 
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
     quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the error of its stage."]
-    quiet += confidence(effect, gap.candidates)
+    quiet += confidence(effect, gap.candidates, machine)
     if effect.aliases:
         others = ", ".join(f"{words.effect_title(name, target, machine)} ({target})" for name, target in effect.aliases)
         quiet.append(f"Cannot be distinguished from: {others}.")
-    sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target))
+    sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target), machine)
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
     return _card(number, words.effect_title(effect.name, effect.target, machine), target, sentence, quiet, sure=True)
 

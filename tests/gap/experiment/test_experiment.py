@@ -56,7 +56,7 @@ def test_a_lag_that_slow_ramps_do_not_separate_from_a_delay(noise: float, lag: f
 def test_stribeck_friction_is_excited_at_low_speeds() -> None:
     """Friction falls with speed at a few mm/s: brisk motions hold little information on it, creeping and slow ramps do."""
     viscous = nominal(KnownEffect("viscous_friction", "slide", {"coefficient": 60.0}), machine=slide())
-    film = KnownEffect("stribeck_friction", "slide", {"static_force": 20.0, "coulomb_force": 14.0, "stribeck_velocity": 0.01})
+    film = KnownEffect("stribeck_friction", "slide", {"static_force": 20.0, "coulomb_force": 14.0, "stribeck_velocity": 0.015})
     planned = tie(
         slow_dataset(viscous.with_effect(film), 10.0), viscous, "force", "slide", "coulomb_friction", "stribeck_friction"
     )

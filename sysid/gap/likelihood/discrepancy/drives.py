@@ -145,7 +145,7 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
     scale = float(np.nanmedian(np.abs(force))) if len(force) else 1.0
 
     def columns(recording: Recording) -> dict[str, Array]:
-        inputs = force_inputs(recording, axis, rows=problem.rows(recording))
+        inputs = force_inputs(recording, axis, problem.force_filter, problem.rows(recording))
         v = inputs.speed / fastest
         q = (inputs.position - middle) / half
         a = inputs.acceleration / max(float(np.percentile(np.abs(inputs.acceleration), 95)), 1e-12)

@@ -1,0 +1,46 @@
+"""SI units of effect parameters, which depend on whether the axis is revolute or prismatic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sysid.effects.catalogue import BY_NAME
+from sysid.errors import SettingsError
+from sysid.machine import Machine
+
+_NONE: Mapping[str, str] = {}
+
+
+def parameter_unit(effect: str, parameter: str, target: str, machine: Machine, units: Mapping[str, str] = _NONE) -> str:
+    """SI unit of a parameter of a named effect; ``1`` if unknown.
+
+    Args:
+        units: of the measured signals; a machine without a URDF may not state whether an axis is revolute or prismatic.
+    """
+    if effect not in BY_NAME:
+        return "1"
+    found = BY_NAME[effect]
+    unit = next((p.unit for form in found.forms for p in form.parameters if p.name == parameter), "1")
+    return _resolve(unit, target, machine, units, of_drive=found.stage == "force")
+
+
+def _resolve(unit: str, target: str, machine: Machine, units: Mapping[str, str], of_drive: bool = False) -> str:
+    """Replace ``signal``, ``drive``, ``joint`` and ``command`` by SI units; of two units a prismatic axis has the first.
+
+    Args:
+        of_drive: the force of the drive decides between two units, else the load of the joint.
+    """
+    if unit == "signal":
+        owner, _, _ = target.partition(".")
+        return machine.expected_unit(target) or units.get(target) or _resolve("joint", owner, machine, units)
+    try:
+        axis = machine.axis(target)
+    except SettingsError:
+        return unit
+    joint = machine.expected_unit(f"{target}.joint") or units.get(f"{target}.joint") or "rad"
+    drive = "m" if axis.drives == "cylinder" else joint
+    prismatic, _, revolute = unit.partition(" or ")
+    if revolute:
+        unit = prismatic if (drive if of_drive else joint) == "m" else revolute
+    command = {"velocity": "1", "position": drive, "force": "N" if drive == "m" else "N·m"}[axis.actuation]
+    return unit.replace("command", command).replace("drive", drive).replace("joint", joint)
