@@ -2,7 +2,8 @@
 
 The tip of an open chain is linear in products of one factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`).
 A calibrated geometry therefore has the same nodes as a fitted chain: its weights follow exactly from the tip position at three
-values of each revolute joint and two of each prismatic one.
+values of each revolute joint and two of each prismatic one. Chains that deflect under load or have passive joints are graphs of
+their own (:mod:`sysid.versions.onnx_elastic`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError
 from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
 from sysid.networks.policy import PolicyNetwork
+from sysid.versions.onnx_elastic import elastic_tip
 
 Array = npt.NDArray[np.float64]
 
@@ -128,9 +129,12 @@ class Graph:
             else:
                 inputs = q if model.features == "joints" else self.features(q, model.revolute)
             return self.mean([self.mlp(member, inputs) for member in model.members])
-        stretch, weights = chain_weights(model.structure, model.revolute)
-        turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q
-        tip = self.add("MatMul", self.products(turned, model.revolute), self.constant(weights))
+        if isinstance(model.structure, Calibration) and not is_multilinear(model.structure):
+            tip = elastic_tip(self, model.structure.geometry.elastic_chain(model.structure.values), q)
+        else:
+            stretch, weights = chain_weights(model.structure, model.revolute)
+            turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q
+            tip = self.add("MatMul", self.products(turned, model.revolute), self.constant(weights))
         if not model.members:
             return tip
         inputs, bound = self.features(q, model.revolute), self.constant([model.bound])
@@ -141,19 +145,16 @@ class Graph:
         return self.add("Add", tip, self.mean(rest))
 
 
-def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
-    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first.
+def is_multilinear(structure: Calibration) -> bool:
+    """Whether the tip is linear in the products of one factor a joint: none deflects under load or follows another."""
+    return not structure.elastic and not any(joint.passive for joint in structure.geometry.chain)
 
-    Raises:
-        SettingsError: a calibration whose joints deflect or follow others, which is not linear in the products.
-    """
+
+def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
+    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first."""
     if isinstance(structure, FittedChain):
         weights = structure.weights / structure.scale[:, None]
         return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])
-    passive = any(joint.passive for joint in structure.geometry.chain)
-    if structure.elastic or passive:
-        found = "passive (mimic) joints" if passive else "joints that deflect under load"
-        raise SettingsError("export to ONNX", found, "a calibrated geometry without", "Load the version in Python instead.")
     moved = {
         parameter.key: float(value) for parameter, value in zip(structure.geometry.parameters, structure.values, strict=True)
     }
