@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
+Stage = Literal["command", "force", "links", "joint", "end_effector", "tool", "sensor"]
 TargetKind = Literal["axis", "machine", "base", "ee", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 #: Kind of drive of an axis, as :meth:`sysid.machine.Machine.drive_of` gives it.

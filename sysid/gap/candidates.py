@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, Effect, Form, Parameter
+from sysid.effects import CATALOGUE, Effect, Form, Parameter, inertial_error
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
@@ -129,6 +129,12 @@ def candidates_at(
             for side in _sides(effect, stage, target, plant.machine):
                 found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
     return found
+
+
+def adjusted_link(plant: Plant, theta: Array, axis: str) -> Candidate:
+    """The inertial parameters of a link, which are adjusted and never named."""
+    effect = inertial_error.EFFECT
+    return _candidate(plant, theta, effect, effect.forms[0], axis, None, Scales())
 
 
 def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sysid.effects.compiled import inlined, kernel
-from sysid.effects.gripper_sway import GRAVITY
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.machine_arrays import (
     ALIGNED,

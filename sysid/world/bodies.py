@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import gripper_sway, link_length_error, tip_offset
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
 from sysid.machine.kinematics import Joint
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 from sysid.world.urdf import (
     MASS,

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError, nearest
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 from sysid.plant.layout import AT, base_place
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
