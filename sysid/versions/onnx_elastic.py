@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects.gripper_sway import GRAVITY
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
-
-if TYPE_CHECKING:
-    from sysid.versions.onnx_graph import Graph
+from sysid.versions.onnx_nodes import Nodes
 
 Array = npt.NDArray[np.float64]
 
@@ -42,9 +39,9 @@ class _Loads:
     across: list[tuple[str, str] | None]
 
 
-def elastic_tip(graph: Graph, chain: ElasticChain, q: str) -> str:
+def elastic_tip(graph: Nodes, chain: ElasticChain, q: str) -> str:
     """Joint values (n, n_axes) → tip (n, 3)."""
-    nodes = _Nodes(graph, chain, q)
+    nodes = _Chain(graph, chain, q)
     loads = _Loads([None] * len(chain.joints), [None] * len(chain.joints))
     for _ in range(chain.settling):
         loads = nodes.loads(nodes.pose(loads))
@@ -53,8 +50,8 @@ def elastic_tip(graph: Graph, chain: ElasticChain, q: str) -> str:
     return graph.add("Reshape", tip, graph.constant([-1, 3], whole=True))
 
 
-class _Nodes:
-    def __init__(self, graph: Graph, chain: ElasticChain, q: str) -> None:
+class _Chain:
+    def __init__(self, graph: Nodes, chain: ElasticChain, q: str) -> None:
         self.graph, self.chain = graph, chain
         whole = graph.constant([-1, 1, 1], whole=True)
         used = {joint.column for joint in chain.joints}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ import numpy.typing as npt
 from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
 from sysid.networks.policy import PolicyNetwork
 from sysid.versions.onnx_elastic import elastic_tip
+from sysid.versions.onnx_nodes import Nodes
 
 Array = npt.NDArray[np.float64]
 
@@ -27,34 +27,8 @@ OPSET, IR_VERSION = 18, 8
 ANGLES, SLIDES = (0.0, math.pi / 2.0, math.pi), (0.0, 1.0)
 
 
-class Graph:
-    """Nodes and constants in the order of their addition; values are referred to by name.
-
-    Args:
-        dtype: of all numbers.
-    """
-
-    def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
-        self.dtype = dtype
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """One node; returns the name of its output."""
-        from onnx import helper
-
-        name = output or f"{operator.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=f"node_{len(self.nodes)}", **attributes))
-        return name
-
-    def constant(self, values: npt.ArrayLike, whole: bool = False) -> str:
-        """A constant of the graph's type, or of whole numbers."""
-        from onnx import numpy_helper
-
-        name = f"constant_{len(self.constants)}"
-        array = np.asarray(values, dtype=np.int64 if whole else self.dtype)
-        self.constants.append(numpy_helper.from_array(array, name))
-        return name
+class Graph(Nodes):
+    """The nodes of a network."""
 
     def mlp(self, network: Mlp, value: str) -> str:
         """A perceptron with its normalisations."""
@@ -84,9 +58,6 @@ class Graph:
         for value in values[1:]:
             total = self.add("Add", total, value)
         return total if len(values) == 1 else self.add("Mul", total, self.constant([1.0 / len(values)]))
-
-    def columns(self, value: str, which: Sequence[int]) -> str:
-        return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
 
     def features(self, q: str, revolute: Sequence[bool]) -> str:
         """Sines and cosines of revolute joints, values of prismatic ones, in the order of
