@@ -51,7 +51,7 @@ def second_order(x: Array, time_constant: float, damping_ratio: float, dt: float
     """Second-order lag of ``x`` (n,), begun at rest at its first value (:mod:`sysid.effects.second_order_lag`)."""
     if time_constant < second_order_lag.ABSENT or not len(x):
         return x
-    fast = [1.0], [time_constant**2, 2.0 * damping_ratio * time_constant, 1.0]
+    fast = np.array([1.0]), np.array([time_constant**2, 2.0 * damping_ratio * time_constant, 1.0])
     numerator, denominator, _ = signal.cont2discrete(fast, dt)
     start = signal.lfilter_zi(numerator[0], denominator)
     return np.asarray(signal.lfilter(numerator[0], denominator, x, zi=start * x[0])[0])
