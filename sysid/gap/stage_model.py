@@ -20,7 +20,7 @@ from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
-from sysid.gap.servo.fewest import fewest_sets
+from sysid.gap.servo.fewest import fewest_sets, sags
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
@@ -134,7 +134,7 @@ def fit_stage(
             problem.integrates,
             free,
             proposals.without,
-            fewest=fewest if is_servo(model, problem) else None,
+            fewest=fewest if sags(model.machine, problem, excited) else None,
         )
 
     decision = decided()
@@ -151,11 +151,6 @@ def fit_stage(
         return fitted
     alone = replace(decision, model=_valued(proposals.warm(decision.named, decision.model), decision, free), tied=())
     return replace(fitted, names_alone=_fitted(proposals, alone, free))
-
-
-def is_servo(model: Model, problem: Problem) -> bool:
-    """Whether the stage is that of a position axis."""
-    return problem.stage == "command" and model.machine.axis(problem.target).actuation == "position"
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:

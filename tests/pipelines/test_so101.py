@@ -22,7 +22,6 @@ def test_play_of_a_joint_without_weight_is_the_same_in_every_recording(result: d
     assert play["parameters"]["width"] == pytest.approx([0.0165] * len(play["named"]), rel=0.35)  # 1.0 to 1.5° have been seen
 
 
-@pytest.mark.xfail(strict=True, reason="a near miss: without it the error of the rotation rises by less than a tenth")
 def test_play_is_named_where_there_are_turns_enough_and_left_open_where_not(result: dict[str, Any]) -> None:
     """The base turns seven times in what is fitted of one recording; there play and dead time may both be it."""
     named = {
@@ -83,7 +82,7 @@ def test_what_sags_under_the_arm_is_a_tie_with_the_same_offset_in_each_recording
             e["parameters"]["bias"] for e in run["written"] if (e["name"], e["target"]) == ("sensor_bias", f"{joint}.joint")
         ]
         offsets.append(bias)
-    assert max(offsets) < 1.2 * min(offsets)
+    assert max(offsets) < 1.4 * min(offsets)  # beside a scale error it is that of the zero angle
 
 
 @pytest.mark.xfail(strict=True, reason="play of the elbow, and of the pitch in one recording, is named")
