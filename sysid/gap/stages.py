@@ -17,6 +17,7 @@ from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
+from sysid.gap.alternatives import search_alternatives
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
@@ -151,13 +152,14 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     if is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
     else:
-        fitted = fit_stage(
-            compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
-            _equivalence(case, problem.stage, candidates),
-            on_fit=fits,
-            shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
-        )  # fmt: skip
-        result = _result(problem, seen, fitted, nominal)
+        model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
+        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
+
+        def search(some: Sequence[Candidate]) -> StageFit:
+            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
+            return fit_stage(model, *seen_by, some, nameable, rope, on_fit=fits, shared=shared)
+
+        result = _result(problem, seen, search_alternatives(seen, stage.theta, candidates, search), nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 
