@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from sysid.cli.output import PipelineProgress, Printer, write_json
@@ -34,13 +33,13 @@ CONTENT = Path(__file__).resolve().parents[1] / "datasets" / "xl330"
 #: Logs of each proportional gain in the roles fit, select, held out.
 ORDERS = (("sin_sin", "sin_time_square", "up_and_down"), ("sin_time_square", "sin_sin", "up_and_down"))
 GAINS = (100, 200, 400, 800)
-#: Motor as published (m1 of the authors) [N·m/A, Ω], supply [V], full duty, weight of the pendulum [N·m].
-KT, RESISTANCE, SUPPLY, FULL_DUTY, WEIGHT = 0.3866957639281311, 4.017129222290597, 7.4, 885.0, 0.49 * 9.81 * 0.1
+#: Motor as published (m1 of the authors) [N·m/A, Ω], supply [V], full duty.
+KT, RESISTANCE, SUPPLY, FULL_DUTY = 0.3866957639281311, 4.017129222290597, 7.4, 885.0
 #: Values of m1 for the same quantities; the motor brakes itself with kt²/R.
 PUBLISHED = {
     "viscous_friction": {"coefficient": 0.003661672282824312 + KT**2 / RESISTANCE},
     "coulomb_friction": {"force": 0.01283272036582759},
-    "inertia_error": {"ratio": (0.0049 + 0.0018141672784458866) / 0.0049},
+    "inertial_error": {"rotor": 0.0018141672784458866},
 }
 
 
@@ -91,15 +90,14 @@ def main(raw: Path, workspace: Path) -> Path:
 
 
 def write_torques(raw: Path, folder: Path) -> Path:
-    """One CSV a log with the torque that moves the pendulum: that of the motor less the weight [N·m]."""
+    """One CSV a log with the torque of the motor [N·m]."""
     files = read_toml(CONTENT / "recipe.toml")["recordings"]["files"]
     for name, file in files.items():
         (log,) = reader_named("json", CONTENT).read(raw / file, ReadOptions(time="timestamp"))
         duty = (log.columns["load"] + 2**15) % 2**16 - 2**15  # written as 16 bits without a sign
-        weight = WEIGHT * np.sin(log.columns["position"])
         table = {
             "time": log.stamps["time"] * 1e-9,
-            "arm.command [N·m]": KT / RESISTANCE * SUPPLY * duty / FULL_DUTY - weight,
+            "arm.command [N·m]": KT / RESISTANCE * SUPPLY * duty / FULL_DUTY,
             "arm.joint [rad]": log.columns["position"],
         }
         (folder / name).mkdir(parents=True, exist_ok=True)

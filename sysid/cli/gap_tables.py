@@ -24,6 +24,7 @@ SHARE = (
     "Share: how much of the closable error of its stage returns without this effect, the others refitted. Effects that can "
     "replace each other (dead time and lag) have small shares each, even if their sum is large."
 )
+LINKS = "Small errors of mass, first moment and inertia are adjusted together and have no names of their own: links of"
 KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}
 
 
@@ -31,11 +32,14 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """One row for every parameter that the repair writes into the plant: named, adjusted without a name, changed."""
     if not result.written:
         return
+    from sysid.effects import inertial_error
     from sysid.reports.display import NOTHING, percent
     from sysid.reports.words import effect_place
 
     rows: list[tuple[str, ...]] = []
-    for item in result.written:
+    links = [item.target for item in result.written if item.name == inertial_error.EFFECT.name]
+    shown = [item for item in result.written if item.name != inertial_error.EFFECT.name]
+    for item in shown:
         title = effect_place(item.name, item.target, dataset.machine)
         share = percent(item.gap_share) if item.gap_share is not None else NOTHING
         for number, (key, value) in enumerate(item.parameters.items()):
@@ -51,8 +55,10 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
         out.line(f"A repair (--add) would write {count}:")
     out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
     entry(out, SHARE, "", True)
+    if links:
+        entry(out, f"{LINKS} {', '.join(links)}.", "", True)
     reasons: dict[str, list[str]] = {}
-    for item in result.written:
+    for item in shown:
         if item.kind == "adjusted":
             reasons.setdefault(plain_reason(item.why), []).append(effect_place(item.name, item.target, dataset.machine))
     for why, titles in reasons.items():

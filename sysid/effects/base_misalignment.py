@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _T = ("translation_x", "translation_y", "translation_z")
+_TURN = (-math.pi, math.pi)
 _R = ("rotation_x", "rotation_y", "rotation_z")
 
 EFFECT = Effect(
     name="base_misalignment",
     title="Base misalignment",
-    sentences=("The base of the machine and the measuring frame differ from the survey.",),
+    sentences=("The frame of the measurement differs from that of the base: shift {translation}, rotation {rotation}.",),
     part="base",
     stage="end_effector",
     target="base",
@@ -18,8 +21,10 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("translation", "m", (-1.0, 1.0), (0.0,), 1e-3, "shift", sets=tuple((name,) for name in _T)),
-                Parameter("rotation", "rad", (-0.5, 0.5), (0.0,), 1e-3, "rotation vector", sets=tuple((name,) for name in _R)),
+                Parameter("translation", "m", (-100.0, 100.0), (0.0,), 1e-3, "shift", sets=tuple((name,) for name in _T)),
+                Parameter(
+                    "rotation", "rad", (-math.pi, math.pi), (0.0,), 1e-3, "rotation vector", sets=tuple((name,) for name in _R)
+                ),
             )
         ),
     ),

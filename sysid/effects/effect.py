@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
-TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
+Stage = Literal["command", "force", "links", "joint", "end_effector", "tool", "sensor"]
+TargetKind = Literal["axis", "machine", "base", "ee", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 #: Kind of drive of an axis, as :meth:`sysid.machine.Machine.drive_of` gives it.
 Drive = Literal["hydraulic", "electric", "unknown"]
@@ -122,6 +122,8 @@ class Effect:
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
+        described_only: it is tested only where the machine description contains it, with any value: other effects do the same
+            where it is known to be absent.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -151,6 +153,7 @@ class Effect:
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
     fitted: bool = True
+    described_only: bool = False
     surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:

@@ -8,8 +8,8 @@ import numpy as np
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+from sysid.machine.moved_bodies import GRAVITY
 
-GRAVITY = 9.80665
 #: State: bob x, y, its velocity x, y, last pivot x, y, z, last pivot velocity x, y, z.
 MEMORY = 10
 

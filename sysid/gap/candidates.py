@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, Effect, Form, Parameter
+from sysid.effects import CATALOGUE, Effect, Form, Parameter, inertial_error
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
@@ -118,7 +118,7 @@ def candidates_at(
 
     Args:
         theta: vector of the plant under test; its values are the nominal ones.
-        targets: axes, ``machine``, ``base``, ``tool`` or signals that belong to the stage's problem.
+        targets: axes, ``machine``, ``base``, ``ee``, ``tool`` or signals that belong to the stage's problem.
     """
     found = []
     scales = scales or Scales()
@@ -140,9 +140,17 @@ def _forms(plant: Plant, effect: Effect, target: str, side: str | None) -> list[
     return [form for form in effect.forms if len(form.slots) == len(effect.slots)]
 
 
+def adjusted_link(plant: Plant, theta: Array, axis: str) -> Candidate:
+    """The inertial parameters of a link, which are adjusted and never named."""
+    effect = inertial_error.EFFECT
+    return _candidate(plant, theta, effect, effect.forms[0], axis, None, Scales())
+
+
 def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
     machine = plant.machine
     if effect.target != _kind(target, plant):
+        return False
+    if effect.described_only and plant.effect(effect.name, target) is None:
         return False
     if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
         return False
@@ -153,7 +161,7 @@ def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
 
 def _kind(target: str, plant: Plant) -> str:
     """Kind of target of a name."""
-    if target in ("machine", "base", "tool"):
+    if target in ("machine", "base", "ee", "tool"):
         return target
     if target in plant.machine.axis_names:
         return "axis"

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
+from sysid.effects import link_mass_error
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -161,7 +162,10 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
-    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    scales = scales_of(case.plant, stage)
+    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales)
+    # Gravity weighs a link about its own joint; a link on a vertical axis shows by its inertia alone.
+    found = [c for c in found if c.effect is not link_mass_error.EFFECT or scales.loads.get(c.target)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found

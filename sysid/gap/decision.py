@@ -183,6 +183,7 @@ def decide(
     free: FreeRun | None = None,
     without: Callable[[ModelFit, Candidate], ModelFit] | None = None,
     independent: bool = False,
+    first: frozenset[str] = frozenset(),
 ) -> Decision:
     """Apply the rule to the models of a stage.
 
@@ -198,6 +199,8 @@ def decide(
         without: a model without one of its effects, the others refitted; by default looked up among ``models``.
         independent: the errors of rows are independent (static poses), so that their mean shows effects below the noise floor:
             evidence alone decides between a model and a simpler one that reaches the floor.
+        first: labels of effects that come before the others (the frame of the measurement): if they are worth their price, the
+            others have to pay theirs by what they reduce beside these.
     """
     rope, free = rope or {}, free or FreeRun()
     best = max(models, key=lambda f: float(f.predictive.sum()))
@@ -229,12 +232,15 @@ def decide(
         for c in model.candidates:
             if not lacking[c.key] and less(model, c).left <= EXPLAINED * max(model.left, 1.0):
                 lacking[c.key] = LITTLE
-    certain = sum(not lacks for lacks in lacking.values())
-    worth = exact or integrates or pays(nothing, model.left, max(certain, 1))
+    beside = next((f.left for f in models if f.labels == first), nothing)
+    paid = bool(first) and pays(nothing, beside, len(first))
+    reference, apart = (beside, first) if paid else (nothing, frozenset())
+    certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
+    worth = exact or integrates or pays(reference, model.left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
-        if not worth or candidate.key not in smallest:
+        if not (worth or candidate.label in apart) or candidate.key not in smallest:
             lacks = LITTLE
         elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
             lacks = REPAIRS

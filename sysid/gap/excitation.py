@@ -247,8 +247,8 @@ def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
 
 
 def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Visited share of the joint's range [%]; for the base, the least over all axes."""
-    axes = machine.axis_names if axis == "base" else (axis,)
+    """Visited share of the joint's range [%]; for base and tip, the least over all axes."""
+    axes = machine.axis_names if axis in ("base", "ee") else (axis,)
     shares = []
     for name in axes:
         values = np.concatenate([r.values(axis_signal(name, "joint")) for r in recordings])

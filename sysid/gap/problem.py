@@ -14,6 +14,7 @@ from sysid.datasets.roles.needs import MIN_POSES, is_pose_set, measured_together
 from sysid.datasets.roles.shortage import ROLES
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
+from sysid.gap.arm.forces import ArmForces
 from sysid.gap.drift import BIN
 from sysid.gap.poses.folds import pose_roles
 from sysid.machine import Axis
@@ -130,6 +131,24 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], set
     )
 
 
+def links_problem(model: Model, axes: Sequence[Axis], recordings: Sequence[Recording]) -> Problem:
+    """Measured motion → forces of all force axes of an arm at once, without the friction of the joints.
+
+    Its effects are those of the links, which act on several axes.
+    """
+    forces = ArmForces(model, axes, recordings)
+    return Problem(
+        "links",
+        "arm",
+        ("tool", *(axis.name for axis in axes)),
+        tuple(axis_signal(axis.name, "command") for axis in axes),
+        forces.predicted,
+        forces.measured,
+        forces.rows,
+        only=forces.names,
+    )
+
+
 def force_determined(recording: Recording, axis: Axis, least_travel: float, settings: ForceFilter) -> bool:
     """Whether the motion of a force axis in a recording determines its force: it is measured, and moves by more than noise."""
     if travel_of(recording.values(axis.driven)) < least_travel:
@@ -145,12 +164,26 @@ def _force_problems(model: Model, axis: Axis, split: Split) -> list[Problem]:
     """The force stage of an axis, if recordings of each role determine it; its filter is that of the seen recordings."""
     motion = (*split.seen, *split.held_out)
     least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
-    settings = force_filter([r for r in split.seen if travel_of(r.values(axis.driven)) >= least], axis)
+    settings = ForceFilter()
+    if model.rigid is None:  # the force on an axis of an arm is not a function of its own motion
+        settings = force_filter([r for r in split.seen if travel_of(r.values(axis.driven)) >= least], axis)
     moving = Split(*(tuple(r for r in part if force_determined(r, axis, least, settings)) for part in split.roles))
     if not any(moving.roles) or not all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
         return []
-    settings = replace(settings, delay=force_delay(moving.seen, axis, settings))
+    if model.rigid is None:
+        settings = replace(settings, delay=force_delay(moving.seen, axis, settings))
     return [force_problem(model, axis, (*moving.seen, *moving.held_out), settings)]
+
+
+def _links_problems(model: Model, forces: Sequence[Problem], split: Split) -> list[Problem]:
+    """The links stage of an arm, if recordings of each role determine the forces of all tested axes."""
+    tested = [p.only for p in forces if p.only is not None]
+    names = frozenset.intersection(*tested) if tested else frozenset[str]()
+    roles = [[r for r in role if r.name in names] for role in split.roles]
+    if not names or not all(there for there, role in zip(roles, split.roles, strict=True) if role):
+        return []
+    axes = [model.machine.axis(p.target) for p in forces]
+    return [links_problem(model, axes, [r for role in roles for r in role])]
 
 
 def joint_problem(model: Model, axis: Axis) -> Problem:
@@ -177,7 +210,7 @@ def tip_problem(model: Model) -> Problem:
     return Problem(
         "end_effector",
         "ee",
-        (*model.machine.axis_names, "base", *joints, *other_clocks(model, *joints, *point_signals("ee"))),
+        (*model.machine.axis_names, "base", "ee", *joints, *other_clocks(model, *joints, *point_signals("ee"))),
         point_signals("ee"),
         model.tip,
         lambda recording: measured_point(recording, "ee"),
@@ -264,18 +297,27 @@ def pose_split(dataset: Dataset) -> Split:
     return Split(*(tuple(part) for part in parts))
 
 
+def all_joints(model: Model, recordings: Sequence[Recording]) -> bool:
+    """Whether the joints of all axes are measured together, which the torques of links need."""
+    return measured_together(recordings, *(axis_signal(name, "joint") for name in model.machine.axis_names))
+
+
 def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     """The stages that this dataset measures at both ends, in the order of the chain."""
     split = split_of(dataset)
     motion = (*split.seen, *split.held_out)
     problems: list[Problem] = []
     for axis in model.machine.axes:
+        if axis.actuation == "force" and model.rigid is not None and not all_joints(model, motion):
+            continue
         if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
             problems += _force_problems(model, axis, split)
         else:
             problems.append(drive_problem(model, axis))
+    if model.rigid is not None:
+        problems = [*_links_problems(model, [p for p in problems if p.stage == "force"], split), *problems]
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
         if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):

@@ -87,7 +87,8 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         outcome.near_misses += near_misses(stage)
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
-        if (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
+        # What remains of the forces of an arm shows at its axes, each with its friction.
+        if stage.problem.stage != "links" and (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
 
@@ -193,7 +194,8 @@ def _with_intervals(case: Case, stage: Stage) -> Stage:
     if not result.named or result.stage_fit is None:
         return stage
     limits = _limits(result)
-    if case.adapter is not None or is_pose_set(case.dataset):  # of a smooth regression the posterior is exact
+    regression = is_pose_set(case.dataset) or stage.problem.stage == "links"  # smooth: the posterior is exact
+    if case.adapter is not None or regression:
         return replace(stage, result=replace(result, limits=limits))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
@@ -319,8 +321,13 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     for candidate in adjusted:
         values = result.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
+        if not candidate.effect.fitted:
+            continue
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
+    links = [c.target for c in adjusted if not c.effect.fitted]
+    if links:
+        outcome.notes.append(f"inertial parameters of the links of {', '.join(links)} are adjusted in the plant without a name")
     known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
@@ -330,9 +337,12 @@ def _least_share(result: StageResult) -> float:
     """Least share of the closable gap of a name.
 
     Of static poses whose errors are independent noise, the region of practical equivalence alone decides on the size of an
-    effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred.
+    effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred. The
+    same holds for the links of an arm, whose friction is a large part of the forces.
     """
     fitted = result.stage_fit
+    if result.problem.stage == "links":
+        return float(np.finfo(float).tiny)
     independent = fitted is not None and fitted.framed is not None and fitted.decision.exact
     return float(np.finfo(float).tiny) if independent else SHARE
 
@@ -448,7 +458,11 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     dropped = fitted.dropped[candidate.label]
     recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
     first, framed = stage.theta, fitted.framed
-    if framed is not None and candidate.target != "base" and any(c.target == "base" for c in fitted.decision.model.candidates):
+    if (
+        framed is not None
+        and candidate.target not in ("base", "ee")
+        and any(c.target == "base" for c in fitted.decision.model.candidates)
+    ):
         first = framed.theta  # the frame closes most of the gap of a pose set
     before, after, less = (_score(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
@@ -488,7 +502,9 @@ def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
     before: dict[str, float] = {}
     after: dict[str, float] = {}
     floor: dict[str, float] = {}
-    for problem, held_out in (*((s.problem, s.split.held_out) for s in stages), *_speeds(case, stages)):
+    # The forces of the links stage are outputs of the axes' stages too.
+    own = ((s.problem, s.split.held_out) for s in stages if s.problem.stage != "links")
+    for problem, held_out in (*own, *_speeds(case, stages)):
         for values, scores in (
             (before, stage_rmse(problem, case.theta, held_out)),
             (after, stage_rmse(problem, repaired, held_out)),

@@ -18,7 +18,8 @@ from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.alternatives import search_alternatives
-from sysid.gap.candidates import Candidate
+from sysid.gap.arm.stage import fit_links_stage, links_adjusted
+from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
 from sysid.gap.data import Data
@@ -42,6 +43,8 @@ Array = npt.NDArray[np.float64]
 BACKLASH_OVER_NOISE = 4.0
 #: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
 SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
+#: Stage of the links of an arm.
+LINKS = "links"
 
 #: Fits of a stage with an error, in the mean: 51 to 81 on a servo arm and an excavator.
 TYPICAL_FITS = 70
@@ -70,7 +73,15 @@ class FitCount:
 
 
 def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Stages driven by their measured inputs are independent: as many at a time as there are cores."""
+    """Stages driven by their measured inputs are independent: as many at a time as there are cores.
+
+    The links of an arm come first: the axes are searched with the masses found.
+    """
+    links = [stage for stage in stages if stage.problem.stage == LINKS]
+    if links:
+        first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
+        rest = [replace(s, theta=_with_links(s, first)) for s in stages if s.problem.stage != LINKS]
+        return (first, *_in_parallel(case, rest, forms, part(progress, 0.1, 1.0)))
     done = [0.0] * len(stages)
     stopped = threading.Event()
 
@@ -95,6 +106,11 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
             raise
         pool.shutdown()
         return _with_sensor_scales(case, found, forms, progress)
+
+
+def _with_links(stage: Stage, links: Stage) -> Array:
+    """The vector of a stage, with the masses that the links stage found where it is a force axis."""
+    return links.found.fit.theta.copy() if stage.problem.stage == "force" else stage.theta
 
 
 def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
@@ -149,7 +165,9 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     fits = FitCount(progress, stage.label)
     candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
-    if is_pose_set(case.dataset):
+    if problem.stage == LINKS:
+        result = _found_in_links(case, stage, candidates, nameable, seen, nominal, fits)
+    elif is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
     else:
         model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
@@ -162,6 +180,26 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
         result = _result(problem, seen, search_alternatives(seen, stage.theta, candidates, search), nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
+
+
+def _found_in_links(
+    case: Case,
+    stage: Stage,
+    candidates: Sequence[Candidate],
+    nameable: Sequence[str],
+    seen: Data,
+    nominal: float,
+    fits: FitCount,
+) -> StageResult:
+    """The result of the links of an arm; errors of their inertial parameters are adjusted without a name."""
+    model = compile_plant(case.plant)
+    fitted = fit_links_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable, fits)
+    result = _result(stage.problem, seen, fitted, nominal)
+    off = [adjusted_link(case.plant, stage.theta, name) for name in links_adjusted(model, result.fit.theta, stage.theta)]
+    unknowns = (*result.fit.unknowns, *(u for c in off for u in c.unknowns))
+    values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
+    fit = replace(result.fit, candidates=(*result.fit.candidates, *off), unknowns=unknowns, values=values)
+    return replace(result, fit=fit, adjusted=(*result.adjusted, *off))
 
 
 def _found_in_poses(

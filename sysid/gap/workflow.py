@@ -97,7 +97,7 @@ def find_gap(
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
-    if planning is not None and case.adapter is None and not localise_only:
+    if planning is not None and case.adapter is None and not localise_only and case.split.seen:  # poses alone: no motion
         report(0.85, "planning the next experiment")
         hypotheses = open_hypotheses(case, stages, outcome)
         planned = itertools.count()

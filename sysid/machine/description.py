@@ -11,6 +11,7 @@ from sysid.config import Strict, inside, parse_settings, settings_text, toml_val
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.kinematics import Kinematics
+from sysid.machine.moved_bodies import has_masses
 from sysid.names import check_file_name
 from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
@@ -218,6 +219,7 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
         machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
         _check_joint_types(machine, where)
+    _check_inertias(machine, where)
     _check_markers(machine, where)
     for signal in machine.noise:
         if signal not in machine.signals:
@@ -237,10 +239,18 @@ def _check_axes(machine: Machine, where: object) -> None:
             raise SettingsError(place, "a name that no signal can have", _LETTERS)
         if names.count(axis.name) > 1 or axis.name in RESERVED:
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
-        if axis.actuation == "force" and axis.inertia is None:
-            raise SettingsError(place, "no inertia", "inertia [kg or kg·m²] for a force-actuated axis")
         if axis.drives == "cylinder" and axis.stroke is None:
             raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
+
+
+def _check_inertias(machine: Machine, where: object) -> None:
+    """A force axis has an inertia; where the URDF gives the masses that it moves, that of its rotor, if it is known."""
+    kinematics = machine.kinematics()
+    massive = kinematics is not None and has_masses(kinematics)
+    for axis in machine.axes:
+        if axis.actuation == "force" and axis.inertia is None and not (massive and axis.drives == "joint"):
+            expected = "inertia [kg or kg·m²] of what a force-actuated axis moves, or a URDF with the masses of the links"
+            raise SettingsError(f"{where}: axis {shown(axis.name)}", "no inertia", expected)
 
 
 def _check_joint_types(machine: Machine, where: object) -> None:

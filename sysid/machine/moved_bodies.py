@@ -13,6 +13,8 @@ Array = npt.NDArray[np.float64]
 
 #: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
 UNIT_MASS = 1.0
+#: Standard gravity (CGPM 1901) [m/s²], along −z of the URDF's root link.
+GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,13 @@ class MovedBody:
 
     mass: float
     centre: Array
+
+
+def has_masses(kinematics: Kinematics) -> bool:
+    """Whether the URDF gives the mass of a link of the chain that a joint moves."""
+    moving = [k for k, joint in enumerate(kinematics.chain) if joint.kind != "fixed"]
+    links = [joint.child for joint in kinematics.chain[moving[0] :]] if moving else []
+    return any(kinematics.masses[link][0] > 0.0 for link in links if link in kinematics.masses)
 
 
 def moved_bodies(kinematics: Kinematics) -> tuple[MovedBody, ...]:

@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.machine.kinematics import Kinematics
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.networks import geometry_parameters as sizes
 from sysid.networks.folded import FoldedChain, FoldedJoint
 from sysid.networks.geometry_parameters import GeometryParameter

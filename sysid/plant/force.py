@@ -18,6 +18,8 @@ from scipy.ndimage import shift
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
+from sysid.plant.link_torque import link_torque
+from sysid.plant.smooth_motion import HIGHEST, POSITION_HZ, smooth_motion
 from sysid.signals import axis_signal
 
 if TYPE_CHECKING:
@@ -32,8 +34,6 @@ LEAST_SAMPLES = 100
 LEAST_HZ = 10.0
 #: Cut-off of the position over that of the force, so that the position's filter changes less than 0.1 % inside the band.
 POSITION_RATIO = 2.5
-#: Highest cut-off of a filter [share of the sample rate].
-HIGHEST = 0.4
 #: Standard deviations of its noise within which a speed has no certain sign.
 NOISE_WIDTHS = 2.0
 #: Rows that survive for each unknown of rigid motion with friction by direction (inertia, two viscous, two dry, a constant).
@@ -52,7 +52,7 @@ class ForceFilter:
         delay: of the force against the motion [samples], see :func:`sysid.plant.force_delay.force_delay`.
     """
 
-    position_hz: float = 50.0
+    position_hz: float = POSITION_HZ
     force_hz: float = LEAST_HZ
     order: int = 4
     still: float = 0.01
@@ -106,13 +106,18 @@ class ForceInputs:
     force: Array
     low_pass: Array
     position: Array
-    rate_hz: float
+    recording: Recording
+
+    @property
+    def rate_hz(self) -> float:
+        return self.recording.rate_hz
 
     def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
         out = np.empty((len(thetas), len(self.rows)))
         for lane, theta in enumerate(thetas):
             full = model.inverse(theta, axis, self.position, self.speed, self.acceleration, 1.0 / self.rate_hz)
+            full += link_torque(model, theta, self.recording, axis)
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
@@ -136,37 +141,26 @@ def force_inputs(
     if motion is None:
         raise ExcitationError(where, "force and motion are not measured together", f"{LEAST_SAMPLES} samples")
     rate = motion.rate_hz
-    smooth, low_pass = (
-        signal.butter(settings.order, min(hz, HIGHEST * rate), fs=rate, output="sos")
-        for hz in (settings.position_hz, settings.force_hz)
-    )
+    low_pass = signal.butter(settings.order, min(settings.force_hz, HIGHEST * rate), fs=rate, output="sos")
     force = delayed(motion.force, settings.delay)
-    position = signal.sosfiltfilt(smooth, motion.position)
-    speed = np.gradient(position, 1.0 / rate)
-    acceleration = second_difference(position) * rate**2
+    position, speed, acceleration = smooth_motion(motion.position, rate, settings.position_hz, settings.order)
     filtered = signal.sosfiltfilt(low_pass, force)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     uncertain = max(still, NOISE_WIDTHS * _speed_noise(motion, position, settings))
     rests = np.abs(speed) < uncertain + np.abs(acceleration) * 0.5 / settings.position_hz
     if rows is None:
         rows = _rows(motion, speed, still, settings, where)
-    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
+    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, recording)
 
 
 def delayed(force: Array, samples: float) -> Array:
-    """The force ``samples`` later, averaged over neighbouring samples as in :func:`second_difference`, (n,).
+    """The force ``samples`` later, averaged over neighbouring samples as in a second difference, (n,).
 
     A second difference contains (1, 10, 1)/12 of the accelerations of three samples, to fourth order (Numerov).
     """
     shifted = shift(force, samples, order=3, mode="nearest") if samples else force
     before, after = np.concatenate([shifted[:1], shifted[:-1]]), np.concatenate([shifted[1:], shifted[-1:]])
     return np.asarray((before + 10.0 * shifted + after) / 12.0)
-
-
-def second_difference(values: Array) -> Array:
-    """x_(k+1) − 2·x_k + x_(k−1), repeated at both ends, (n,)."""
-    inner = np.diff(values, 2)
-    return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
 def _speed_noise(motion: Motion, position: Array, settings: ForceFilter) -> float:

@@ -17,7 +17,8 @@ from scipy import signal
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
-from sysid.plant.force import LEAST_HZ, ForceFilter, ForceInputs, force_inputs, second_difference
+from sysid.plant.force import LEAST_HZ, ForceFilter, ForceInputs, force_inputs
+from sysid.plant.smooth_motion import second_difference
 
 Array = npt.NDArray[np.float64]
 

@@ -44,7 +44,7 @@ def _block(*kinds: TargetKind) -> dict[Key, tuple[int, float]]:
     return block
 
 
-_AXIS, _MACHINE, _BASE, _TOOL = _block("axis"), _block("machine"), _block("base"), _block("tool")
+_AXIS, _MACHINE, _BASE, _TOOL = _block("axis"), _block("machine"), _block("base", "ee"), _block("tool")
 _SIGNAL = _block("signal", "stream")
 AXIS_WIDTH, SIGNAL_WIDTH = len(_AXIS), len(_SIGNAL)
 
@@ -138,7 +138,7 @@ def slot_indices(
         return [list(axis_names).index(target) * AXIS_WIDTH + _AXIS[effect.name, side, slot][0]]
     if effect.target == "machine":
         return [machine_place(axes) + _MACHINE[effect.name, side, slot][0]]
-    if effect.target == "base":
+    if effect.target in ("base", "ee"):
         return [base_place(axes) + _BASE[effect.name, side, slot][0]]
     if effect.target == "tool":
         return [tool_place(axes) + _TOOL[effect.name, side, slot][0]]

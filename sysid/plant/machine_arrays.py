@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 
 VELOCITY, POSITION, FORCE = 0, 1, 2
 KINDS = {"velocity": VELOCITY, "position": POSITION, "force": FORCE}
+#: Inertia of a rotor that the machine's description does not state [kg or kg·m²].
+NO_INERTIA = 1e-9
 #: Points of a linkage table.
 _POINTS = 2048
 
@@ -63,7 +65,7 @@ def machine_arrays(plant: Plant) -> MachineArrays:
     count = len(machine.axes)
     axes, tables = np.zeros((count, 8)), np.full((count, _POINTS), np.nan)
     axes[:, KIND] = [KINDS[axis.actuation] for axis in machine.axes]
-    axes[:, GAIN] = [float(a.inertia or 0.0) if a.actuation == "force" else a.gain for a in machine.axes]
+    axes[:, GAIN] = [float(a.inertia or NO_INERTIA) if a.actuation == "force" else a.gain for a in machine.axes]
     axes[:, [LOW, HIGH]] = [axis.range for axis in machine.axes]
     axes[:, CYLINDER] = [axis.drives == "cylinder" for axis in machine.axes]
     axes[:, [SENSE, TABLE_LOW, TABLE_STEP]] = 1.0, 0.0, 1.0

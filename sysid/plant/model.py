@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import Machine
+from sysid.machine.rigid_body import RigidBody, rigid_body
 from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
@@ -50,6 +51,7 @@ class Model:
     streams: layout.Streams = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
     nets: ResidualArrays | None = None
+    rigid: RigidBody | None = None
 
     @property
     def axes(self) -> int:
@@ -327,7 +329,8 @@ def compile_plant(plant: Plant) -> Model:
     """The arrays of a plant."""
     nets = residual_arrays(plant.machine, plant.residuals)
     linked = frozenset(plant.linkages)
-    return Model(plant.machine, plant.vector(), machine_arrays(plant), linked, plant.streams, plant.residuals, nets)
+    arrays, rigid = machine_arrays(plant), rigid_body(plant.machine)
+    return Model(plant.machine, plant.vector(), arrays, linked, plant.streams, plant.residuals, nets, rigid)
 
 
 def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:

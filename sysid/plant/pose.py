@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sysid.effects.compiled import inlined, kernel
-from sysid.effects.gripper_sway import GRAVITY
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.machine_arrays import (
     ALIGNED,
@@ -54,6 +54,10 @@ def pose(q, p, links, base, scratch, tip, load):
         py += xy * fx + yy * fy + zy * fz
         pz += xz * fx + yz * fy + zz * fz
         if j == count:
+            b = base + AT.tip_offset
+            px += xx * p[b] + yx * p[b + 1] + zx * p[b + 2]
+            py += xy * p[b] + yy * p[b + 1] + zy * p[b + 2]
+            pz += xz * p[b] + yz * p[b + 1] + zz * p[b + 2]
             break
         if links[j, TURNED] != 0.0:
             ax, ay, az = xx, xy, xz

@@ -84,6 +84,8 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     share, load = model.share(theta, recording, SETTLE_WINDOW)[0], model.load(theta, recording, SETTLE_WINDOW)
     for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
         edges[i, : len(segments)] = segments
+        if model.rigid is not None and axis.actuation == "force":  # no forward dynamics of an arm: no free run
+            continue
         stage: ResidualStage = "force" if axis.actuation == "force" else "command"
         driven, joint = (model.true_signal(theta, recording, s)[0] for s in (axis.driven, axis_signal(axis.name, "joint")))
         axis_run.find_starts(

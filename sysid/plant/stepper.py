@@ -19,6 +19,7 @@ from sysid.effects import gripper_sway, input_delay
 from sysid.effects.compiled import kernel
 from sysid.errors import SettingsError
 from sysid.machine import Machine
+from sysid.machine.rigid_body import moves_masses
 from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION
@@ -76,6 +77,9 @@ class Stepper:
             raise SettingsError(where, f"{lanes} lanes", "at least one")
         if not rate_hz > 0.0:
             raise SettingsError(where, f"rate_hz = {rate_hz}", "a positive rate [Hz]")
+        if moves_masses(plant.machine):
+            found = "force axes that move links with masses; an arm has no forward dynamics here"
+            raise SettingsError(where, found, "axes driven by position or velocity", "Use the torques at measured motion.")
         check_step(plant.residuals, 1.0 / rate_hz)
         self.plant, self.lanes, self.rate_hz = plant, lanes, rate_hz
         self.model = model = compile_plant(plant)

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid.effects import gripper_sway
 from sysid.effects.compiled import inlined, kernel, loop
+from sysid.machine.moved_bodies import GRAVITY
 
 #: The start of a swing is estimated from this number of periods, or from this time [s] where that is longer.
 PERIODS, MIN_SECONDS = 2.0, 3.0
@@ -55,7 +56,7 @@ def start(p, at, pivot, measured, dt, found):
 @loop
 def _most_samples(p, at, dt, rows):
     """Most samples, of ``rows``, from which the start is estimated."""
-    period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / gripper_sway.GRAVITY)
+    period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / GRAVITY)
     return min(rows, max(5, math.ceil(max(MIN_SECONDS, PERIODS * period) / dt)))
 
 
@@ -94,7 +95,7 @@ def _find_start(p, at, pivot, measured, first, last, dt, s, best, trial, normal,
     _rest_state(pivot, first, last, dt, best)
     if length < 1e-3:
         return
-    rate = math.sqrt(gripper_sway.GRAVITY / length)
+    rate = math.sqrt(GRAVITY / length)
     lowest = np.inf
     _copy(trial, best)
     for iteration in range(ROUNDS):
@@ -131,7 +132,7 @@ def _find_start(p, at, pivot, measured, first, last, dt, s, best, trial, normal,
 @loop
 def _find_start_numerically(p, at, pivot, measured, first, last, dt, variance, s, best, trial, normal, columns, work, out):
     """The same for a swing so large that its period depends on its amplitude: derivatives are differences of runs."""
-    rate = math.sqrt(gripper_sway.GRAVITY / p[at])
+    rate = math.sqrt(GRAVITY / p[at])
     step, lowest = work[5], np.inf
     _copy(trial, best)
     for _ in range(ROUNDS):
@@ -159,7 +160,7 @@ def _find_start_numerically(p, at, pivot, measured, first, last, dt, variance, s
 def _differences(p, at, pivot, first, last, dt, s, best, out, moved, columns):
     """Derivatives of the run ``out`` by the places and speeds of ``best``, into ``columns`` (4, n, 2)."""
     for j in range(4):
-        small = 1e-4 * p[at] if j < 2 else 1e-4 * math.sqrt(gripper_sway.GRAVITY * p[at])
+        small = 1e-4 * p[at] if j < 2 else 1e-4 * math.sqrt(GRAVITY * p[at])
         _copy(s, best)
         s[j] += small
         for k in range(first, last):
@@ -216,7 +217,7 @@ def _normal_equations(p, at, measured, out, first, last, dt, normal):
     The residuals are a constant and the response to a change of the start, which decays as a free swing:
     ``e^(−ζωt)(δx·cos ωt + (δv + ζω·δx)/ω·sin ωt)``.
     """
-    rate = math.sqrt(gripper_sway.GRAVITY / p[at])
+    rate = math.sqrt(GRAVITY / p[at])
     fade = p[at + 1] * rate
     # One step of the decaying rotation (e^(−ζωt)·cos ωt, e^(−ζωt)·sin ωt).
     turn_c, turn_s = math.exp(-fade * dt) * math.cos(rate * dt), math.exp(-fade * dt) * math.sin(rate * dt)

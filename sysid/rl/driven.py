@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sysid.control import AxisTuning, CylinderController, response_time
 from sysid.effects import gripper_sway
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper

@@ -80,7 +80,7 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
     if not model.posed:
         raise SettingsError(f"plant of {plant.machine.name}", "its machine has no URDF", "urdf = … and tip = … in machine.toml")
     theta, links = model.theta, model.arrays.links
-    base = model.arrays.base + AT.base_misalignment
+    base, offset = model.arrays.base + AT.base_misalignment, model.arrays.base + AT.tip_offset
     turn = Rotation.from_rotvec(theta[base + 3 : base + 6]).as_matrix()
     rows = []
     shift = np.zeros(3)
@@ -90,6 +90,7 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
             carrier = int(links[j - 1, rigs.ORDER])
             shift *= 1.0 + theta[carrier * AXIS_WIDTH + AT.link_length_error] / link[rigs.LENGTH]
         if j == len(links) - 1:
+            shift += theta[offset : offset + 3]
             break
         row = np.zeros(solver.WIDTH)
         rotation = link[rigs.ROTATION : rigs.ROTATION + 9].reshape(3, 3)

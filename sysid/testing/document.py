@@ -23,6 +23,7 @@ GREY, BLUE, ORANGE = "#9aa1a8", "#1f6fb4", "#d9822b"
 _STAGES = {
     "command": "command → speed of the drive",
     "force": "force → motion",
+    "links": "motion of all joints → forces of an arm",
     "joint": "cylinder (or drive) → joint",
     "end_effector": "joints → end effector",
     "tool": "end effector → hanging tool",
@@ -134,6 +135,8 @@ def _picture(effect: Effect) -> str:
     form = effect.forms[0]
     values = dict(effect.example) or typical_values(effect, form)
     title = f"{effect.name} with {', '.join(f'{key} = {value}' for key, value in values.items())}"
+    if effect.stage == "links":
+        return _links_picture(effect, place, values, title)
     if effect.stage == "end_effector":
         return _tip_picture(effect, place, values, title)
     if effect.stage == "tool":
@@ -169,6 +172,16 @@ def _joint_picture(effect: Effect, values: Values, title: str) -> str:
     cylinder = 0.055 + 0.012 * np.sin(1.8 * time) + 0.006 * np.sin(4.1 * time)
     recording = with_inputs(probe_recording(7.0), place.inputs, cylinder[:, None])
     return svg(title, "time [s]", "joint [rad]", _first_outputs(effect, place, values, recording))
+
+
+def _links_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
+    """Torque of the lifting joint at rest over its angle, the elbow straight."""
+    angle = np.linspace(-1.5, 1.5, 200)
+    recording = with_inputs(probe_recording(2.0), place.inputs, np.column_stack([angle, 0.0 * angle]))
+    run = plant_run(effect, place)
+    named = (("without", None, GREY), ("with", values, BLUE))
+    lines = [PictureCurve(label, angle, run(v, recording)[:, 0], colour) for label, v, colour in named]
+    return svg(title, "angle of the lifting joint [rad]", "torque [N·m]", lines)
 
 
 def _tip_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:

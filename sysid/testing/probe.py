@@ -14,6 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import Effect
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
+from sysid.plant.link_torque import static_torque
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -72,6 +73,37 @@ actuation = "position"
 drives = "joint"
 """
 
+_ARM_URDF = """<robot name="probe_arm">
+  <link name="base"/><link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
+    <inertia ixx="0.01" iyy="0.06" izz="0.06" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0.15 0.02 0"/><mass value="2"/>
+    <inertia ixx="0.005" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="hand"/>
+  <joint name="lift_joint" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 -1 0"/><limit lower="-2" upper="2"/></joint>
+  <joint name="elbow_joint" type="revolute"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.4 0 0"/><axis xyz="0 -1 0"/><limit lower="-2" upper="2"/></joint>
+  <joint name="grip" type="fixed"><parent link="fore"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
+</robot>
+"""
+
+_ARM = """
+schema = 1
+name = "probe_arm"
+rate_hz = 100.0
+urdf = "probe_arm.urdf"
+tip = "hand"
+[[axes]]
+name = "lift"
+joint = "lift_joint"
+actuation = "force"
+drives = "joint"
+[[axes]]
+name = "elbow"
+joint = "elbow_joint"
+actuation = "force"
+drives = "joint"
+"""
+
 #: Largest command of each axis in the probe's inputs; newtons for the slide, radians for the wrist.
 AMPLITUDES = {"slew": 1.0, "boom": 1.0, "slide": 4.0, "wrist": 1.0}
 
@@ -81,7 +113,8 @@ class EffectPlace:
     """A location of an effect in the probe machine.
 
     Args:
-        stage: with the evaluated output: ``drive``, ``joint``, ``tip`` or ``tool``.
+        stage: with the evaluated output: ``drive``, ``joint``, ``tip`` or ``tool``; ``links``: torques at rest of an arm with
+            masses.
         inputs: the signals that drive this stage.
     """
 
@@ -98,6 +131,12 @@ class EffectPlace:
 def probe_machine() -> Machine:
     """Velocity axes that drive a joint (slew) and a cylinder (boom), a force axis (slide), a position axis (wrist), a tool."""
     return machine_from_files({"machine.toml": _MACHINE, "probe.urdf": _URDF}, "probe")
+
+
+@functools.cache
+def probe_arm() -> Machine:
+    """Two force axes in a vertical plane that move links with masses."""
+    return machine_from_files({"machine.toml": _ARM, "probe_arm.urdf": _ARM_URDF}, "probe_arm")
 
 
 def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
@@ -121,6 +160,7 @@ def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
     tip = kinematics.tip_position(joint_values)
     columns |= {signal: tip[:, k] for k, signal in enumerate(point_signals("ee"))}
     columns |= {signal: np.full(count, np.nan) for signal in point_signals("tool")}
+    columns |= {axis_signal(name, "joint"): _path(time, moving, rng) for name in probe_arm().axis_names}
     return Recording("probe", pd.DataFrame(columns), RATE_HZ)
 
 
@@ -145,10 +185,14 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
     """Every kind of location of the effect on the probe machine."""
     machine = probe_machine()
     joints = tuple(axis_signal(name, "joint") for name in machine.axis_names)
+    if effect.stage == "links":
+        inputs = tuple(axis_signal(name, "joint") for name in probe_arm().axis_names)
+        targets = probe_arm().axis_names if effect.target == "axis" else (effect.target,)
+        return tuple(EffectPlace(target, None, "links", inputs) for target in targets)
     if effect.target == "tool":
         return (EffectPlace("tool", None, "tool", point_signals("ee")),)
-    if effect.target == "base":
-        return (EffectPlace("base", None, "tip", joints),)
+    if effect.target in ("base", "ee"):
+        return (EffectPlace(effect.target, None, "tip", joints),)
     if effect.target == "machine":
         return (EffectPlace("machine", None, "drive", tuple(axis_signal(a.name, "command") for a in machine.axes[:2])),)
     if effect.target == "signal":
@@ -187,9 +231,15 @@ def _nominal() -> tuple[Plant, Model]:
     return plant, compile_plant(plant)
 
 
+@functools.cache
+def _nominal_arm() -> tuple[Plant, Model]:
+    plant = nominal_plant(probe_arm())
+    return plant, compile_plant(plant)
+
+
 def plant_run(effect: Effect, place: EffectPlace) -> Run:
     """The compiled plant with only the effect at ``place``."""
-    plant, model = _nominal()
+    plant, model = _nominal_arm() if place.stage == "links" else _nominal()
 
     def run(values: Values | None, recording: Recording) -> Array:
         at = plant
@@ -197,6 +247,9 @@ def plant_run(effect: Effect, place: EffectPlace) -> Run:
             side = place.side
             at = plant.with_effect(KnownEffect(effect.name, place.target, dict(values), side))  # type: ignore[arg-type]
         theta = at.vector()[None]
+        if place.stage == "links":
+            joints = np.column_stack([recording.values(name) for name in place.inputs])
+            return static_torque(model, theta[0], joints)
         if place.stage == "drive":
             axis = "slew" if place.target == "machine" else place.target
             return np.asarray(model.drive(theta, _starting(recording, model.machine.axis(axis).driven), axis).T)

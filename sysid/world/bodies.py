@@ -9,11 +9,11 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import gripper_sway, link_length_error
-from sysid.effects.gripper_sway import GRAVITY
+from sysid.effects import gripper_sway, link_length_error, tip_offset
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
 from sysid.machine.kinematics import Joint
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 from sysid.world.urdf import (
     MASS,
@@ -86,7 +86,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
             origin, as in the equation of ``gripper_sway``.
 
     Raises:
-        SettingsError: the machine has no URDF.
+        SettingsError: the machine has no URDF, or a tip offset on a link that a joint moves.
     """
     from defusedxml.ElementTree import fromstring
 
@@ -105,6 +105,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
     drop_meshes(root)
     _stretch(root, plant, kinematics)
+    _shift_tip(root, plant, kinematics)
     for name in kinematics.drives:
         unlimit(joint_element(root, name))
     hanging = None
@@ -233,6 +234,24 @@ def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
                 for part in stretch:
                     scale_origin(joint_element(root, part.name).find("origin"), 1.0 + errors[after] / length)
             stretch, after = [], joint.name if joint is not None else None
+
+
+def _shift_tip(root: Element, plant: Plant, kinematics: Kinematics) -> None:
+    """Apply ``tip_offset`` to the first fixed joint behind the last moving link."""
+    known = plant.effect(tip_offset.EFFECT.name, "ee")
+    shift = np.asarray(known.parameters["translation"], dtype=np.float64) if known is not None else np.zeros(3)
+    if not shift.any():
+        return
+    last = max(k for k, joint in enumerate(kinematics.chain) if joint.name in kinematics.drives)
+    if last + 1 == len(kinematics.chain):
+        found = f"tip_offset of {kinematics.tip}, which a joint moves"
+        raise SettingsError("PyBullet world", found, "a tip that is fixed to the last moving link")
+    joint = joint_element(root, kinematics.chain[last + 1].name)
+    origin = joint.find("origin")
+    if origin is None:
+        origin = SubElement(joint, "origin")
+    place = np.array(numbers(origin.get("xyz", "0 0 0"))) + shift
+    origin.set("xyz", " ".join(map(repr, place.tolist())))
 
 
 def _lowest(root: Element, kinematics: Kinematics) -> float:

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError, nearest
+from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
-from sysid.plant.layout import base_place
+from sysid.plant.layout import AT, base_place
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
 from sysid.world.bodies import Gripper, build_bodies
@@ -274,7 +274,7 @@ class World:
 
     def _base_pose(self) -> tuple[Array, Array]:
         """Position and orientation (x, y, z, w) of the machine in the frame in which tip and tool are measured."""
-        base = base_place(len(self.plant.machine.axes))
+        base = base_place(len(self.plant.machine.axes)) + AT.base_misalignment
         shift, turn = np.split(self.plant.vector()[base : base + 6], 2)
         angle = float(np.linalg.norm(turn))
         axis = turn / angle if angle > 0.0 else turn

@@ -21,6 +21,7 @@ EXCAVATOR = "docs/guide/own-logs.md"
 PAGES = {
     EXCAVATOR: "rc_excavator",
     "docs/guide/servo.md": "sage_so101",
+    "docs/guide/poses.md": "tiago_mocap",
     "datasets/autolog/README.md": None,
     "datasets/emps/README.md": "emps",
     "datasets/hydraulic_actuator/README.md": "hyd_actuator",

@@ -31,7 +31,14 @@ def test_looked_at_in_every_place(effect: Effect) -> None:
     places = places_of(effect)
     assert {p.side for p in places} == (set(effect.sides) or {None})
     if effect.target == "axis":
-        kinds = {"slew": "velocity", "boom": "velocity", "slide": "force", "wrist": "position"}
+        kinds = {
+            "slew": "velocity",
+            "boom": "velocity",
+            "slide": "force",
+            "wrist": "position",
+            "lift": "force",
+            "elbow": "force",
+        }
         assert {kinds[p.target] for p in places} == set(effect.actuations)
 
 

@@ -372,6 +372,18 @@ def test_base_misalignment_is_a_rigid_motion() -> None:
     assert np.abs(out - (Rotation.from_rotvec(rotation).apply(tip) + translation)).max() < 1e-12
 
 
+def test_tip_offset_is_that_of_a_point_on_the_last_moving_link() -> None:
+    translation = np.array([0.04, -0.02, 0.03])
+    machine = probe_machine()
+    kinematics = machine.kinematics()
+    assert kinematics is not None
+    joints = measured_joints(RECORDING, machine)
+    last = next(joint.child for joint in reversed(kinematics.chain) if joint.name in kinematics.drives)
+    turned = kinematics.link_poses(joints)[last][:, :3, :3] @ translation
+    out = run("tip_offset", "ee", {"translation": translation.tolist()})
+    assert np.abs(out - (kinematics.tip_position(joints) + turned)).max() < 1e-12
+
+
 @pytest.mark.parametrize(("rate_hz", "tolerance"), [(100.0, 0.02), (1000.0, 0.002)])
 @pytest.mark.parametrize(("length", "damping"), [(0.22, 0.03), (0.6, 0.1)])
 def test_sway_is_a_spherical_pendulum(length: float, damping: float, rate_hz: float, tolerance: float) -> None:
@@ -424,7 +436,8 @@ def test_a_tip_that_jumps_leaves_the_swing_finite() -> None:
 def test_every_effect_has_a_reference() -> None:
     """A new effect brings its own."""
     compared = {name for name, *_ in (*VELOCITY, *FORCE)}
-    compared |= {"backlash", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"}
+    compared |= {"backlash", "joint_offset", "link_length_error", "tip_offset", "base_misalignment", "gripper_sway"}
     compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance"}
     compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
+    compared |= {"payload", "link_mass_error", "inertial_error"}  # tests/plant/test_link_torque.py
     assert compared == {effect.name for effect in CATALOGUE}

@@ -1,4 +1,4 @@
-"""Smooth friction takes the place of sharp friction where it explains what that leaves, and not where it fits a little better."""
+"""Smooth friction takes the place of sharp friction where it explains what that leaves, not where it fits a little better."""
 
 from __future__ import annotations
 

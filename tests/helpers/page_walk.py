@@ -197,10 +197,13 @@ def main() -> None:
 
 
 def prepare(page: Path, folder: Path) -> None:
-    """What a page of ``datasets/<name>/`` starts from: a copy of that folder and of the pipelines, as in a checkout."""
+    """What a page starts from: of ``datasets/<name>/`` a copy of that folder and of the pipelines, as in a checkout; of a guide
+    the folders of ``datasets/`` from which its commands copy."""
     import shutil
 
     page = page.resolve()
+    for name in re.findall(r"^cp (?:-r )?datasets/(\w+)/", page.read_text("utf-8"), re.MULTILINE):
+        shutil.copytree(ROOT / "datasets" / name, folder / "datasets" / name, dirs_exist_ok=True)
     if page.parents[1] == ROOT / "datasets":
         shutil.copytree(page.parent, folder / "datasets" / page.parent.name)
         shutil.copytree(ROOT / "pipelines", folder / "pipelines", ignore=shutil.ignore_patterns("__pycache__"))

@@ -55,12 +55,14 @@ class Arm:
         )
         return "".join(parts)
 
-    def machine(self, noise: float) -> Machine:
-        """The nominal arm with ``noise`` of the tip [m]."""
+    def machine(self, noise: float, marker: bool = False) -> Machine:
+        """The nominal arm with ``noise`` of the tip [m]; ``marker``: the place of the measured point is not known."""
         lines = ["schema = 1", 'name = "arm"', "rate_hz = 20.0", 'urdf = "arm.urdf"', 'tip = "tip"']
         for name in self.names:
             lines += ["[[axes]]", f'name = "{name}"', f'joint = "{name}"', 'actuation = "position"', 'drives = "joint"']
         lines += ["[noise]", *(f'"ee.{c}" = {noise}' for c in "xyz")]
+        if marker:
+            lines += ["[[effects]]", 'name = "tip_offset"', 'target = "ee"', "parameters = { translation = [0.0, 0.0, 0.0] }"]
         return machine_from_files({"machine.toml": "\n".join(lines) + "\n", "arm.urdf": self.urdf()}, "arm")
 
 
@@ -75,6 +77,7 @@ class Hidden:
     tilt: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)  # of a link, which no effect describes
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift of the measured point in the frame of the last link
 
 
 def tips(arm: Arm, hidden: Hidden, measured: Array) -> Array:
@@ -107,7 +110,7 @@ def _chain(arm: Arm, hidden: Hidden, q: Array) -> tuple[Array, Array]:
     for k in range(len(arm.axes)):
         moment = sum(np.cross(centres[j] - pivots[k], arm.masses[j] * DOWN) for j in range(k, len(arm.axes)))
         loads[:, k] = -np.einsum("ni,ni->n", directions[k], moment)
-    return at, loads
+    return at + turn.apply(np.tile(hidden.tip, (n, 1))), loads
 
 
 def pose_set(
@@ -123,5 +126,7 @@ def pose_set(
     return Recording(name, pd.DataFrame(table), 20.0, kind="poses")
 
 
-def dataset_of(arm: Arm, noise: float, *sets: Recording, roles: Mapping[str, Role] | None = None) -> Dataset:
-    return Dataset.of(arm.machine(noise), sets, roles)
+def dataset_of(
+    arm: Arm, noise: float, *sets: Recording, roles: Mapping[str, Role] | None = None, marker: bool = False
+) -> Dataset:
+    return Dataset.of(arm.machine(noise, marker), sets, roles)

@@ -16,6 +16,7 @@ from sysid.rl.reach import joint_limits, tips
 PLANT = crane_plant(
     KnownEffect("joint_offset", "boom", {"offset": 0.02}),
     KnownEffect("link_length_error", "stick", {"error": 0.01}),
+    KnownEffect("tip_offset", "ee", {"translation": [0.01, -0.02, 0.015]}),
     KnownEffect("base_misalignment", "base", {"translation": [0.01, -0.02, 0.005], "rotation": [0.02, 0.01, -0.03]}),
 )
 LOW, HIGH = joint_limits(PLANT)

@@ -18,7 +18,7 @@ from plant_data import loaded_arm, nominal
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import KnownEffect, Linkage, TriangleLinkage, load_machine, machine_from_files
-from sysid.plant import Plant, free_run, nominal_plant
+from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 from sysid.testing.probe import probe_machine, probe_recording
 from sysid.world import Log, World
 from sysid.world.bodies import build_bodies
@@ -98,6 +98,24 @@ def test_bodies_stand_where_the_compiled_plant_says(effect: KnownEffect) -> None
     # What the effect does to the tip is more than the two differ by.
     plain = free_run(crane(), source)
     assert worst(run, plain, POINTS) > 1e-3
+
+
+def test_a_tip_offset_moves_a_tip_that_is_fixed_to_the_last_link() -> None:
+    from pose_sets import Arm
+
+    arm, shift = Arm(), [0.02, -0.01, 0.03]
+    plant = nominal_plant(arm.machine(1e-4)).with_effect(KnownEffect("tip_offset", "ee", {"translation": shift}))
+    files = {**plant.machine.files(), "arm.urdf": build_bodies(plant).urdf}
+    moved = machine_from_files(files, "moved").kinematics()
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
+    assert moved is not None
+    joints = {f"{name}.joint": q[:, k] for k, name in enumerate(arm.names)}
+    table = pd.DataFrame({"time": np.arange(5.0), **joints, **dict.fromkeys(("ee.x", "ee.y", "ee.z"), 0.0)})
+    model = compile_plant(plant)
+    expected = model.tip(model.theta[None], Recording("poses", table, 1.0, kind="poses"))[0]
+    np.testing.assert_allclose(moved.tip_position(q), expected, atol=1e-12)
+    with pytest.raises(SettingsError, match="tip_offset of tip, which a joint moves"):
+        build_bodies(crane(KnownEffect("tip_offset", "ee", {"translation": shift})))
 
 
 def test_the_world_predicts_the_speeds_that_are_measured() -> None:

@@ -14,6 +14,7 @@ from sysid.datasets.plausibility.response import motion_of, response_of
 from sysid.datasets.plausibility.words import interval, plain, ratio_text, value
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
+from sysid.machine.rigid_body import moves_masses
 from sysid.signals import axis_signal
 
 #: The figure that gives a finding its key, where several are implausible.
@@ -57,7 +58,10 @@ def figures_of(
         joint=None if own else span_of(recordings, joint),
         ends=axis.limits if own else axis.stroke,
         joint_ends=None if own else axis.limits,
-        response=response_of(motion_of(motion, axis, axis.driven, time_scale), axis),
+        # Gravity and the other axes of an arm move an axis too: its force alone does not give its acceleration.
+        response=None
+        if axis.actuation == "force" and moves_masses(machine)
+        else response_of(motion_of(motion, axis, axis.driven, time_scale), axis),
         expected={"velocity": axis.gain, "position": 1.0, "force": axis.inertia or 1.0}[axis.actuation],
         pairs=pairs_of(recordings, axis),
         rate_ratio=rate_ratio,

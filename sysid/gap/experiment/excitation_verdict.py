@@ -20,6 +20,7 @@ from sysid.gap.excitation import advice, excitation_at, excitation_of
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
+from sysid.machine.rigid_body import moves_masses
 from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
 from sysid.signals import axis_signal, point_signals, split_signal
@@ -182,6 +183,8 @@ def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
     """Places at which the machine admits the effect, observable or not."""
+    if effect.stage == "links" and not (effect.fitted and moves_masses(machine)):
+        return
     if effect.target == "axis":
         for axis in machine.axes:
             if axis.actuation in effect.actuations:
@@ -232,6 +235,8 @@ class _Reasons:
         if stage == "sensor":
             owner = split_signal(target)[0]
             return self._missing("joint", owner) if owner in machine.axis_names and target.endswith(".cylinder") else ""
+        if stage == "links":
+            return self._not_measured([axis_signal(name, part) for name in machine.axis_names for part in ("command", "joint")])
         if stage not in ("end_effector", "tool"):
             return ""
         if machine.kinematics() is None:

@@ -63,7 +63,10 @@ class OpenHypothesis:
 
 def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) -> list[OpenHypothesis]:
     """The non-identifiable sets of the outcome, then the effects that unexplained stages may have and do not excite."""
-    base = compile_plant(outcome.repaired).theta
+    model = compile_plant(outcome.repaired)
+    base = model.theta
+    if model.rigid is not None:  # motions are planned for one axis; the forces of an arm depend on all of them
+        stages = [stage for stage in stages if stage.problem.stage not in ("links", "force")]
     found = []
     for stage in stages:
         if stage.result is None:

@@ -23,7 +23,7 @@ Index = npt.NDArray[np.intp]
 
 #: Centre and spread (natural logarithm) of the prior of the sizes τ [m or rad], and the least one: a tenth of a millimetre or a
 #: milliradian, unknown over two decades.
-TAU, TAU_SPREAD, ABSENT = 1e-4, 2.3, 1e-7
+TAU, TAU_SPREAD, ABSENT, LARGEST = 1e-4, 2.3, 1e-7, 0.1
 #: Spread of the prior of the noise about the floor (natural logarithm).
 NOISE_SPREAD = 1.0
 #: A posterior deviation above this share of the prior's: the poses do not determine that direction.
@@ -61,6 +61,7 @@ class PoseRegression:
         columns: X of all unknowns, (rows, K); ``errors``: Φ, (rows, p), of ``kind`` (p,).
         prior: of all unknowns; ``nominal``: their values in the plant under test, (K,).
         rows: number of measured rows.
+        expected: centre of the prior of the sizes, with ``spread`` of its natural logarithm.
     """
 
     target: Array
@@ -71,6 +72,8 @@ class PoseRegression:
     nominal: Array
     rows: int
     sizes: Sizes
+    expected: Array | float = TAU
+    spread: Array | float = TAU_SPREAD
 
     @cached_property
     def products(self) -> Array:
@@ -120,11 +123,12 @@ class PoseRegression:
             factor = np.linalg.cholesky(gram)
             e = np.linalg.solve(factor, wide * whole[:-1, -1])
             value = 0.5 * float(whole[-1, -1] - e @ e) + float(np.log(np.diag(factor)).sum()) + log_scale
-            away = (z[:kinds] - np.log(TAU)) / TAU_SPREAD
+            away = (z[:kinds] - np.log(self.expected)) / self.spread
             return float(value + 0.5 * float(away @ away) + 0.5 * (z[-1] / NOISE_SPREAD) ** 2)
 
-        begin = np.append(np.log(np.clip(self.sizes.tau, TAU, None)), np.log(self.sizes.noise))
-        bounds = [(np.log(ABSENT), np.log(0.1))] * kinds + [(np.log(0.05), np.log(1e3))]
+        begin = np.append(np.log(np.clip(self.sizes.tau, self.expected, None)), np.log(self.sizes.noise))
+        largest = np.maximum(LARGEST, 20.0 * np.broadcast_to(self.expected, kinds))
+        bounds = [(np.log(ABSENT), float(np.log(most))) for most in largest] + [(np.log(0.05), np.log(1e3))]
         found = minimize(negative, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
         return Sizes(np.exp(found.x[:kinds]), float(np.exp(found.x[-1])))
 

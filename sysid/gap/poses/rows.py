@@ -56,6 +56,10 @@ class PoseRows:
         """(lanes, poses, 3) [m]."""
         return np.concatenate([self.problem.predict(thetas, r) for r in self.recordings], axis=1)
 
+    def residual(self, theta: Array) -> Array:
+        """Residual (rows,) in noise floors."""
+        return self._flat((self.output - self.predicted(theta[None])[0])[:, :, None])[:, 0]
+
     def linearised(self, theta: Array, unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
         """Residual (rows,) and change of the output per unit of each unknown, (rows, k), both in noise floors."""
         values = np.array([theta[u.places[0]] for u in unknowns])

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import base_misalignment
+from sysid.effects import base_misalignment, tip_offset
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import LEAST, Decision, decide
 from sysid.gap.fit import place
@@ -24,7 +24,8 @@ from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.stage import ModelFit, prior_of
 from sysid.gap.poses.combinations import undetermined
 from sysid.gap.poses.models import as_model
-from sysid.gap.poses.regression import PoseRegression, Sizes
+from sysid.gap.poses.registration import registered
+from sysid.gap.poses.regression import NOISE_SPREAD, PoseRegression, Sizes
 from sysid.gap.poses.rows import PoseRows, weights_of
 from sysid.gap.poses.search import Set, SetSearch
 from sysid.gap.problem import Problem
@@ -33,6 +34,8 @@ from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
 
+#: Effects of the measurement, with which every search begins: its frame, and the measured point where it is not surveyed.
+MEASUREMENT = (base_misalignment.EFFECT, tip_offset.EFFECT)
 #: Rounds of search and linearisation.
 ROUNDS = 6
 #: Further models beside those without an effect: exchanges and additions, the likeliest.
@@ -55,7 +58,7 @@ def fit_pose_stage(
     stays, whether the poses determine it or not.
     """
     rows = PoseRows(model, problem, recordings, theta, sigma)
-    there = [c for c in candidates if c.label in nameable or c.effect is base_misalignment.EFFECT]
+    there = [c for c in candidates if c.label in nameable or c.effect in MEASUREMENT]
     fitting = _Fitting(rows, there)
     search, best = fitting.converged(on_fit)
     fitting.weights = weights_of(rows, fitting.residual(search, best))
@@ -73,14 +76,26 @@ class _Fitting:
         self.places = [np.arange(a, b, dtype=np.intp) for a, b in pairwise(ends)]
         self.prior = prior_of(self.candidates)
         self.nominal = np.array([u.nominal for u in self.unknowns])
-        self.values = self.nominal.copy()
+        self.values = self._registered()
         self.weights = np.ones(rows.poses)
         self.sizes: Sizes | None = None
 
+    def _registered(self) -> Array:
+        """Nominal values, with those of the measurement fitted to the described geometry."""
+        frame = [int(k) for c in sorted(self.base) for k in self.places[c]]
+        values = self.nominal.copy()
+        if frame:
+            values[frame] = registered(self.rows, [self.unknowns[k] for k in frame], self.nominal[frame])
+        return np.asarray(np.clip(values, self.prior.low, self.prior.high))
+
     @property
     def base(self) -> Set:
-        """The frame of the measurement, with which every search begins."""
-        return frozenset(k for k, c in enumerate(self.candidates) if c.effect is base_misalignment.EFFECT)
+        """The effects of :data:`MEASUREMENT`, with which every search begins."""
+        return frozenset(k for k, c in enumerate(self.candidates) if c.effect in MEASUREMENT)
+
+    @property
+    def base_labels(self) -> frozenset[str]:
+        return frozenset(self.candidates[k].label for k in self.base)
 
     def search(self) -> SetSearch:
         """The regression linearised at the current values, under the current sizes."""
@@ -147,7 +162,12 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
 
     @cache
     def needed(model: ModelFit) -> float:
-        """Gain in evidence by the errors of the arm, with the noise that is most likely without them."""
+        """Gain in evidence by the errors of the arm, with the noise that is most likely without them.
+
+        Poses that scatter by more than their noise can are wrong by something else, whether these errors describe it or not.
+        """
+        if regression.sizes.noise > np.exp(2.0 * NOISE_SPREAD):
+            return float(np.inf)
         at = search.unknowns(members_of(model))
         alone = replace(bare, sizes=Sizes(np.empty(0), regression.sizes.noise))
         alone = replace(alone, sizes=alone.with_sizes(at))
@@ -164,7 +184,9 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
 
     def decided() -> Decision:
         models = [model_of(s) for s in sets]
-        return decide(models, nameable, needed=needed, integrates=False, without=without, independent=True)
+        return decide(
+            models, nameable, needed=needed, integrates=False, without=without, independent=True, first=fitting.base_labels
+        )
 
     decision = decided()
     for _ in range(4):

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects.gripper_sway import GRAVITY
 from sysid.machine import Kinematics
-from sysid.machine.moved_bodies import moved_bodies
+from sysid.machine.moved_bodies import GRAVITY, moved_bodies
 
 Array = npt.NDArray[np.float64]
 

@@ -1,0 +1,326 @@
+"""The links of an arm, from whole-arm motion to a decision: payload and masses of links, beside small errors of all the rest.
+
+Every link is a little off from its URDF, and so is the constant from which the force of an axis was computed. The sizes of
+these errors, one for each kind, are estimated for every set of effects, about the five percent to which they are usually known:
+an effect is named where its evidence is very strong against a model in which the small errors are as large as need be. The
+errors themselves are adjusted in the plant and never named, since torques determine combinations of them only (base
+parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.effects import inertial_error
+from sysid.gap.arm.friction import FRICTION, without
+from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency
+from sysid.gap.arm.unknowns import (
+    FORCE_CONSTANT,
+    LinkErrors,
+    change_of,
+    columns_of,
+    from_linear,
+    linear_width,
+    link_errors,
+    places,
+    slope_of,
+    to_linear,
+)
+from sysid.gap.candidates import Candidate
+from sysid.gap.decision import BLOCK_NATS, LEAST, Decision, NearMiss
+from sysid.gap.fit import place
+from sysid.gap.likelihood.explained import Explained
+from sysid.gap.likelihood.stage import ModelFit, Prior, block_densities, prior_of
+from sysid.gap.poses.regression import PoseRegression, Posterior, Sizes
+from sysid.gap.problem import Problem
+from sysid.gap.stage_model import StageFit
+from sysid.machine.rigid_body import PARAMETERS
+from sysid.plant import Model
+from sysid.plant.layout import AT, AXIS_WIDTH
+
+Array = npt.NDArray[np.float64]
+
+#: Typical relative errors of :data:`KINDS`, and spread of their natural logarithm: masses are weighed or computed from CAD to
+#: about five percent; inertias are often those of a simpler solid, and the constant between current and torque includes the
+#: efficiency of a gear.
+EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1]), np.array([0.7, 0.7, 0.7, 0.7])
+#: Least gain in evidence of an exchange [nats].
+GAIN = 1e-6
+#: Condition that a near miss fails.
+SMALL_ERRORS = "small errors of all links and force constants may explain it"
+Set = frozenset[int]
+
+
+def fit_links_stage(
+    model: Model,
+    problem: Problem,
+    recordings: Sequence[Recording],
+    theta: Array,
+    sigma: Array,
+    candidates: Sequence[Candidate],
+    nameable: Sequence[str],
+    on_fit: Callable[[str], None],
+) -> StageFit:
+    """Search and decide the links; arguments as of :func:`sysid.gap.stage_model.fit_stage`."""
+    there = [c for c in candidates if c.label in nameable]
+    whole = _Whole(model, axis_rows(model, problem, recordings, theta), theta, sigma, there)
+    return _decided(whole, _likeliest(whole, on_fit))
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Rows of all axes, friction projected out, weighted: ``target`` (rows,), ``effects`` (rows, K), ``errors`` (rows, p)."""
+
+    target: Array
+    effects: Array
+    errors: Array
+    block: npt.NDArray[np.int64]
+    independent: float
+
+    @property
+    def blocks(self) -> int:
+        return int(self.block.max(initial=0)) + 1
+
+
+class _Whole:
+    """The regression of a whole arm."""
+
+    def __init__(
+        self, model: Model, rows: Sequence[AxisRows], theta: Array, sigma: Array, candidates: Sequence[Candidate]
+    ) -> None:
+        self.model, self.rows, self.theta, self.sigma = model, rows, theta, sigma
+        self.candidates = tuple(candidates)
+        self.unknowns = tuple(u for c in candidates for u in c.unknowns)
+        self.places = places(candidates)
+        self.errors: LinkErrors = link_errors(model, theta)
+        self.kind = np.append(self.errors.kind, np.full(len(rows), FORCE_CONSTANT))
+        self.changes = np.concatenate(
+            [np.zeros((0, *self.errors.change.shape[1:])), *(change_of(model, theta, c) for c in candidates)]
+        )
+        self.nominal = self._linear([np.array([u.nominal for u in c.unknowns]) for c in candidates])
+        self.weights = 1.0 / sigma
+        self.independent = np.array([float(len(axis.target)) for axis in rows])
+        self._weigh()
+        self.stack = self._stacked(self.weights)
+        self._sizes: dict[Set, Sizes] = {}
+        self._posteriors: dict[Set, Posterior] = {}
+
+    def _linear(self, values: Sequence[Array]) -> Array:
+        return np.concatenate([np.empty(0), *(to_linear(c, v) for c, v in zip(self.candidates, values, strict=True))])
+
+    @property
+    def prior(self) -> Prior:
+        """Of the linear coordinates of all candidates."""
+        own = prior_of(self.candidates)
+        width = np.concatenate(
+            [np.empty(0), *(linear_width(c, own.width[at]) for c, at in zip(self.candidates, self.places, strict=True))]
+        )
+        return Prior(self.nominal, width, own.low, own.high, np.minimum(own.finest, width))
+
+    def _projected(self, axis: AxisRows, weight: float) -> Array:
+        """Target, effects and errors of an axis without what its friction explains, weighted, (m, 1 + K + p)."""
+        links = [columns_of(axis.links, changes) for changes in (self.changes, self.errors.change)]
+        constants = np.zeros((len(axis.target), len(self.rows)))
+        constants[:, [own.axis for own in self.rows].index(axis.axis)] = axis.force - axis.target
+        return weight * without(np.column_stack([axis.target, *links, constants]), axis.friction)
+
+    def _stacked(self, weights: Array) -> _Stack:
+        parts = [self._projected(axis, float(w)) for axis, w in zip(self.rows, weights, strict=True)]
+        whole, k = np.concatenate(parts), len(self.unknowns)
+        block = np.concatenate([axis.block for axis in self.rows])
+        independent = max(float(self.independent.sum()) - FRICTION * len(self.rows), 1.0)
+        return _Stack(whole[:, 0], whole[:, 1 : 1 + k], whole[:, 1 + k :], block, independent)
+
+    def _weigh(self) -> None:
+        """Weights by the error of each axis beside all effects and errors, its rows counted by their inefficiency."""
+        for _ in range(3):
+            stack = self._stacked(self.weights)
+            columns = np.hstack([stack.effects * self.prior.width, stack.errors * EXPECTED[self.kind]])
+            left = stack.target - columns @ np.linalg.solve(
+                columns.T @ columns + np.eye(columns.shape[1]), columns.T @ stack.target
+            )
+            ends = np.cumsum([0, *(len(axis.target) for axis in self.rows)])
+            for j, axis in enumerate(self.rows):
+                own = left[ends[j] : ends[j + 1]] / self.weights[j]
+                rms = max(float(np.sqrt(np.mean(own**2))), float(self.sigma[j]))
+                here = slice(ends[j], ends[j + 1])
+                factor = inefficiency(own, np.hstack([stack.effects[here], stack.errors[here]]), axis.block)
+                self.weights[j] = 1.0 / (rms * np.sqrt(factor))
+                self.independent[j] = len(axis.target) / factor
+
+    @cached_property
+    def regression(self) -> PoseRegression:
+        stack = self.stack
+        return PoseRegression(
+            stack.target, stack.effects, stack.errors, self.kind, self.prior, self.nominal, round(stack.independent),
+            Sizes(EXPECTED, 1.0), EXPECTED, SPREAD,
+        )  # fmt: skip
+
+    def unknowns_of(self, members: Set) -> npt.NDArray[np.intp]:
+        """Indices of the linear coordinates of a set, candidate by candidate in ascending order."""
+        return np.concatenate([np.empty(0, dtype=np.intp), *(self.places[k] for k in sorted(members))])
+
+    def sizes(self, members: Set) -> Sizes:
+        """Most likely sizes of the small errors beside a set of effects."""
+        if members not in self._sizes:
+            self._sizes[members] = self.regression.with_sizes(self.unknowns_of(members))
+        return self._sizes[members]
+
+    def posterior(self, members: Set) -> Posterior:
+        if members not in self._posteriors:
+            regression = replace(self.regression, sizes=self.sizes(members))
+            self._posteriors[members] = regression.posterior(self.unknowns_of(members))
+        return self._posteriors[members]
+
+    def evidence(self, members: Set) -> float:
+        """Of a set with the sizes that are most likely beside it; minus infinity where a value leaves its bounds."""
+        found, sizes = self.posterior(members), self.sizes(members)
+        away = (np.log(sizes.tau) - np.log(EXPECTED)) / SPREAD
+        return found.evidence - 0.5 * float(away @ away) if found.inside else -np.inf
+
+    def coefficients(self, members: Set) -> tuple[Array, Array]:
+        """Most likely linear changes of a set (k,), and small errors (p,), together."""
+        at, sizes = self.unknowns_of(members), self.sizes(members)
+        tau = sizes.tau[self.kind]
+        width = self.prior.width[at]
+        columns = np.hstack([self.stack.effects[:, at] * width, self.stack.errors * tau]) / sizes.noise
+        found = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ self.stack.target / sizes.noise)
+        return found[: len(at)] * width, found[len(at) :] * tau
+
+    def model_of(self, members: Set) -> ModelFit:
+        """A set of effects as a model of the decision; its parameter vector contains the small errors too."""
+        at, sizes = self.unknowns_of(members), self.sizes(members)
+        posterior = self.posterior(members)
+        change, errors = self.coefficients(members)
+        chosen = [self.candidates[k] for k in sorted(members)]
+        unknowns = tuple(u for c in chosen for u in c.unknowns)
+        linear = np.clip(self.nominal[at] + change, self.prior.low[at], self.prior.high[at])
+        parts = places(chosen)
+        values = np.concatenate([np.empty(0), *(from_linear(c, linear[p]) for c, p in zip(chosen, parts, strict=True))])
+        slope = np.zeros((len(values), len(values)))
+        for c, p in zip(chosen, parts, strict=True):
+            slope[np.ix_(p, p)] = slope_of(c, linear[p])
+        theta = place(self.theta, unknowns, values[None])[0] if unknowns else self.theta.copy()
+        theta = self._with_errors(theta, members, change, errors)
+        tau = sizes.tau[self.kind]
+        effects = self.stack.effects[:, at]
+        table = np.hstack([self.stack.errors * tau, effects * self.prior.width[at]]) / sizes.noise
+        predictive = block_densities(
+            table, self.stack.target / sizes.noise, table.T @ table + np.eye(table.shape[1]), self.stack
+        )
+        left = self.stack.target - effects @ change - self.stack.errors @ errors
+        count = max(self.stack.independent, 1.0)
+        response = np.sqrt((effects**2).sum(axis=0) / count)
+        inverse = np.linalg.inv(slope) if len(values) else slope
+        return ModelFit(
+            tuple(chosen), unknowns, values, theta, slope @ posterior.covariance @ slope.T, np.zeros(len(values)),
+            self.evidence(members), predictive, float(np.sqrt(left @ left / count)) / sizes.noise,
+            np.abs(response @ inverse) if len(values) else response, float(np.sqrt(left @ left / count)),
+        )  # fmt: skip
+
+    def _with_errors(self, theta: Array, members: Set, change: Array, errors: Array) -> Array:
+        """The vector with the errors of the links; inertias of rotors that machine.toml does not state beside them."""
+        theta = theta.copy()
+        if self.needed(members) < LEAST:
+            errors = np.zeros_like(errors)
+        off = np.tensordot(errors[: len(self.errors.kind)], self.errors.change, axes=1)
+        rigid = self.model.rigid
+        assert rigid is not None
+        for i, body in enumerate(rigid.body_of):
+            first = i * AXIS_WIDTH + AT.inertial_error
+            theta[first : first + PARAMETERS] += off[body]
+        at = self.unknowns_of(members)
+        whole = np.tensordot(change, self.changes[at], axes=1).reshape(-1) + off.reshape(-1)
+        scales = errors[len(self.errors.kind) :]
+        for axis, scale in zip(self.rows, scales, strict=True):
+            first = self.model.axis_index(axis.axis) * AXIS_WIDTH + AT.inertial_error + PARAMETERS
+            theta[first + 1] *= 1.0 + scale
+            if self.model.machine.axis(axis.axis).inertia is None:
+                left = axis.target - axis.links @ whole - scale * (axis.force - axis.target)
+                size = np.maximum(np.linalg.norm(axis.friction, axis=0), 1e-12)
+                theta[first] += (np.linalg.lstsq(axis.friction / size, left, rcond=1e-9)[0] / size)[-1]
+        return theta
+
+    def needed(self, members: Set) -> float:
+        """Gain in evidence by the small errors, with the noise that is most likely without them [nats]."""
+        at = self.unknowns_of(members)
+        alone = replace(
+            self.regression,
+            errors=np.empty((len(self.stack.target), 0)),
+            kind=np.empty(0, dtype=np.int64),
+            sizes=Sizes(np.empty(0), self.sizes(members).noise),
+            expected=np.empty(0),
+            spread=np.empty(0),
+        )
+        alone = replace(alone, sizes=alone.with_sizes(at))
+        return self.posterior(members).evidence - alone.posterior(at).evidence
+
+
+def _likeliest(whole: _Whole, on_fit: Callable[[str], None]) -> Set:
+    """The smallest set to which no further effect adds very strong evidence; effects are added and exchanged one by one."""
+    best: Set = frozenset()
+    while True:
+        on_fit(", ".join(sorted(whole.candidates[k].label for k in best)) or "nominal")
+        more = max((best | {k} for k in range(len(whole.candidates)) if k not in best), key=whole.evidence, default=best)
+        if whole.evidence(more) <= whole.evidence(best) + BLOCK_NATS:
+            return best
+        best = more
+        while (other := max(_exchanged(whole, best), key=whole.evidence, default=best)) != best:
+            if whole.evidence(other) <= whole.evidence(best) + GAIN:
+                break
+            best = other
+
+
+def _exchanged(whole: _Whole, members: Set) -> list[Set]:
+    """One effect in the place of another."""
+    others = [k for k in range(len(whole.candidates)) if k not in members]
+    return [members - {own} | {k} for own in sorted(members) for k in others]
+
+
+def _decided(whole: _Whole, best: Set) -> StageFit:
+    """The effects of a set, those as ties that another one replaces with less than strong evidence against it."""
+    model_of = cache(whole.model_of)
+    chosen = model_of(best)
+    named, tied = list[Candidate](), list[tuple[Candidate, ...]]()
+    others = [k for k in range(len(whole.candidates)) if k not in best]
+    for own in sorted(best):
+        instead = [k for k in others if whole.evidence(best - {own} | {k}) > whole.evidence(best) - LEAST]
+        candidate = whole.candidates[own]
+        if instead:
+            tied.append((candidate, *(whole.candidates[k] for k in instead)))
+        else:
+            named.append(candidate)
+    further = sorted((best | {k} for k in others), key=whole.evidence, reverse=True)
+    further = [s for s in further if whole.evidence(s) > whole.evidence(best)]
+    near = []
+    for members in further:
+        richer = model_of(members)
+        candidate = next(whole.candidates[k] for k in members - best)
+        near.append(NearMiss(candidate, richer.values_of(candidate), richer.deviations_of(candidate), SMALL_ERRORS))
+    models = [model_of(s) for s in dict.fromkeys((best, *(best - {k} for k in sorted(best)), *further))]
+    decision = Decision(chosen, tuple(named), tuple(tied), tuple(near), (chosen,), (chosen,), exact=True, accumulates=False)
+    dropped = {c.label: _absent(chosen, model_of(best - {k}), c) for k, c in enumerate(whole.candidates) if k in best}
+    models.sort(key=lambda f: -f.evidence)
+    return StageFit(tuple(models), decision, dropped, Explained(chosen.left, chosen.left, {}), chosen)
+
+
+def _absent(chosen: ModelFit, less: ModelFit, candidate: Candidate) -> ModelFit:
+    """The model without an effect, its vector that of the chosen one without it.
+
+    Refitted, the errors of a link would take the place of a payload on it, whatever their size.
+    """
+    nominal = np.array([[u.nominal for u in candidate.unknowns]])
+    return replace(less, theta=place(chosen.theta, candidate.unknowns, nominal)[0])
+
+
+def links_adjusted(model: Model, theta: Array, before: Array) -> list[str]:
+    """Axes whose links' inertial parameters differ between two vectors."""
+    width = len(inertial_error.EFFECT.slots)
+    firsts = {name: i * AXIS_WIDTH + AT.inertial_error for i, name in enumerate(model.machine.axis_names)}
+    return [name for name, at in firsts.items() if not np.array_equal(theta[at : at + width], before[at : at + width])]
