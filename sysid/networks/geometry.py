@@ -26,6 +26,7 @@ from scipy.stats import qmc
 from sysid.machine.kinematics import Kinematics
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.networks import geometry_parameters as sizes
+from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
 from sysid.networks.folded import FoldedChain, FoldedJoint
 from sysid.networks.geometry_parameters import GeometryParameter
 from sysid.networks.moving_joint import MovingJoint, cross, exp, exps, left_jacobian, moving_joints, point_on
@@ -160,6 +161,34 @@ class Geometry:
             )
         pose = self._places[0][1]
         return FoldedChain(tuple(joints), (pose[:3, 3] + pose[:3, :3] @ values[self._point[0]])[:, None])
+
+    def elastic_chain(self, values: Array) -> ElasticChain:
+        """The chain with the constant parameters ``values`` (P,)."""
+        joints = []
+        for number, moved in enumerate(self.chain):
+            base, own = moved.before[:3, :3], values[self._displaced[number]]
+            master = self._axis_joint[moved.drive.column]
+            joints.append(
+                ElasticJoint(
+                    turn=base @ exp(own[3:] @ moved.directions),
+                    shift=moved.before[:3, 3] + base @ (own[:3] @ moved.directions),
+                    axis=np.asarray(moved.joint.axis, dtype=np.float64),
+                    prismatic=moved.joint.prismatic,
+                    column=moved.drive.column,
+                    ratio=moved.drive.ratio,
+                    scale=self._scale(values, number),
+                    offset=moved.drive.offset,
+                    master=master,
+                    compliance=0.0 if master is None else float(values[self._compliances[master]]),
+                    across=moved.directions[list(moved.across)],
+                    lateral=values[self._laterals[number]],
+                    mass=moved.mass,
+                    centre=np.asarray(moved.centre, dtype=np.float64),
+                )
+            )
+        after, pose = self._places[0]
+        point = pose[:3, 3] + pose[:3, :3] @ values[self._point[0]]
+        return ElasticChain(tuple(joints), self.frame, after, point, _SETTLING if np.any(values[self._elastic]) else 0)
 
     def slopes(self, q: Array, values: Array) -> Array:
         """Derivatives of the tip with respect to the parameters, (n, 3, P), at constant loads."""

@@ -2,21 +2,22 @@
 
 The tip of an open chain is linear in products of one factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`).
 A calibrated geometry therefore has the same nodes as a fitted chain: its weights follow exactly from the tip position at three
-values of each revolute joint and two of each prismatic one.
+values of each revolute joint and two of each prismatic one. Chains that deflect under load or have passive joints are graphs of
+their own (:mod:`sysid.versions.onnx_elastic`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError
 from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
 from sysid.networks.policy import PolicyNetwork
+from sysid.versions.onnx_elastic import elastic_tip
+from sysid.versions.onnx_nodes import Nodes
 
 Array = npt.NDArray[np.float64]
 
@@ -26,34 +27,8 @@ OPSET, IR_VERSION = 18, 8
 ANGLES, SLIDES = (0.0, math.pi / 2.0, math.pi), (0.0, 1.0)
 
 
-class Graph:
-    """Nodes and constants in the order of their addition; values are referred to by name.
-
-    Args:
-        dtype: of all numbers.
-    """
-
-    def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
-        self.dtype = dtype
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """One node; returns the name of its output."""
-        from onnx import helper
-
-        name = output or f"{operator.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=f"node_{len(self.nodes)}", **attributes))
-        return name
-
-    def constant(self, values: npt.ArrayLike, whole: bool = False) -> str:
-        """A constant of the graph's type, or of whole numbers."""
-        from onnx import numpy_helper
-
-        name = f"constant_{len(self.constants)}"
-        array = np.asarray(values, dtype=np.int64 if whole else self.dtype)
-        self.constants.append(numpy_helper.from_array(array, name))
-        return name
+class Graph(Nodes):
+    """The nodes of a network."""
 
     def mlp(self, network: Mlp, value: str) -> str:
         """A perceptron with its normalisations."""
@@ -83,9 +58,6 @@ class Graph:
         for value in values[1:]:
             total = self.add("Add", total, value)
         return total if len(values) == 1 else self.add("Mul", total, self.constant([1.0 / len(values)]))
-
-    def columns(self, value: str, which: Sequence[int]) -> str:
-        return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
 
     def features(self, q: str, revolute: Sequence[bool]) -> str:
         """Sines and cosines of revolute joints, values of prismatic ones, in the order of
@@ -128,9 +100,12 @@ class Graph:
             else:
                 inputs = q if model.features == "joints" else self.features(q, model.revolute)
             return self.mean([self.mlp(member, inputs) for member in model.members])
-        stretch, weights = chain_weights(model.structure, model.revolute)
-        turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q
-        tip = self.add("MatMul", self.products(turned, model.revolute), self.constant(weights))
+        if isinstance(model.structure, Calibration) and not is_multilinear(model.structure):
+            tip = elastic_tip(self, model.structure.geometry.elastic_chain(model.structure.values), q)
+        else:
+            stretch, weights = chain_weights(model.structure, model.revolute)
+            turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q
+            tip = self.add("MatMul", self.products(turned, model.revolute), self.constant(weights))
         if not model.members:
             return tip
         inputs, bound = self.features(q, model.revolute), self.constant([model.bound])
@@ -141,19 +116,16 @@ class Graph:
         return self.add("Add", tip, self.mean(rest))
 
 
-def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
-    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first.
+def is_multilinear(structure: Calibration) -> bool:
+    """Whether the tip is linear in the products of one factor a joint: none deflects under load or follows another."""
+    return not structure.elastic and not any(joint.passive for joint in structure.geometry.chain)
 
-    Raises:
-        SettingsError: a calibration whose joints deflect or follow others, which is not linear in the products.
-    """
+
+def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
+    """Scale of each joint's measurement, (n_axes,), and weights of the products, (P + 1, 3), the constant first."""
     if isinstance(structure, FittedChain):
         weights = structure.weights / structure.scale[:, None]
         return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])
-    passive = any(joint.passive for joint in structure.geometry.chain)
-    if structure.elastic or passive:
-        found = "passive (mimic) joints" if passive else "joints that deflect under load"
-        raise SettingsError("export to ONNX", found, "a calibrated geometry without", "Load the version in Python instead.")
     moved = {
         parameter.key: float(value) for parameter, value in zip(structure.geometry.parameters, structure.values, strict=True)
     }

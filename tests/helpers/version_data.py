@@ -65,15 +65,15 @@ def forward(features: str = "joints", members: int = 1, seed: int = 0, rectifier
 
 
 def structured(kind: str = "calibrated", members: int = 0, seed: int = 0) -> StructuredForward:
-    """The crane with a geometry that is a little off, or the products of its chain."""
+    """The crane with a geometry that is a little off (and deflects under load), or the products of its chain."""
     rng = np.random.default_rng(seed)
     kinematics = crane().kinematics()
     assert kinematics is not None
     geometry = Geometry(kinematics)
     count = len(geometry.parameters)
-    values = 0.5 * geometry.priors * rng.normal(size=count) * ~geometry.elastic
+    values = 0.5 * geometry.priors * rng.normal(size=count) * (~geometry.elastic | (kind == "elastic"))
     q = LOW + (HIGH - LOW) * rng.uniform(size=(200, 4))
-    if kind == "calibrated":
+    if kind in ("calibrated", "elastic"):
         structure: object = Calibration(geometry, values, np.diag((0.01 * geometry.priors) ** 2), 1e-3, ())
     else:
         structure = fit_chain(q, geometry.tip(q, values), REVOLUTE)

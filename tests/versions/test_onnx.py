@@ -10,12 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crane_data import HIGH, LOW
+from palletiser import JOINTS, urdf
 from version_data import actuator, forward, structured
 
 from sysid.errors import SettingsError, StorageError, StoreError
-from sysid.networks import FittedChain, Model
+from sysid.machine.kinematics import Kinematics
+from sysid.networks import Calibration, FittedChain, Geometry, Model, StructuredForward
 from sysid.versions import export_onnx
 from sysid.versions.onnx_graph import Graph
+
+
+def palletiser_forward() -> StructuredForward:
+    """A chain with a passive joint, all of whose joints deflect, axially and laterally."""
+    kinematics = Kinematics.from_urdf(urdf(), joints=JOINTS, tip="wrist_link", tool=None)
+    geometry = Geometry(kinematics)
+    values = geometry.priors * np.random.default_rng(3).normal(size=len(geometry.parameters))
+    structure = Calibration(geometry, values, np.diag((0.01 * geometry.priors) ** 2), 1e-3, ())
+    low, high = np.full(len(JOINTS), -1.2), np.full(len(JOINTS), 1.2)
+    names, turning = tuple(f"{name}.joint" for name in JOINTS), (True,) * len(JOINTS)
+    return StructuredForward(names, turning, structure, urdf(), (), 0.0, low, high)
+
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
 onnxruntime = pytest.importorskip("onnxruntime", reason="the extra onnx is not installed")
@@ -27,6 +41,8 @@ MODELS: dict[str, Model] = {
     "calibrated": structured(),
     "calibrated and corrected": structured(members=2),
     "chain": structured("chain"),
+    "elastic": structured("elastic", members=1),
+    "passive": palletiser_forward(),
     "actuators": {**actuator("boom"), **actuator("stick")},
 }
 
