@@ -22,6 +22,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
 from sysid.plant import gravity_load
+from sysid.plant.smooth_motion import smooth_motion
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +35,8 @@ Count = Callable[[Sequence[Recording], Machine, str], float]
 OF_LIMITS, OF_NOISE, OUTERMOST = 0.1, 20.0, 0.005
 #: At this multiple of that share it moved whatever the noise estimate: fast motion at a low rate looks like noise.
 CERTAIN_MOTION = 20.0
+#: Share of the 95th percentile of the speed below which an axis does not count as moving in a direction.
+SLOW = 0.05
 #: Share of the range of a joint that static poses have to cover for the scale or bias of its sensor [%].
 OF_RANGE = 10.0
 #: Units of the travel of an axis that did not move.
@@ -198,6 +201,22 @@ def motion_both_ways(recordings: Sequence[Recording], machine: Machine, axis: st
     return min(_seconds(recordings, lambda r: _level(r, axis) > 0), _seconds(recordings, lambda r: _level(r, axis) < 0))
 
 
+def moved_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+    """Seconds of motion in the direction with less of it: under a weight, a force keeps its sign where the motion turns."""
+    speeds = [_speed(r, machine.axis(axis).driven) for r in recordings]
+    fast = np.concatenate([np.abs(v) for v in speeds if v is not None] or [np.zeros(1)])
+    least = SLOW * float(np.percentile(fast, 95))
+    both = [(r.rate_hz, v) for r, v in zip(recordings, speeds, strict=True) if v is not None]
+    return min(sum(float(np.sum(sign * v > least)) / rate for rate, v in both) for sign in (1.0, -1.0))
+
+
+def _speed(recording: Recording, signal: str) -> Array | None:
+    values = recording.values(signal)
+    if recording.kind != "motion" or np.count_nonzero(~np.isnan(values)) < 2:
+        return None
+    return smooth_motion(values, recording.rate_hz)[1]
+
+
 def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of command in either direction."""
     return _seconds(recordings, lambda r: _level(r, axis) != 0)
@@ -294,7 +313,7 @@ COUNTS: dict[str, tuple[Count, str]] = {
     "any_motion": (any_motion, "s of motion of any axis"),
     "longest_any_motion": (longest(any_motion), "s of motion of any axis in one recording"),
     "motion_both_ways": (motion_both_ways, "s of motion in each direction"),
-    "force_both_ways": (motion_both_ways, "s of force in each direction"),
+    "force_both_ways": (moved_both_ways, "s of motion in each direction"),
     "together": (together, "s of two axes at large commands"),
     "rest": (rest, "s at rest"),
     "reversals": (reversals, "reversals"),

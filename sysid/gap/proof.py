@@ -85,6 +85,11 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         outcome.notes += _near_misses(stage)
         outcome.notes += result.stage_fit.combinations if result.stage_fit is not None else ()
         outcome.near_misses += near_misses(stage)
+        cause = result.stage_fit.cause if result.stage_fit is not None else ""
+        if cause:
+            error = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
+            outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, error, "posture", cause))
+            continue
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
         # What remains of the forces of an arm shows at its axes, each with its friction.

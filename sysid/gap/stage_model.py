@@ -45,7 +45,7 @@ class StageFit:
     explains beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
     ``names_alone``: the same with the named effects alone, where the chosen model has others. ``combinations``: sentences on
     combinations of parameters that static poses do not determine. ``framed``: of static poses, the model of the frame alone,
-    against which the other effects are compared.
+    against which the other effects are compared. ``cause``: of an error that no effect explains, where it is known.
     """
 
     models: tuple[ModelFit, ...]
@@ -56,6 +56,7 @@ class StageFit:
     names_alone: StageFit | None = None
     combinations: tuple[str, ...] = ()
     framed: ModelFit | None = None
+    cause: str = ""
 
 
 def fit_stage(

@@ -17,6 +17,8 @@ from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
+from sysid.gap.alternatives import search_alternatives
+from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
@@ -169,12 +171,16 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     elif is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
     else:
-        fitted = fit_stage(
-            compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
-            _equivalence(case, problem.stage, candidates),
-            on_fit=fits,
-            shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
-        )  # fmt: skip
+        model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
+        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
+
+        def search(some: Sequence[Candidate]) -> StageFit:
+            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
+            return fit_stage(model, *seen_by, some, nameable, rope, on_fit=fits, shared=shared)
+
+        fitted = search_alternatives(seen, stage.theta, candidates, search)
+        if problem.stage == "force":
+            fitted = _without_masses(case, stage, fitted)
         result = _result(problem, seen, fitted, nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
@@ -198,6 +204,18 @@ def _found_in_links(
     values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
     fit = replace(result.fit, candidates=(*result.fit.candidates, *off), unknowns=unknowns, values=values)
     return replace(result, fit=fit, adjusted=(*result.adjusted, *off))
+
+
+def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
+    """The fit without names that the weight of links with unknown masses could cause."""
+    if compile_plant(case.plant).rigid is not None:
+        return fitted
+    machine, problem = case.plant.machine, stage.problem
+    share = posture_share(problem, machine, stage.split.seen, float(stage.sigma[0]), case.dataset.units)
+    if share is None or not share.dominates:
+        return fitted
+    lacks = {c.label: WEIGHT for c in fitted.decision.model.candidates}
+    return replace(fitted, decision=fitted.decision.without_names(lacks), cause=WEIGHT)
 
 
 def _found_in_poses(

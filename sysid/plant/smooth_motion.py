@@ -24,7 +24,7 @@ def smooth_motion(
     there = np.flatnonzero(~np.isnan(position))
     filled = np.interp(np.arange(len(position)), there, position[there])
     low_pass = signal.butter(order, min(cut_hz, HIGHEST * rate_hz), fs=rate_hz, output="sos")
-    smooth = signal.sosfiltfilt(low_pass, filled)
+    smooth = signal.sosfiltfilt(low_pass, filled, padlen=min(3 * (order + 1), len(filled) - 1))
     return smooth, np.gradient(smooth, 1.0 / rate_hz), second_difference(smooth) * rate_hz**2
 
 

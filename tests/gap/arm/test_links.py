@@ -13,6 +13,7 @@ from planar_arm import C2, I2, M1, M2, planar
 from sysid.datasets import Dataset, Recording
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
+from sysid.gap.arm.posture import posture_share
 from sysid.gap.stages import search_stages
 from sysid.machine import machine_from_files
 from sysid.plant import nominal_plant
@@ -144,3 +145,44 @@ def test_an_arm_with_a_joint_that_is_not_measured_has_no_force_stage() -> None:
     blind = tuple(replace(r, table=r.table.assign(**{"elbow.joint": np.nan})) for r in data.recordings)
     with pytest.raises(ExcitationError, match="no stage is measured"):
         steps.open_study(replace(data, recordings=blind), nominal_plant(data.machine))
+
+
+def without_masses(data: Dataset) -> Dataset:
+    """The same recordings of a machine without a URDF, its inertias about right."""
+    axes = "".join(
+        f'[[axes]]\nname = "{name}"\nactuation = "force"\ndrives = "joint"\ninertia = {inertia}\n'
+        for name, inertia in (("lift", 0.8), ("elbow", 0.07))
+    )
+    noise = f'[noise]\n"lift.joint" = {JOINT_NOISE}\n"elbow.joint" = {JOINT_NOISE}\n'
+    machine = machine_from_files({"machine.toml": f'schema = 1\nname = "m"\nrate_hz = {RATE}\n{axes}{noise}'}, "m")
+    return Dataset.of(machine, data.recordings, data.splits)
+
+
+def test_without_masses_gravity_depends_on_the_posture_and_friction_does_not() -> None:
+    data = without_masses(dataset())
+    shares = {}
+    for recordings in (data, without_masses(replace(data, recordings=tuple(weightless(r) for r in data.recordings)))):
+        study = steps.open_study(recordings, nominal_plant(data.machine))
+        for stage in study.stages:
+            share = posture_share(stage.problem, data.machine, stage.split.seen, float(stage.sigma[0]), {})
+            assert share is not None
+            shares.setdefault(stage.problem.target, []).append(share.dominates)
+    assert shares == {"lift": [True, False], "elbow": [True, False]}
+
+
+def weightless(recording: Recording) -> Recording:
+    """Torque of an inertia and of friction at each joint instead of that of the links."""
+    draw, table = np.random.default_rng(7), recording.table.copy()
+    for k, (name, inertia) in enumerate((("lift", 0.8), ("elbow", 0.07))):
+        v = np.gradient(table[f"{name}.joint"].to_numpy(), 1.0 / RATE)
+        torque = inertia * np.gradient(v, 1.0 / RATE) + VISCOUS[k] * v + COULOMB[k] * np.tanh(v / 0.1)
+        table[f"{name}.command"] = torque + NOISE[k] * draw.standard_normal(len(table))
+    return replace(recording, table=table)
+
+
+@pytest.mark.slow
+def test_without_masses_nothing_is_named_and_they_are_requested() -> None:
+    data = without_masses(dataset())
+    gap = find_gap(data, nominal_plant(data.machine))
+    assert gap.effects == ()
+    assert {u.target for u in gap.unnamed if "give the masses" in u.form} == {"lift", "elbow"}
