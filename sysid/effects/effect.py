@@ -69,6 +69,11 @@ class Form:
     def names(self) -> tuple[str, ...]:
         return tuple(parameter.name for parameter in self.parameters)
 
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """Slots that it writes; those of a richer form keep their neutral values."""
+        return tuple(slot for parameter in self.parameters for group in parameter.components for slot in group)
+
 
 @dataclass(frozen=True)
 class Need:
@@ -107,6 +112,8 @@ class Effect:
         confused_with: similar effect → what separates the two. Each pair is written once, in either file;
             :func:`sysid.effects.catalogue.confusions` combines both sides.
         generalises: simpler effects that are special cases of it: it has to predict clearly better.
+        instead_of: effects of the same target in whose place it is compared, once a search without it has ended. It has to
+            divide the variance that they leave by the price of an effect (:mod:`sysid.gap.alternatives`).
         need: required excitation, as a count.
         actuations: kinds of axis that can have it (empty: not an axis effect).
         memory: step time [s] → number of state values of the step.
@@ -141,6 +148,7 @@ class Effect:
     memory: Callable[[float], int] = lambda dt: 0
     sides: tuple[Literal["drive", "structure"], ...] = ()
     generalises: tuple[str, ...] = ()
+    instead_of: tuple[str, ...] = ()
     example: Mapping[str, float | list[float]] = field(default_factory=dict, hash=False)
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False

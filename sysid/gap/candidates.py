@@ -127,8 +127,17 @@ def candidates_at(
             if not _fits(effect, target, stage, plant) or not scales.known_for(effect, target):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
-                found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
+                found += [
+                    _candidate(plant, theta, effect, form, target, side, scales) for form in _forms(plant, effect, target, side)
+                ]
     return found
+
+
+def _forms(plant: Plant, effect: Effect, target: str, side: str | None) -> list[Form]:
+    """The forms of an effect; one that the plant has already keeps all its slots."""
+    if plant.effect(effect.name, target, side) is None:
+        return list(effect.forms)
+    return [form for form in effect.forms if len(form.slots) == len(effect.slots)]
 
 
 def adjusted_link(plant: Plant, theta: Array, axis: str) -> Candidate:

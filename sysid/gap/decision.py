@@ -364,6 +364,11 @@ def pays_beside(before: float, after: float, alike: float) -> bool:
     return pays(before, max(after, alike)) or pays(before, after, 2)
 
 
+def divides(before: float, after: float) -> bool:
+    """Whether an effect in the place of others divides the variance that they leave by its price, whatever remains."""
+    return _divided(before, after)
+
+
 def typical_errors(errors: Sequence[float]) -> list[float]:
     """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
 

@@ -17,6 +17,7 @@ from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
+from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
 from sysid.gap.candidates import Candidate, adjusted_link
@@ -170,12 +171,14 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
     elif is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
     else:
-        fitted = fit_stage(
-            compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
-            _equivalence(case, problem.stage, candidates),
-            on_fit=fits,
-            shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
-        )  # fmt: skip
+        model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
+        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
+
+        def search(some: Sequence[Candidate]) -> StageFit:
+            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
+            return fit_stage(model, *seen_by, some, nameable, rope, on_fit=fits, shared=shared)
+
+        fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":
             fitted = _without_masses(case, stage, fitted)
         result = _result(problem, seen, fitted, nominal)

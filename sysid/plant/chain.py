@@ -23,6 +23,7 @@ from sysid.effects import (
     joint_compliance,
     load_dependent_flow,
     oil_compressibility,
+    smooth_coulomb_friction,
     stiction,
     stribeck_friction,
     temperature_drift,
@@ -83,6 +84,7 @@ def force_stage(u, v, p, b, inertia, dt):
     """
     mass = inertia * p[b + AT.inertia_error]
     slope = p[b + AT.viscous_friction] if v > 0.0 else p[b + AT.viscous_friction + 1]
+    slope += smooth_coulomb_friction.slope(v, p, b + AT.smooth_coulomb_friction)
     free = (v + dt / mass * (u - p[b + AT.load_bias])) / (1.0 + dt / mass * slope)
     dry = coulomb_friction.limit(free, p, b + AT.coulomb_friction) + stribeck_friction.magnitude(v, p, b + AT.stribeck_friction)
     hold = dt / mass * dry / (1.0 + dt / mass * slope)
@@ -101,6 +103,7 @@ def force_at_motion(v, a, p, b, inertia):
         + coulomb_friction.force(v, p, b + AT.coulomb_friction)
         + viscous_friction.force(v, p, b + AT.viscous_friction)
         + stribeck_friction.force(v, p, b + AT.stribeck_friction)
+        + smooth_coulomb_friction.force(v, p, b + AT.smooth_coulomb_friction)
         + p[b + AT.load_bias]
     )
 

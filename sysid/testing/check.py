@@ -140,8 +140,10 @@ def _metadata(effect: Effect) -> Iterator[str]:
             yield f"confused_with names {other!r}, expected {nearest(other, BY_NAME.keys() - {effect.name})}"
     slots = {slot.name for slot in effect.slots}
     for form in effect.forms:
-        written = [slot for p in form.parameters for group in p.components for slot in group]
-        if set(written) != slots or len(written) != len(slots):
+        written = form.slots
+        # A simpler form may leave the slots of a richer one at their neutral values.
+        missing = slots - set(written) if form is effect.forms[-1] else set()
+        if missing or not set(written) <= slots or len(set(written)) != len(written):
             yield f"form {{{', '.join(form.names)}}} writes the slots {sorted(written)}, expected each of {sorted(slots)} once"
         for parameter in form.parameters:
             yield from _parameter(parameter)

@@ -114,6 +114,7 @@ ALL = {
     "coulomb_friction": {"force": 0.4},
     "viscous_friction": {"positive": 1.0, "negative": 1.5},
     "stribeck_friction": {"static_force": 0.5, "coulomb_force": 0.2, "stribeck_velocity": 0.02},
+    "smooth_coulomb_friction": {"force": 0.3, "width": 0.05},
     "inertia_error": {"ratio": 1.2},
     "load_bias": {"force": -0.2},
     "backlash": {"width": 0.01},
