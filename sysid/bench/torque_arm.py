@@ -15,6 +15,7 @@ Source: Lagrange's equations; Swevers et al., IEEE Trans. Robot. Autom. 13 (1997
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,6 +26,7 @@ from sysid.bench.joint_recipe import Take
 from sysid.config import Strict
 
 Array = npt.NDArray[np.float64]
+Function = Callable[[Array], Array]
 
 GRAVITY = 9.80665
 #: Harmonics of the path, their lowest frequency [Hz], and the share of its range that an axis moves over.
@@ -100,7 +102,9 @@ def _points(arm: TorqueArm) -> list[tuple[float, float, float]]:
     return [*points, (arm.payload, upper.length, fore.length)]
 
 
-def _projected(q, v, a, first, second, shape, slope):  # type: ignore[no-untyped-def]
+def _projected(
+    q: Array, v: Array, a: Array, first: float, second: float, shape: Function, slope: Function
+) -> tuple[Array, Array, Array, tuple[Array, Array]]:
     """Coordinate first·f(q₂) + second·f(q₂ + q₃) with its rates and its derivatives by both angles; f'' = −f."""
     low, high = q[:, 1], q[:, 1] + q[:, 2]
     low_v, high_v, low_a, high_a = v[:, 1], v[:, 1] + v[:, 2], a[:, 1], a[:, 1] + a[:, 2]
