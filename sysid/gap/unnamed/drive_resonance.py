@@ -48,7 +48,7 @@ class DriveResonance:
 
     def __str__(self) -> str:
         return (
-            f"the force responds to the motion like a load of {self.inertia_ratio:.2f} times the motor's inertia behind a spring: "
+            f"the force responds to motion like a load of {self.inertia_ratio:.2f} times the motor's inertia behind a spring: "
             f"antiresonance at {self.antiresonance_hz:.1f} Hz, resonance at {self.resonance_hz:.1f} Hz"
         )
 
@@ -71,7 +71,7 @@ class _Response:
 
     def rigid(self) -> list[Spectra]:
         """Columns of an inertia and of viscous friction."""
-        return [np.ones(len(self.w), dtype=np.complex128), 1.0 / (1j * self.w)]
+        return [np.ones(len(self.w), dtype=np.complex128), (1.0 / (1j * self.w)).astype(np.complex128)]
 
     def flexible(self, frequency: float, damping: float) -> list[Spectra]:
         """The same, and the column of a load behind a spring."""
@@ -91,10 +91,12 @@ def drive_resonance(recordings: Sequence[Recording], axis: Axis, settings: Force
     rigid = response.fit(response.rigid())[1]
     grid = [(f, z) for f in np.geomspace(LOWEST, settings.force_hz, FREQUENCIES) for z in DAMPINGS]
     start = min(grid, key=lambda pair: response.fit(response.flexible(*pair))[1])
-    found = minimize(
-        lambda x: response.fit(response.flexible(*np.exp(x)))[1], np.log(start), method="Nelder-Mead", options={"xatol": 1e-4}
-    )
-    frequency, damping = map(float, np.exp(found.x))
+
+    def left_at(x: Array) -> float:
+        return response.fit(response.flexible(float(np.exp(x[0])), float(np.exp(x[1]))))[1]
+
+    found = minimize(left_at, np.log(start), method="Nelder-Mead", options={"xatol": 1e-4})
+    frequency, damping = (float(value) for value in np.exp(found.x))
     (motor, _, load), left = response.fit(response.flexible(frequency, damping))
     if not (motor > 0.0 and load > 0.0 and damping < DAMPED and LOWEST < frequency < settings.force_hz):
         return None
