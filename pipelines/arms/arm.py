@@ -101,7 +101,7 @@ def make(seed: int, friction: bool = True, payload: bool = False, mass_error: fl
         extra={
             "torque_noise": dict(zip(owner.names, sensors.torque.tolist(), strict=True)),
             "joint_noise": sensors.joint,
-            "inertia": dict(zip(owner.names, mean_inertia(real, list(clean.values())).tolist(), strict=True)),
+            "inertia": dict(zip(owner.names, inertial_gain(real, list(clean.values())).tolist(), strict=True)),
             "rate_hz": rate,
             "payload_spread": spread,
         },
@@ -219,8 +219,11 @@ def payload_spread(
     return float(np.sqrt(np.linalg.inv(precision)[count, count]))
 
 
-def mean_inertia(arm: RigidArm, logs: list[pd.DataFrame], every: int = 500) -> Array:
-    """Mean moving inertia of each axis over the recorded postures [kg·m²], (axes,)."""
+def inertial_gain(arm: RigidArm, logs: list[pd.DataFrame], every: int = 500) -> Array:
+    """Torque noise of each axis per unit of independent acceleration noise on all axes [kg·m²], (axes,).
+
+    Root of the sum over its row of the mass matrix, mean square over the recorded postures.
+    """
     import mujoco
 
     model, data = mujoco_model(arm)
@@ -231,8 +234,8 @@ def mean_inertia(arm: RigidArm, logs: list[pd.DataFrame], every: int = 500) -> A
             data.qpos[:] = q
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, mass)
-            found.append(np.diag(mass).copy())
-    return np.asarray(np.mean(found, axis=0))
+            found.append((mass**2).sum(axis=1))
+    return np.asarray(np.sqrt(np.mean(found, axis=0)))
 
 
 # ---- Simulation ---------------------------------------------------------------------------------------------------------

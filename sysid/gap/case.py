@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
-from sysid.effects import link_mass_error
+from sysid.effects import inertia_error, link_mass_error
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -164,11 +164,17 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     problem = stage.problem
     scales = scales_of(case.plant, stage)
     found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales)
-    # Gravity weighs a link about its own joint; a link on a vertical axis shows by its inertia alone.
-    found = [c for c in found if c.effect is not link_mass_error.EFFECT or scales.loads.get(c.target)]
+    found = [c for c in found if _has_nominal(c, case.plant, scales)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
+
+
+def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
+    """Whether the plant has what the effect changes: gravity on a link about its own joint, a stated inertia of an axis."""
+    if candidate.effect is link_mass_error.EFFECT:
+        return bool(scales.loads.get(candidate.target))
+    return candidate.effect is not inertia_error.EFFECT or plant.machine.axis(candidate.target).inertia is not None
 
 
 def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:

@@ -71,7 +71,7 @@ class ArmForces:
             found = []
             for own, axis in zip(inputs, self.axes, strict=True):
                 load = link_torque(self.model, self.model.theta, original, axis.name)
-                columns = friction_columns(own.speed, own.acceleration, load)
+                columns = friction_columns(own.speed, own.acceleration, load, axis.inertia is not None)
                 columns[own.rests] = 0.0
                 found.append(signal.sosfiltfilt(own.low_pass, columns, axis=0)[own.rows])
             self._friction[recording.name] = found

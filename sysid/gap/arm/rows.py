@@ -15,7 +15,8 @@ from sysid.gap.arm.friction import FRICTION, friction_columns
 from sysid.machine.rigid_body import CHUNK
 from sysid.plant import Model
 from sysid.plant.force import force_inputs
-from sysid.plant.link_torque import inertial_parameters, link_motion, link_torque, rotors_and_scales
+from sysid.plant.layout import AT, AXIS_WIDTH
+from sysid.plant.link_torque import link_motion, link_torque, rotors_and_scales
 
 if TYPE_CHECKING:
     from sysid.gap.problem import Problem
@@ -30,13 +31,15 @@ BLOCK, BLOCKS = 4.0, 60
 class AxisRows:
     """One axis: ``force`` (m,) measured, ``links`` (m, 10·B) slopes by inertial parameters, ``friction`` (m, 7).
 
-    ``block`` (m,): number of the block of seconds. ``target`` (m,) is the measured force less the torque of the links of the
-    plant under test. Where the sign of friction is unknown, all columns are zero before the low-pass.
+    ``rotor`` (m,): inertial force of a rotor with known inertia. ``block`` (m,): number of the block of seconds. ``target``
+    (m,) is the measured force less the rotor's and the torque of the links of the plant under test. Where the sign of friction
+    is unknown, all columns are zero before the low-pass.
     """
 
     axis: str
     target: Array
     force: Array
+    rotor: Array
     links: Array
     friction: Array
     block: npt.NDArray[np.int64]
@@ -67,20 +70,22 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             own = inputs[j]
             moving = ~own.rests
             nominal = link_torque(model, theta, recording, name)
-            friction = friction_columns(own.speed, own.acceleration, slopes[j] @ inertial_parameters(model, theta).ravel())
-            table = np.column_stack([own.raw - nominal, own.raw, friction, slopes[j]]) * moving[:, None]
+            inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
+            rotor = (inertia or 0.0) * theta[at] * own.acceleration
+            friction = friction_columns(own.speed, own.acceleration, nominal, inertia is not None)
+            table = np.column_stack([own.raw - nominal - rotor, own.raw, rotor, friction, slopes[j]]) * moving[:, None]
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))
             filtered[:, used] = signal.sosfiltfilt(own.low_pass, table[:, used], axis=0)[rows[there]]
-            last = 2 + FRICTION
-            found[name].append((filtered[:, 0], filtered[:, 1], filtered[:, last:], filtered[:, 2:last], time[there]))
+            last = 3 + FRICTION
+            found[name].append((*filtered[:, :3].T, filtered[:, last:], filtered[:, 3:last], time[there]))
     whole = max(begin, 1e-9)
     count = max(1, min(BLOCKS, int(whole / BLOCK)))
     axes = []
     for name, parts in found.items():
-        target, force, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
-        axes.append(AxisRows(name, target, force, links, friction, (time * count / whole).astype(np.int64)))
+        target, force, rotor, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
+        axes.append(AxisRows(name, target, force, rotor, links, friction, (time * count / whole).astype(np.int64)))
     return axes
 
 

@@ -22,6 +22,7 @@ from sysid.gap.arm.friction import FRICTION, without
 from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency
 from sysid.gap.arm.unknowns import (
     FORCE_CONSTANT,
+    ROTOR,
     LinkErrors,
     change_of,
     columns_of,
@@ -49,7 +50,7 @@ Array = npt.NDArray[np.float64]
 #: Typical relative errors of :data:`KINDS`, and spread of their natural logarithm: masses are weighed or computed from CAD to
 #: about five percent; inertias are often those of a simpler solid, and the constant between current and torque includes the
 #: efficiency of a gear.
-EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1]), np.array([0.7, 0.7, 0.7, 0.7])
+EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1, 0.1]), np.full(5, 0.7)
 #: Least gain in evidence of an exchange [nats].
 GAIN = 1e-6
 #: Condition that a near miss fails.
@@ -99,7 +100,7 @@ class _Whole:
         self.unknowns = tuple(u for c in candidates for u in c.unknowns)
         self.places = places(candidates)
         self.errors: LinkErrors = link_errors(model, theta)
-        self.kind = np.append(self.errors.kind, np.full(len(rows), FORCE_CONSTANT))
+        self.kind = np.concatenate([self.errors.kind, np.repeat([FORCE_CONSTANT, ROTOR], len(rows))])
         self.changes = np.concatenate(
             [np.zeros((0, *self.errors.change.shape[1:])), *(change_of(model, theta, c) for c in candidates)]
         )
@@ -126,9 +127,10 @@ class _Whole:
     def _projected(self, axis: AxisRows, weight: float) -> Array:
         """Target, effects and errors of an axis without what its friction explains, weighted, (m, 1 + K + p)."""
         links = [columns_of(axis.links, changes) for changes in (self.changes, self.errors.change)]
-        constants = np.zeros((len(axis.target), len(self.rows)))
-        constants[:, [own.axis for own in self.rows].index(axis.axis)] = axis.force - axis.target
-        return weight * without(np.column_stack([axis.target, *links, constants]), axis.friction)
+        constants, rotors = np.zeros((2, len(axis.target), len(self.rows)))
+        here = [own.axis for own in self.rows].index(axis.axis)
+        constants[:, here], rotors[:, here] = axis.force - axis.target - axis.rotor, axis.rotor
+        return weight * without(np.column_stack([axis.target, *links, constants, rotors]), axis.friction)
 
     def _stacked(self, weights: Array) -> _Stack:
         parts = [self._projected(axis, float(w)) for axis, w in zip(self.rows, weights, strict=True)]
@@ -237,11 +239,13 @@ class _Whole:
             theta[first : first + PARAMETERS] += off[body]
         at = self.unknowns_of(members)
         whole = np.tensordot(change, self.changes[at], axes=1).reshape(-1) + off.reshape(-1)
-        scales = errors[len(self.errors.kind) :]
-        for axis, scale in zip(self.rows, scales, strict=True):
-            first = self.model.axis_index(axis.axis) * AXIS_WIDTH + AT.inertial_error + PARAMETERS
+        scales, rotors = errors[len(self.errors.kind) :].reshape(2, -1)
+        for axis, scale, rotor in zip(self.rows, scales, rotors, strict=True):
+            at = self.model.axis_index(axis.axis) * AXIS_WIDTH
+            first, stated = at + AT.inertial_error + PARAMETERS, self.model.machine.axis(axis.axis).inertia
             theta[first + 1] *= 1.0 + scale
-            if self.model.machine.axis(axis.axis).inertia is None:
+            theta[first] += rotor * (stated or 0.0) * theta[at + AT.inertia_error]
+            if stated is None:
                 left = axis.target - axis.links @ whole - scale * (axis.force - axis.target)
                 size = np.maximum(np.linalg.norm(axis.friction, axis=0), 1e-12)
                 theta[first] += (np.linalg.lstsq(axis.friction / size, left, rcond=1e-9)[0] / size)[-1]

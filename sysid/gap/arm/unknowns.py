@@ -18,9 +18,9 @@ from sysid.plant.link_torque import inertial_parameters
 Array = npt.NDArray[np.float64]
 
 #: Kinds of error, each with a size of its own [share]: all parameters of a link together, first moment, inertia; and that of
-#: the constant from which the force of an axis was computed.
-KINDS = ("mass", "first moment", "inertia", "force constant")
-FORCE_CONSTANT = 3
+#: the constant from which the force of an axis was computed, and of the inertia of its rotor.
+KINDS = ("mass", "first moment", "inertia", "force constant", "rotor")
+FORCE_CONSTANT, ROTOR = 3, 4
 
 
 @dataclass(frozen=True)
