@@ -37,6 +37,7 @@ from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, Resi
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.gap.unnamed.drive_resonance import drive_resonance
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
 from sysid.machine import KnownEffect
@@ -91,7 +92,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
             outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, error, "posture", cause))
             continue
         if proven and all(kept.candidate.label in refused for kept in result.named):
-            _without_name(stage, refused, outcome)
+            _without_name(case, stage, refused, outcome)
         # What remains of the forces of an arm shows at its axes, each with its friction.
         if stage.problem.stage != "links" and (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
@@ -215,7 +216,7 @@ def _accumulates(result: StageResult) -> bool:
     return result.stage_fit is not None and result.stage_fit.decision.accumulates
 
 
-def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
+def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
     """Add to ``unnamed`` a stage whose gap is closed by effects that are excited but not certain enough for a name.
 
     ``refused``: by label, why a name of the decision is not kept.
@@ -234,7 +235,9 @@ def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcom
     depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
     depends = "earlier motion" if depends == "past" else depends
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
-    outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
+    outcome.unnamed.append(
+        _with_resonance(stage, case, Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
+    )
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
@@ -253,7 +256,20 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
     else:
         theta = stage.theta
     outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")
-    outcome.unnamed += describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
+    found = describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
+    outcome.unnamed += [_with_resonance(stage, case, item) for item in found]
+
+
+def _with_resonance(stage: Stage, case: Case, item: Unnamed) -> Unnamed:
+    """The residual of a force with the resonance of its drive, where there is one."""
+    settings = stage.problem.force_filter
+    if settings is None:
+        return item
+    found = drive_resonance(stage.split.seen, case.plant.machine.axis(stage.problem.target), settings)
+    if found is None:
+        return item
+    form = f"{item.form}; {found}"
+    return replace(item, form=form, antiresonance_hz=found.antiresonance_hz, resonance_hz=found.resonance_hz)
 
 
 def _better(stage: Stage) -> bool:

@@ -178,6 +178,7 @@ class Unnamed:
             on recordings left out of its search; zero without one.
         period, period_unit: of a ripple in the formula; zero without one.
         probes: the largest cross-correlations.
+        antiresonance_hz, resonance_hz: of a load behind a spring in a force [Hz]; zero without one.
     """
 
     stage: str
@@ -189,6 +190,8 @@ class Unnamed:
     period: float = 0.0
     period_unit: str = ""
     probes: tuple[Probe, ...] = ()
+    antiresonance_hz: float = 0.0
+    resonance_hz: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def band(motions: Sequence[Motion]) -> float:
     """Upper end of the band [Hz] of recordings with one sample rate; zero where they are too short to tell."""
     rate = motions[0].rate_hz
     length = round(min(SEGMENT * rate, max(len(m.force) for m in motions) / SEGMENTS))
-    segments = np.concatenate([_segments(np.column_stack([*_inputs(m), m.force]), length) for m in motions])
+    segments = np.concatenate([fourier_segments(np.column_stack([*_inputs(m), m.force]), length) for m in motions])
     inputs = segments.shape[2] - 1
     if len(segments) <= 2 * inputs:
         return 0.0
@@ -62,22 +62,29 @@ def band(motions: Sequence[Motion]) -> float:
     coherent, power = _coherent_power(segments)
     of_position = np.sum([_position_power(m, length) for m in motions], axis=0)
     noise = float(np.median(of_position[frequency > NOISE_FROM * rate]))
-    explained = _octaves(frequency, coherent) >= COHERENCE * _octaves(frequency, power)
-    clear = _octaves(frequency, of_position) >= (SIGNAL_TO_NOISE + 1.0) * noise * _octaves(frequency, np.ones(len(frequency)))
+    explained = octave_sums(frequency, coherent) >= COHERENCE * octave_sums(frequency, power)
+    clear = octave_sums(frequency, of_position) >= (SIGNAL_TO_NOISE + 1.0) * noise * octave_sums(
+        frequency, np.ones(len(frequency))
+    )
     end = _end(frequency, explained & clear)
     content = np.cumsum(np.maximum(coherent[: end + 1], 0.0))
     return float(frequency[np.searchsorted(content, POWER * content[-1])])
 
 
-def _inputs(motion: Motion) -> tuple[Array, Array]:
-    """Acceleration, of which the speed is a linear function, and direction; the highest frequencies are noise."""
+def motion_of(motion: Motion) -> tuple[Array, Array]:
+    """Position and speed without the highest frequencies, which are noise, (n,) each."""
     low_pass = signal.butter(4, 0.4 * motion.rate_hz, fs=motion.rate_hz, output="sos")
     position = signal.sosfiltfilt(low_pass, motion.position)
-    speed = np.gradient(position, 1.0 / motion.rate_hz)
+    return position, np.gradient(position, 1.0 / motion.rate_hz)
+
+
+def _inputs(motion: Motion) -> tuple[Array, Array]:
+    """Acceleration, of which the speed is a linear function, and direction."""
+    speed = motion_of(motion)[1]
     return np.gradient(speed, 1.0 / motion.rate_hz), np.sign(speed)
 
 
-def _segments(columns: Array, length: int) -> Spectra:
+def fourier_segments(columns: Array, length: int) -> Spectra:
     """Fourier transforms of windowed, half overlapping segments of columns (n, k), (segments, frequencies, k)."""
     starts = range(0, len(columns) - length + 1, max(1, length // 2))
     window = signal.windows.hann(length)[:, None]
@@ -104,7 +111,7 @@ def _coherent_power(segments: Spectra) -> tuple[Array, Array]:
 
 def _position_power(motion: Motion, length: int) -> Array:
     """Power of a position, (frequencies,), in which white noise is flat, from its second differences (against leakage)."""
-    segments = _segments(np.diff(motion.position, 2)[:, None], length)
+    segments = fourier_segments(np.diff(motion.position, 2)[:, None], length)
     frequency = np.fft.rfftfreq(length)
     return np.asarray(
         np.sum(np.abs(segments[:, :, 0]) ** 2, axis=0) / np.maximum((2.0 * np.sin(np.pi * frequency)) ** 4, 1e-12)
@@ -120,7 +127,7 @@ def _end(frequency: Array, determined: npt.NDArray[np.bool_]) -> int:
     return int(good[-1]) if len(good) else 0
 
 
-def _octaves(frequency: Array, power: Array) -> Array:
+def octave_sums(frequency: Array, power: Array) -> Array:
     """Power in the octave around each frequency, (frequencies,)."""
     total = np.concatenate([[0.0], np.cumsum(np.maximum(power, 0.0))])
     low = np.searchsorted(frequency, frequency / np.sqrt(2.0))
