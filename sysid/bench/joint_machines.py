@@ -1,9 +1,11 @@
-"""A servo arm and a slide, from a recipe to CSV logs with canonical names.
+"""A servo arm, an arm of geared motors and a slide, from a recipe to CSV logs.
 
-kind = "servo_arm"                       kind = "slide"
+kind = "servo_arm" or "torque_arm"       kind = "slide"
 name, seed, rate                         name, seed, rate
 [[axes]] name, limits, length, …         mass, coulomb, viscous, …
 [[recordings]] name, seed, seconds       [[recordings]] name, seed, seconds
+
+Columns have canonical names, but for the currents of the motors: ``<axis>.current`` [A].
 """
 
 from __future__ import annotations
@@ -16,11 +18,14 @@ import numpy as np
 from sysid.bench.joint_recipe import STEP, ServoArm, ServoAxis, Slide
 from sysid.bench.servo_arm import run_servo_arm
 from sysid.bench.slide import run_slide
+from sysid.bench.torque_arm import TorqueArm, description, run_torque_arm
 from sysid.config import parse_settings, read_toml
 from sysid.errors import SettingsError
 
+JointMachine = ServoArm | TorqueArm | Slide
 
-def load_joint_machine(path: Path) -> ServoArm | Slide:
+
+def load_joint_machine(path: Path) -> JointMachine:
     """Read and check a recipe of either kind.
 
     Raises:
@@ -46,7 +51,15 @@ def load_joint_machine(path: Path) -> ServoArm | Slide:
             raise SettingsError(f"{path}: bristle", f"{slide.bristle}", "zero or more")
         _check_rate(slide.rate, path)
         return slide
-    raise SettingsError(f"{path}: kind", repr(kind), "'servo_arm' or 'slide'")
+    if kind == "torque_arm":
+        motors = parse_settings(values, TorqueArm, path)
+        for motor in motors.axes:
+            if not motor.limits[0] < motor.limits[1] or min(motor.length, motor.mass, motor.rotor, motor.constant) <= 0.0:
+                place = f"{path}: axis {motor.name!r}"
+                raise SettingsError(place, "no range, length, mass, rotor or constant", "limits in order, sizes > 0")
+        _check_rate(motors.rate, path)
+        return motors
+    raise SettingsError(f"{path}: kind", repr(kind), "'servo_arm', 'torque_arm' or 'slide'")
 
 
 def _check_rate(rate: float, path: Path) -> None:
@@ -54,8 +67,8 @@ def _check_rate(rate: float, path: Path) -> None:
         raise SettingsError(f"{path}: rate", f"{rate} Hz", f"a rate that divides {1.0 / STEP:.0f} Hz")
 
 
-def write_joint_machine(machine: ServoArm | Slide, out: Path) -> list[Path]:
-    """``out/<recording>/log.csv`` with canonical names, ``out/machine.toml`` and, for the arm, its URDF; returns the files."""
+def write_joint_machine(machine: JointMachine, out: Path) -> list[Path]:
+    """``out/<recording>/log.csv``, ``out/machine.toml`` and, for an arm, its URDF; returns the files."""
     out.mkdir(parents=True, exist_ok=True)
     written = []
     for take in machine.recordings:
@@ -65,6 +78,11 @@ def write_joint_machine(machine: ServoArm | Slide, out: Path) -> list[Path]:
             seen = joints + machine.noise * noise.standard_normal(joints.shape)
             names = [f"{axis.name}.{part}" for part in ("command", "joint") for axis in machine.axes]
             table = np.column_stack([time, setpoint, seen])
+        elif isinstance(machine, TorqueArm):
+            time, current, joints = run_torque_arm(machine, take)
+            seen = joints + machine.noise * noise.standard_normal(joints.shape)
+            names = [f"{axis.name}.{part}" for part in ("current", "joint") for axis in machine.axes]
+            table = np.column_stack([time, current + machine.current_noise * noise.standard_normal(current.shape), seen])
         else:
             time, force, position = run_slide(machine, take)
             names = ["carriage.command", "carriage.joint"]
@@ -80,8 +98,10 @@ def write_joint_machine(machine: ServoArm | Slide, out: Path) -> list[Path]:
     return written
 
 
-def description_of(machine: ServoArm | Slide) -> dict[str, str]:
-    """``machine.toml`` and, for the arm, its URDF: file name → text. Features are not described."""
+def description_of(machine: JointMachine) -> dict[str, str]:
+    """``machine.toml`` and, for an arm, its URDF: file name → text. Features are not described."""
+    if isinstance(machine, TorqueArm):
+        return description(machine)
     if isinstance(machine, ServoArm):
         return {"machine.toml": _arm_toml(machine), f"{machine.name}.urdf": _arm_urdf(machine.name, machine.axes)}
     return {

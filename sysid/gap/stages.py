@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, sensor_scale
+from sysid.effects import backlash, clock_offset, inertia_error, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
@@ -44,6 +44,8 @@ Array = npt.NDArray[np.float64]
 BACKLASH_OVER_NOISE = 4.0
 #: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
 SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
+#: Condition that an error of a rotor's inertia fails.
+ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
 #: Stage of the links of an arm.
 LINKS = "links"
 
@@ -180,7 +182,7 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
 
         fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":
-            fitted = _without_masses(case, stage, fitted)
+            fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
         result = _result(problem, seen, fitted, nominal)
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
@@ -204,6 +206,15 @@ def _found_in_links(
     values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
     fit = replace(result.fit, candidates=(*result.fit.candidates, *off), unknowns=unknowns, values=values)
     return replace(result, fit=fit, adjusted=(*result.adjusted, *off))
+
+
+def _beside_links(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
+    """The fit without a name for the inertia of a rotor whose link is adjusted: torques determine the sum of both."""
+    axis, model = stage.problem.target, compile_plant(case.plant)
+    if model.rigid is None or axis not in links_adjusted(model, stage.theta, case.theta):
+        return fitted
+    rotors = {c.label: ROTOR for c in fitted.decision.model.candidates if c.effect is inertia_error.EFFECT}
+    return replace(fitted, decision=fitted.decision.without_names(rotors)) if rotors else fitted
 
 
 def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:

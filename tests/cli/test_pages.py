@@ -22,6 +22,7 @@ PAGES = {
     EXCAVATOR: "rc_excavator",
     "docs/guide/servo.md": "sage_so101",
     "docs/guide/poses.md": "tiago_mocap",
+    "docs/guide/electric-arm.md": None,
     "datasets/autolog/README.md": None,
     "datasets/emps/README.md": "emps",
     "datasets/hydraulic_actuator/README.md": "hyd_actuator",
@@ -29,6 +30,7 @@ PAGES = {
     "datasets/so101/README.md": "sage_so101",
     "datasets/tiago/README.md": "tiago_mocap",
     "datasets/ur10/README.md": "tiago_mocap",
+    "datasets/ur10e/README.md": "ur10e_arm",
     "datasets/xl330/README.md": "bam_xl330",
 }
 
