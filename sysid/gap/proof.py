@@ -263,7 +263,7 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
 def _with_resonance(stage: Stage, case: Case, item: Unnamed) -> Unnamed:
     """The residual of a force with the resonance of its drive, where there is one."""
     settings = stage.problem.force_filter
-    if settings is None:
+    if settings is None or compile_plant(case.plant).rigid is not None:  # of an arm, other axes move the force as well
         return item
     found = drive_resonance(stage.split.seen, case.plant.machine.axis(stage.problem.target), settings)
     if found is None:

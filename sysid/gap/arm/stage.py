@@ -241,10 +241,10 @@ class _Whole:
         whole = np.tensordot(change, self.changes[at], axes=1).reshape(-1) + off.reshape(-1)
         scales, rotors = errors[len(self.errors.kind) :].reshape(2, -1)
         for axis, scale, rotor in zip(self.rows, scales, rotors, strict=True):
-            at = self.model.axis_index(axis.axis) * AXIS_WIDTH
-            first, stated = at + AT.inertial_error + PARAMETERS, self.model.machine.axis(axis.axis).inertia
+            block = self.model.axis_index(axis.axis) * AXIS_WIDTH
+            first, stated = block + AT.inertial_error + PARAMETERS, self.model.machine.axis(axis.axis).inertia
             theta[first + 1] *= 1.0 + scale
-            theta[first] += rotor * (stated or 0.0) * theta[at + AT.inertia_error]
+            theta[first] += rotor * (stated or 0.0) * theta[block + AT.inertia_error]
             if stated is None:
                 left = axis.target - axis.links @ whole - scale * (axis.force - axis.target)
                 size = np.maximum(np.linalg.norm(axis.friction, axis=0), 1e-12)

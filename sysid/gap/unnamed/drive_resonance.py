@@ -2,10 +2,11 @@
 
 At measured motion of the motor, a motor with inertia Jm and a load Jl behind a spring and damper need the force
 
-    F = (Jm + Jl·H(s))·a + B·v,     H(s) = (2ζω·s + ω²)/(s² + 2ζω·s + ω²),
+    F = (Jm + Jl·H(s))·a + B·v + K·x,     H(s) = (2ζω·s + ω²)/(s² + 2ζω·s + ω²),
 
 so that the motor hardly moves at ω (antiresonance), and most easily at ω·√(1 + Jl/Jm) (resonance). Both follow from the
-averaged spectra of force and acceleration, beside the direction of motion (dry friction).
+averaged spectra of force and acceleration, beside the direction of motion (dry friction). K is the slope of a weight or of a
+spring to the frame, which would otherwise look like a load behind a soft spring.
 """
 
 from __future__ import annotations
@@ -70,8 +71,9 @@ class _Response:
         return beta, float(np.sum((target - stacked @ beta) ** 2))
 
     def rigid(self) -> list[Spectra]:
-        """Columns of an inertia and of viscous friction."""
-        return [np.ones(len(self.w), dtype=np.complex128), (1.0 / (1j * self.w)).astype(np.complex128)]
+        """Columns of an inertia, of viscous friction and of a spring to the frame."""
+        powers = [(1j * self.w) ** -k for k in range(3)]
+        return [column.astype(np.complex128) for column in powers]
 
     def flexible(self, frequency: float, damping: float) -> list[Spectra]:
         """The same, and the column of a load behind a spring."""
@@ -97,7 +99,7 @@ def drive_resonance(recordings: Sequence[Recording], axis: Axis, settings: Force
 
     found = minimize(left_at, np.log(start), method="Nelder-Mead", options={"xatol": 1e-4})
     frequency, damping = (float(value) for value in np.exp(found.x))
-    (motor, _, load), left = response.fit(response.flexible(frequency, damping))
+    (motor, _, _, load), left = response.fit(response.flexible(frequency, damping))
     if not (motor > 0.0 and load > 0.0 and damping < DAMPED and LOWEST < frequency < settings.force_hz):
         return None
     if rigid < PRICE * left:

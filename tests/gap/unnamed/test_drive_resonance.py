@@ -55,3 +55,11 @@ def test_slow_motion_and_short_runs_have_none() -> None:
     short = drive(15.0, 1.2)
     cut = Recording("cut", short.table.iloc[:300], RATE)
     assert drive_resonance([cut], AXIS, BAND) is None
+
+
+def test_a_weight_has_none() -> None:
+    """Its torque grows with the position, like that of a load behind a soft spring."""
+    force = multisine(25.0, 50.0)
+    position = linear_motion(force, RATE)
+    part = recording(force, position, noise=(0.05, 1e-7))  # with the spring and the damper that hold the mass in place
+    assert drive_resonance([part], AXIS, BAND) is None
