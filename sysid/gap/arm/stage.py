@@ -37,8 +37,8 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import BLOCK_NATS, LEAST, Decision, NearMiss
 from sysid.gap.fit import place
 from sysid.gap.likelihood.explained import Explained
+from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, Prior, block_densities, prior_of
-from sysid.gap.poses.regression import PoseRegression, Posterior, Sizes
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
 from sysid.machine.rigid_body import PARAMETERS
@@ -157,9 +157,9 @@ class _Whole:
                 self.independent[j] = len(axis.target) / factor
 
     @cached_property
-    def regression(self) -> PoseRegression:
+    def regression(self) -> GaussianRegression:
         stack = self.stack
-        return PoseRegression(
+        return GaussianRegression(
             stack.target, stack.effects, stack.errors, self.kind, self.prior, self.nominal, round(stack.independent),
             Sizes(EXPECTED, 1.0), EXPECTED, SPREAD,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.poses.regression import UNDETERMINED
+from sysid.gap.likelihood.gaussian_regression import UNDETERMINED
 from sysid.gap.poses.search import SetSearch
 
 Array = npt.NDArray[np.float64]

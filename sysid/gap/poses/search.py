@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.poses.regression import PoseRegression, Posterior
+from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[int]
@@ -33,7 +33,7 @@ class SetSearch:
         places: indices of the unknowns of each candidate among all unknowns.
     """
 
-    regression: PoseRegression
+    regression: GaussianRegression
     candidates: Sequence[Candidate]
     places: Sequence[npt.NDArray[np.intp]]
     known: dict[Set, Posterior] = field(default_factory=dict)

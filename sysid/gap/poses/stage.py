@@ -21,11 +21,11 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import LEAST, Decision, decide
 from sysid.gap.fit import place
 from sysid.gap.likelihood.explained import Explained
+from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, GaussianRegression, Sizes
 from sysid.gap.likelihood.stage import ModelFit, prior_of
 from sysid.gap.poses.combinations import undetermined
 from sysid.gap.poses.models import as_model
 from sysid.gap.poses.registration import registered
-from sysid.gap.poses.regression import NOISE_SPREAD, PoseRegression, Sizes
 from sysid.gap.poses.rows import PoseRows, weights_of
 from sysid.gap.poses.search import Set, SetSearch
 from sysid.gap.problem import Problem
@@ -106,7 +106,7 @@ class _Fitting:
         columns, errors = slopes * weights[:, None], self.rows.tangents * weights[:, None]
         kinds = int(self.rows.kind.max(initial=-1)) + 1
         sizes = self.sizes or Sizes(np.full(kinds, 1e-4), 1.0)
-        found = PoseRegression(
+        found = GaussianRegression(
             target * weights, columns, errors, self.rows.kind, self.prior, self.nominal, self.rows.measured, sizes
         )
         if self.sizes is None:  # beside every effect, so that what an effect explains is not an error of the arm

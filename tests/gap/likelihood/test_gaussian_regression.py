@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Sizes
 from sysid.gap.likelihood.stage import Prior
-from sysid.gap.poses.regression import PoseRegression, Sizes
 from sysid.gap.poses.tangents import KINDS, tangents_of
 from tests.helpers.pose_sets import Arm, Hidden, tips
 
@@ -23,7 +23,7 @@ def test_evidence_is_the_density_of_the_rows(seed: int, noise: float, tau: float
     width = draw.uniform(0.2, 2.0, 4)
     prior = Prior(np.zeros(4), width, np.full(4, -1e9), np.full(4, 1e9), width)
     sizes = Sizes(np.array([tau]), noise)
-    regression = PoseRegression(y, X, errors, np.zeros(3, dtype=np.int64), prior, np.zeros(4), 12, sizes)
+    regression = GaussianRegression(y, X, errors, np.zeros(3, dtype=np.int64), prior, np.zeros(4), 12, sizes)
     used = np.array([0, 2])
     covariance = noise**2 * np.eye(12) + tau**2 * errors @ errors.T + X[:, used] @ np.diag(width[used] ** 2) @ X[:, used].T
     expected = multivariate_normal(np.zeros(12), covariance).logpdf(y) + 6.0 * np.log(2.0 * np.pi)

@@ -1,4 +1,6 @@
-"""Likelihood of static poses, linearised at a parameter vector: a Gaussian regression whose sets of effects cost microseconds.
+"""Gaussian regression on effects beside small errors of everything else: a set of effects costs microseconds.
+
+Of static poses (linearised at a parameter vector) and of the links of an arm.
 
     y = X·d + Φ·β + noise,   β_j ~ N(0, τ²_kind(j)),   noise ~ N(0, s²·floor²),   d_k ~ N(0, width_k²)
 
@@ -21,12 +23,12 @@ from sysid.gap.likelihood.stage import Prior
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Centre and spread (natural logarithm) of the prior of the sizes τ [m or rad], and the least one: a tenth of a millimetre or a
-#: milliradian, unknown over two decades.
+#: Centre and spread (natural logarithm) of the prior of the sizes τ [m or rad] of static poses: a tenth of a millimetre or a
+#: milliradian, unknown over two decades. Least size, and largest for such a centre.
 TAU, TAU_SPREAD, ABSENT, LARGEST = 1e-4, 2.3, 1e-7, 0.1
 #: Spread of the prior of the noise about the floor (natural logarithm).
 NOISE_SPREAD = 1.0
-#: A posterior deviation above this share of the prior's: the poses do not determine that direction.
+#: A posterior deviation above this share of the prior's: the data do not determine that direction.
 UNDETERMINED = 0.5
 
 
@@ -53,7 +55,7 @@ class Posterior:
 
 
 @dataclass(frozen=True)
-class PoseRegression:
+class GaussianRegression:
     """The regression under given sizes.
 
     Args:
