@@ -123,7 +123,6 @@ ALL = {
     "joint_offset": {"offset": 0.02},
     "link_length_error": {"error": 0.01},
     "tip_offset": {"translation": [0.02, -0.01, 0.03]},
-    "tip_offset": {"translation": [0.03, -0.02, 0.05]},
     "base_misalignment": {"translation": [0.1, 0.0, -0.1], "rotation": [0.02, 0.0, 0.1]},
     "gripper_sway": {"length": 0.25, "damping_ratio": 0.05},
     "pump_flow_limit": {"limit": 0.9},
