@@ -131,7 +131,7 @@ def test_command_line_takes_either_family(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("found", "written", "message"),
     [
-        ('kind = "slide"', 'kind = "sled"', r"kind: 'sled'; expected 'servo_arm' or 'slide'"),
+        ('kind = "slide"', 'kind = "sled"', r"kind: 'sled'; expected 'servo_arm', 'torque_arm' or 'slide'"),
         ("mass = 95.0", "mass = 0.0", "more than zero"),
         ("mass = 95.0", "mass = 95.0\nrate = 300.0", r"300\.0 Hz; expected a rate that divides 1000 Hz"),
         ("mass = 95.0", "mass = 95.0\nviscus = 1.0", "unknown key 'viscus'; expected 'viscous'"),
