@@ -26,14 +26,20 @@ class MovedBody:
 
 
 def has_masses(kinematics: Kinematics) -> bool:
-    """Whether the URDF gives the mass of a link of the chain that a joint moves."""
-    moving = [k for k, joint in enumerate(kinematics.chain) if joint.kind != "fixed"]
-    links = [joint.child for joint in kinematics.chain[moving[0] :]] if moving else []
-    return any(kinematics.masses[link][0] > 0.0 for link in links if link in kinematics.masses)
+    """Whether the URDF gives a mass that a joint of the chain moves."""
+    return any(mass > 0.0 for group in _groups(kinematics)[0] for mass, _ in group)
 
 
 def moved_bodies(kinematics: Kinematics) -> tuple[MovedBody, ...]:
     """One for each joint of the chain that an axis moves, itself or as a passive joint, from base to tip."""
+    groups, tip = _groups(kinematics)
+    if groups and not any(mass for group in groups for mass, _ in group):
+        groups[-1].append((UNIT_MASS, tip))
+    return tuple(_joined(group) for group in groups)
+
+
+def _groups(kinematics: Kinematics) -> tuple[list[list[tuple[float, Array]]], Array]:
+    """Masses and their centres that each moved joint moves, in its frame, and the tip (3,) in that of the last one [m]."""
     groups: list[list[tuple[float, Array]]] = []
     frame = np.eye(4)
     for joint in kinematics.chain:
@@ -43,9 +49,7 @@ def moved_bodies(kinematics: Kinematics) -> tuple[MovedBody, ...]:
             frame = np.eye(4)
         if groups:  # fixed masses load no axis
             groups[-1] += _bodies(kinematics, joint.child, frame)
-    if groups and not any(mass for group in groups for mass, _ in group):
-        groups[-1].append((UNIT_MASS, frame[:3, 3]))
-    return tuple(_joined(group) for group in groups)
+    return groups, frame[:3, 3]
 
 
 def _joined(group: list[tuple[float, Array]]) -> MovedBody:

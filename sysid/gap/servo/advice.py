@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sysid.effects import joint_compliance, sensor_bias
-from sysid.gap.servo.load import has_masses
 from sysid.machine import Machine
+from sysid.machine.moved_bodies import has_masses
 from sysid.names import listed
 
 
@@ -14,7 +14,10 @@ def sagging_axis(tie: Sequence[tuple[str, str]], machine: Machine) -> str:
     """The position axis that such a tie is about, its load not known; empty for other ties."""
     axes = [target for name, target in tie if name == joint_compliance.EFFECT.name]
     biased = any(name == sensor_bias.EFFECT.name for name, _ in tie)
-    if not axes or not biased or machine.axis(axes[0]).actuation != "position" or has_masses(machine):
+    if not axes or not biased or machine.axis(axes[0]).actuation != "position":
+        return ""
+    kinematics = machine.kinematics()
+    if kinematics is not None and has_masses(kinematics):
         return ""
     return axes[0]
 

@@ -9,6 +9,7 @@ import numpy as np
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics
+from sysid.machine.moved_bodies import has_masses
 from sysid.signals import axis_signal
 
 #: Postures of a recording at which the direction of an axis is computed.
@@ -26,13 +27,7 @@ def load_known(machine: Machine, axis: str, recordings: Sequence[Recording]) -> 
     kinematics = machine.kinematics()
     if kinematics is None:
         return False
-    return has_masses(machine) or _unloaded(kinematics, machine, axis, recordings)
-
-
-def has_masses(machine: Machine) -> bool:
-    """Whether the machine has a URDF with masses."""
-    kinematics = machine.kinematics()
-    return kinematics is not None and any(mass > 0.0 for mass, _ in kinematics.masses.values())
+    return has_masses(kinematics) or _unloaded(kinematics, machine, axis, recordings)
 
 
 def _unloaded(kinematics: Kinematics, machine: Machine, axis: str, recordings: Sequence[Recording]) -> bool:
