@@ -53,21 +53,14 @@ def test_dry_friction_is_named_and_said_to_grow_with_the_gain(result: dict[str, 
     assert means[-1] > 2.0 * means[0]
 
 
-@pytest.mark.xfail(strict=True, reason="the plant has no friction that grows with the load: few logs prove one of its formulas")
-def test_inertia_of_all_gains_together_is_that_of_pendulum_and_armature(result: dict[str, Any]) -> None:
-    together = {e["name"]: e["parameters"] for e in result["views"]["motor"]["together"]["effects"]}
-    assert together["inertia_error"]["ratio"] == pytest.approx(result["published"]["inertia_error"]["ratio"], rel=0.1)
+def test_the_inertia_of_the_rotor_is_adjusted_to_the_published_one(result: dict[str, Any]) -> None:
+    written = {item["name"]: item["parameters"] for item in result["views"]["motor"]["together"]["written"]}
+    assert written["inertial_error"]["rotor"] == pytest.approx(result["published"]["inertial_error"]["rotor"], rel=0.15)
 
 
 def test_dry_friction_is_not_named_where_it_grows_with_the_load(result: dict[str, Any]) -> None:
     """The authors' richer models let it; of one value each log gives another one, from 0.02 to 0.06 N·m."""
     assert "coulomb_friction" not in repeats(result["views"]["motor"])
-
-
-def test_inertia_is_that_of_pendulum_and_armature_where_it_is_named(result: dict[str, Any]) -> None:
-    found = repeats(result["views"]["motor"])["inertia_error"]
-    published = result["published"]["inertia_error"]["ratio"]
-    assert found["parameters"]["ratio"] == pytest.approx([published] * len(found["named"]), rel=0.1)
 
 
 def test_the_servo_from_outside_gets_no_name_from_all_logs(result: dict[str, Any]) -> None:
