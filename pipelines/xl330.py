@@ -3,7 +3,7 @@
     .venv/bin/python pipelines/xl330.py FOLDER_WITH_THE_JSON_FILES             (their source: datasets/xl330/README.md)
 
 As a servo it is a position axis. As a motor it is a force axis that moves the pendulum against friction. Each of the two fast
-logs of a gain is fitted alone, the other selects, and the slow one, with little excitation, is held out; then all gains together.
+logs of a gain is fitted alone, the other selects, and the slow one, with little excitation, is held out; then all gains.
 """
 
 from __future__ import annotations
