@@ -26,10 +26,12 @@ from sysid.gap.arm.unknowns import (
     LinkErrors,
     change_of,
     columns_of,
+    doubled,
     from_linear,
     linear_width,
     link_errors,
     places,
+    plausible,
     slope_of,
     to_linear,
 )
@@ -50,7 +52,7 @@ Array = npt.NDArray[np.float64]
 #: Typical relative errors of :data:`KINDS`, and spread of their natural logarithm: masses are weighed or computed from CAD to
 #: about five percent; inertias are often those of a simpler solid, and the constant between current and torque includes the
 #: efficiency of a gear.
-EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1, 0.1]), np.full(5, 0.7)
+EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1, 0.1, 0.1]), np.array([0.7, 0.7, 0.7, 0.7, 0.7, 2.3])
 #: Least gain in evidence of an exchange [nats].
 GAIN = 1e-6
 #: Condition that a near miss fails.
@@ -184,7 +186,12 @@ class _Whole:
         """Of a set with the sizes that are most likely beside it; minus infinity where a value leaves its bounds."""
         found, sizes = self.posterior(members), self.sizes(members)
         away = (np.log(sizes.tau) - np.log(EXPECTED)) / SPREAD
-        return found.evidence - 0.5 * float(away @ away) if found.inside else -np.inf
+        linear = self.nominal[self.unknowns_of(members)] + found.change
+        deviations = np.sqrt(np.diag(found.covariance))
+        chosen = [self.candidates[k] for k in sorted(members)]
+        sound = all(plausible(c, linear[p], deviations[p]) for c, p in zip(chosen, places(chosen), strict=True))
+        sound = sound and not doubled(self.model, chosen)
+        return found.evidence - 0.5 * float(away @ away) if found.inside and sound else -np.inf
 
     def coefficients(self, members: Set) -> tuple[Array, Array]:
         """Most likely linear changes of a set (k,), and small errors (p,), together."""

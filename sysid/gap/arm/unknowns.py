@@ -18,9 +18,14 @@ from sysid.plant.link_torque import inertial_parameters
 Array = npt.NDArray[np.float64]
 
 #: Kinds of error, each with a size of its own [share]: all parameters of a link together, first moment, inertia; and that of
-#: the constant from which the force of an axis was computed, and of the inertia of its rotor.
-KINDS = ("mass", "first moment", "inertia", "force constant", "rotor")
-FORCE_CONSTANT, ROTOR = 3, 4
+#: the constant from which the force of an axis was computed, of the inertia of its rotor, and of the inertia of what the tip
+#: carries, in :data:`TIP_INERTIA`.
+KINDS = ("mass", "first moment", "inertia", "force constant", "rotor", "inertia at the tip")
+FORCE_CONSTANT, ROTOR, AT_TIP = 3, 4, 5
+#: Standard deviations by which the mass of a payload is above zero.
+CERTAIN = 2.0
+#: Unit of the inertia that a body at the tip may add to that of the last link [kg·m²]: four kilograms at five centimetres.
+TIP_INERTIA = 0.01
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,11 @@ def link_errors(model: Model, theta: Array) -> LinkErrors:
             change[body] = part
             changes.append(change)
             kinds.append(kind)
+    for row in np.eye(PARAMETERS)[4:]:  # what the arm carries has an inertia of its own, beside a small one of the last link
+        change = np.zeros(parameters.shape)
+        change[rigid.tip.body] = TIP_INERTIA * row
+        changes.append(change)
+        kinds.append(AT_TIP)
     return LinkErrors(np.array(changes).reshape(-1, *parameters.shape), np.array(kinds, dtype=np.int64))
 
 
@@ -88,6 +98,26 @@ def from_linear(candidate: Candidate, linear: Array) -> Array:
         return linear
     mass = max(float(linear[0]), 1e-9)
     return np.array([mass, *(linear[1:] / mass)])
+
+
+def plausible(candidate: Candidate, linear: Array, deviations: Array) -> bool:
+    """Whether a payload has a mass certainly above zero and a centre within its bounds; any other effect is plausible."""
+    if candidate.effect is not payload.EFFECT:
+        return True
+    bounds = np.array([u.bounds for u in candidate.unknowns[1:]])
+    centre = linear[1:] / max(float(linear[0]), 1e-9)
+    certain = linear[0] > CERTAIN * deviations[0]
+    return bool(certain and (centre >= bounds[:, 0]).all() and (centre <= bounds[:, 1]).all())
+
+
+def doubled(model: Model, candidates: Sequence[Candidate]) -> bool:
+    """Whether a payload and the mass of the link that carries it are both among the effects: the payload contains the other."""
+    assert model.rigid is not None
+    carrying = [
+        n for n, body in zip(model.machine.axis_names, model.rigid.body_of, strict=True) if body == model.rigid.tip.body
+    ]
+    heavier = any(c.effect is link_mass_error.EFFECT and c.target in carrying for c in candidates)
+    return heavier and any(c.effect is payload.EFFECT for c in candidates)
 
 
 def slope_of(candidate: Candidate, linear: Array) -> Array:
