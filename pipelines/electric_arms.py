@@ -1,7 +1,7 @@
 """The goals of electric arms, servos, drives and static poses: simulated machines with known hidden effects, scored.
 
     python pipelines/electric_arms.py [--rows arm,poses] [--seeds 0:1] [--workers N] [--work FOLDER] [--keep]
-    python pipelines/electric_arms.py --seeds 100:119 --publish                      (docs/arms.md and reports/electric_arms/)
+    python pipelines/electric_arms.py --seeds 120:139 --publish                      (docs/arms.md and reports/electric_arms/)
     python pipelines/electric_arms.py --measured WORKSPACE --data DATA               (measured machines beside their base)
 
 Every case is generated from its seed, written as logs with a machine description, and answered from these alone in a process
@@ -33,7 +33,7 @@ from committed import provenance, write_result, write_tables
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "arms.md"
 REPORTS = ROOT / "reports" / "electric_arms"
-PUBLISHED = range(100, 120)
+PUBLISHED = range(120, 140)
 
 
 def seeds_of(text: str) -> list[int]:
@@ -95,7 +95,7 @@ def main(given: argparse.Namespace) -> None:
         return
     rows, seeds = rows_of(given.rows), seeds_of(given.seeds)
     if given.publish and seeds != list(PUBLISHED):
-        raise ValueError("--publish: expected --seeds 100:119, the published ones")
+        raise ValueError("--publish: expected --seeds 120:139, the published ones")
     if given.generate:
         for folder in generate(rows, seeds, given.work):
             print(folder)
