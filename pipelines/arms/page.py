@@ -21,11 +21,9 @@ def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = No
     Args:
         before: result of an earlier version on development seeds, whose summary stands in a column of its own.
     """
-    earlier = {text: measured for text, _, measured, _ in goal_rows(before["cases"])} if before else {}
-    rows = [
-        (text, goal, *((earlier.get(text, "–"),) if before else ()), measured, count)
-        for text, goal, measured, count in goal_rows(result["cases"])
-    ]
+    now = goal_rows(result["cases"])
+    earlier = [(measured,) for _, _, measured, _ in goal_rows(before["cases"])] if before else [()] * len(now)
+    rows = [(text, goal, *was, measured, count) for (text, goal, measured, count), was in zip(now, earlier, strict=True)]
     header = ("", "goal", *((f"before (seeds {_seeds(before)})",) if before else ()), "measured", "cases")
     parts = [
         f"Seeds {_seeds(result)}, {len(result['cases'])} cases, {result['date']}: `{result['command']}`.",
