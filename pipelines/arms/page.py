@@ -21,9 +21,13 @@ def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = No
     Args:
         before: result of an earlier version on development seeds, whose summary stands in a column of its own.
     """
-    now = goal_rows(result["cases"])
-    earlier = [(measured,) for _, _, measured, _ in goal_rows(before["cases"])] if before else [()] * len(now)
-    rows = [(text, goal, *was, measured, count) for (text, goal, measured, count), was in zip(now, earlier, strict=True)]
+    earlier = _by_section(goal_rows(before["cases"])) if before else {}
+    rows = [
+        (text, goal, *((earlier.get(key, "–"),) if before else ()), measured, count)
+        for key, (text, goal, measured, count) in zip(
+            _by_section(goal_rows(result["cases"])), goal_rows(result["cases"]), strict=True
+        )
+    ]
     header = ("", "goal", *((f"before (seeds {_seeds(before)})",) if before else ()), "measured", "cases")
     parts = [
         f"Seeds {_seeds(result)}, {len(result['cases'])} cases, {result['date']}: `{result['command']}`.",
@@ -36,6 +40,15 @@ def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = No
         ),
     ]
     return "\n\n".join(parts)
+
+
+def _by_section(rows: Sequence[tuple[str, str, str, str]]) -> dict[tuple[str, str], str]:
+    """(row in bold above, text) → measured; several rows of the table measure the force error."""
+    found, section = dict[tuple[str, str], str](), ""
+    for text, _, measured, _ in rows:
+        section = text if text.startswith("**") else section
+        found[section, text] = measured
+    return found
 
 
 def goal_rows(cases: Sequence[Case]) -> list[tuple[str, str, str, str]]:
