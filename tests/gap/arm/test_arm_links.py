@@ -14,9 +14,12 @@ from sysid.datasets import Dataset, Recording
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
 from sysid.gap.arm.posture import posture_share
+from sysid.gap.arm.unknowns import doubled, plausible
+from sysid.gap.candidates import Candidate
+from sysid.gap.case import stage_candidates
 from sysid.gap.stages import search_stages
 from sysid.machine import machine_from_files
-from sysid.plant import nominal_plant
+from sysid.plant import compile_plant, nominal_plant
 from sysid.progress import silent
 from sysid.testing.probe import probe_arm
 
@@ -186,3 +189,25 @@ def test_without_masses_nothing_is_named_and_they_are_requested() -> None:
     gap = find_gap(data, nominal_plant(data.machine))
     assert gap.effects == ()
     assert {u.target for u in gap.unnamed if "give the masses" in u.form} == {"lift", "elbow"}
+
+
+@pytest.fixture(scope="module")
+def candidates() -> dict[tuple[str, str], Candidate]:
+    data = dataset()
+    study = steps.open_study(data, nominal_plant(data.machine))
+    return {c.key[:2]: c for c in stage_candidates(study.case, study.stages[0])}
+
+
+def test_a_payload_has_a_mass_and_a_centre_in_reach(candidates: dict[tuple[str, str], Candidate]) -> None:
+    carried, deviations = candidates["payload", "tool"], np.full(4, 0.1)
+    assert plausible(carried, np.array([1.0, 0.1, 0.0, 0.0]), deviations)
+    assert not plausible(carried, np.array([0.15, 0.0, 0.0, 0.0]), deviations), "it may have no mass"
+    assert not plausible(carried, np.array([1.0, 3.0, 0.0, 0.0]), deviations), "three metres from the tip"
+
+
+def test_a_payload_contains_the_mass_of_the_link_that_carries_it(candidates: dict[tuple[str, str], Candidate]) -> None:
+    model = compile_plant(nominal_plant(dataset().machine))
+    carried = candidates["payload", "tool"]
+    assert doubled(model, [carried, candidates["link_mass_error", "elbow"]])
+    assert not doubled(model, [carried, candidates["link_mass_error", "lift"]])
+    assert not doubled(model, [candidates["link_mass_error", "elbow"]])
