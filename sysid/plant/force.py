@@ -112,6 +112,11 @@ class ForceInputs:
     def rate_hz(self) -> float:
         return self.recording.rate_hz
 
+    def compared(self, columns: Array) -> Array:
+        """Columns (n, k) as they enter the comparison of the force, (m, k): zero where the axis ``rests``, low-passed."""
+        moving = np.where(self.rests[:, None], 0.0, columns)
+        return np.asarray(signal.sosfiltfilt(self.low_pass, moving, axis=0)[self.rows])
+
     def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
         out = np.empty((len(thetas), len(self.rows)))

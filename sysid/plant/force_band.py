@@ -5,7 +5,7 @@ with these inputs can explain, whatever its dynamics are (Bendat and Piersol, Ra
 
 - where the coherence, averaged over an octave, falls below one half: there noise has as much power as the force of the motion,
 - where the noise of the position sensor is a tenth of its spectrum: there the differentiated noise biases an inertia,
-- or where it contains nearly all of the coherent power: above it there is no force to explain.
+- or where it contains nearly all of the coherent power: what lies above it is negligible.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
 
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.friction import friction_columns, without
@@ -72,7 +71,6 @@ class ArmForces:
             for own, axis in zip(inputs, self.axes, strict=True):
                 load = link_torque(self.model, self.model.theta, original, axis.name)
                 columns = friction_columns(own.speed, own.acceleration, load, axis.inertia is not None)
-                columns[own.rests] = 0.0
-                found.append(signal.sosfiltfilt(own.low_pass, columns, axis=0)[own.rows])
+                found.append(own.compared(columns))
             self._friction[recording.name] = found
         return self._friction[recording.name]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
 
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.friction import friction_columns
@@ -59,10 +58,8 @@ def posture_share(
     friction, posture, force = list[Array](), list[Array](), list[Array]()
     for recording in recordings:
         inputs = force_inputs(recording, axis, problem.force_filter, problem.rows(recording))
-        moving = (~inputs.rests).astype(float)[:, None]
         of_motion = friction_columns(inputs.speed, inputs.acceleration, np.zeros_like(inputs.speed))
-        table = np.column_stack([inputs.raw, of_motion, _posture_columns(recording, axis.name, turning)]) * moving
-        table = signal.sosfiltfilt(inputs.low_pass, table, axis=0)[inputs.rows]
+        table = inputs.compared(np.column_stack([inputs.raw, of_motion, _posture_columns(recording, axis.name, turning)]))
         split = 1 + of_motion.shape[1]
         force.append(table[:, 0])
         friction.append(table[:, 1:split])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
 
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.friction import FRICTION, friction_columns
@@ -68,16 +67,15 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
         begin += len(recording) / recording.rate_hz
         for j, name in enumerate(names):
             own = inputs[j]
-            moving = ~own.rests
             nominal = link_torque(model, theta, recording, name)
             inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
             rotor = (inertia or 0.0) * theta[at] * own.acceleration
             friction = friction_columns(own.speed, own.acceleration, nominal, inertia is not None)
-            table = np.column_stack([own.raw - nominal - rotor, own.raw, rotor, friction, slopes[j]]) * moving[:, None]
+            table = np.column_stack([own.raw - nominal - rotor, own.raw, rotor, friction, slopes[j]])
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))
-            filtered[:, used] = signal.sosfiltfilt(own.low_pass, table[:, used], axis=0)[rows[there]]
+            filtered[:, used] = own.compared(table[:, used])[there]
             last = 3 + FRICTION
             found[name].append((*filtered[:, :3].T, filtered[:, last:], filtered[:, 3:last], time[there]))
     whole = max(begin, 1e-9)

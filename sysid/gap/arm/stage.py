@@ -117,7 +117,7 @@ class _Whole:
     def _linear(self, values: Sequence[Array]) -> Array:
         return np.concatenate([np.empty(0), *(to_linear(c, v) for c, v in zip(self.candidates, values, strict=True))])
 
-    @property
+    @cached_property
     def prior(self) -> Prior:
         """Of the linear coordinates of all candidates."""
         own = prior_of(self.candidates)
@@ -178,7 +178,7 @@ class _Whole:
 
     def posterior(self, members: Set) -> Posterior:
         if members not in self._posteriors:
-            regression = replace(self.regression, sizes=self.sizes(members))
+            regression = self.regression.under(self.sizes(members))
             self._posteriors[members] = regression.posterior(self.unknowns_of(members))
         return self._posteriors[members]
 
@@ -269,7 +269,7 @@ class _Whole:
             expected=np.empty(0),
             spread=np.empty(0),
         )
-        alone = replace(alone, sizes=alone.with_sizes(at))
+        alone = alone.under(alone.with_sizes(at))
         return self.posterior(members).evidence - alone.posterior(at).evidence
 
 

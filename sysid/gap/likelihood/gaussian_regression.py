@@ -11,7 +11,7 @@ columns; a set of effects needs only its part of them. Its evidence is Laplace's
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -109,6 +109,12 @@ class GaussianRegression:
         evidence = -0.5 * (float(whole[-1, -1]) - explained) - 0.5 * float(np.linalg.slogdet(own)[1]) - log_scale - cost
         fit = -0.5 * float(whole[-1, -1] - 2.0 * slope @ change + change @ gram @ change) - log_scale
         return Posterior(change, covariance, evidence, fit, inside)
+
+    def under(self, sizes: Sizes) -> GaussianRegression:
+        """The regression under other sizes; the products, which do not depend on them, are kept."""
+        other = replace(self, sizes=sizes)
+        other.__dict__["products"] = self.products
+        return other
 
     def with_sizes(self, beside: Index) -> Sizes:
         """Sizes of maximum evidence beside a set of unknowns, from the products alone."""

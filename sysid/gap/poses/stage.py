@@ -111,7 +111,7 @@ class _Fitting:
         )
         if self.sizes is None:  # beside every effect, so that what an effect explains is not an error of the arm
             self.sizes = found.with_sizes(np.arange(len(self.unknowns), dtype=np.intp))
-            found = replace(found, sizes=self.sizes)
+            found = found.under(self.sizes)
         return SetSearch(found, self.candidates, self.places)
 
     def converged(self, on_fit: Callable[[str], None], best: Set | None = None) -> tuple[SetSearch, Set]:
@@ -170,7 +170,7 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
             return float(np.inf)
         at = search.unknowns(members_of(model))
         alone = replace(bare, sizes=Sizes(np.empty(0), regression.sizes.noise))
-        alone = replace(alone, sizes=alone.with_sizes(at))
+        alone = alone.under(alone.with_sizes(at))
         return search.posterior(members_of(model)).evidence - alone.posterior(at).evidence
 
     def without(model: ModelFit, candidate: Candidate) -> ModelFit:
