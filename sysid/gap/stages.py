@@ -82,7 +82,8 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
     """
     links = [stage for stage in stages if stage.problem.stage == LINKS]
     if links:
-        first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
+        with threadpool_limits(1):  # as below: the answer does not depend on the number of threads
+            first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
         rest = [replace(s, theta=_with_links(s, first)) for s in stages if s.problem.stage != LINKS]
         return (first, *_in_parallel(case, rest, forms, part(progress, 0.1, 1.0)))
     done = [0.0] * len(stages)
