@@ -7,8 +7,8 @@ vibration after a single impulse::
     V(ω, ζ) = e^(−ζω·t_n)·√((Σ A_i·e^(ζω·t_i)·cos ω_d·t_i)² + (Σ A_i·e^(ζω·t_i)·sin ω_d·t_i)²)
 
 ZV (zero vibration) makes V = 0 at the design frequency with two impulses, half a period apart. ZVD makes dV/dω = 0 there as
-well with three, and takes half a period longer. All amplitudes are positive: a shaped setpoint stays within bounds and top speeds
-of the unshaped one.
+well with three, and takes half a period longer. All amplitudes are positive: a shaped setpoint stays within bounds and top
+speeds of the unshaped one.
 
 Source: Singer and Seering, Journal of Dynamic Systems, Measurement, and Control 112 (1990) 76–82; Smith (1957) for ZV.
 """
