@@ -1,8 +1,8 @@
 """Sealed machines: a crane as its owner describes it, and a real one that hides five kinds of errors, drawn from a seed.
 
-What is hidden: the sway of the gripper, backlash of two joints, unequal dead-bands of two valves, dead time of one valve, and an
-error of the geometry. The magnitudes are those of docs/machine-facts.md for machines of this size. ``write_site`` writes the
-owner's description, ``write_truth`` the truth; the workflow reads the former only.
+What is hidden: the sway of the gripper, backlash of two joints, unequal dead-bands of three valves, dead time of one valve, and
+an offset of one joint. The magnitudes are those of docs/machine-facts.md. ``write_site`` writes the owner's description,
+``write_truth`` the truth; the workflow reads the former only.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ Tables = dict[str, Any]
 BENCH = Path(__file__).resolve().parents[2] / "datasets" / "autolog" / "bench.toml"
 #: Overlap of every valve by its data sheet, both sides (command).
 OVERLAP = 0.10
+#: Range of the wider side of the real dead-bands by axis, electronics included, and by how much the other side is narrower.
+#: The valves of a 1:14 excavator have 0.43 to 0.67, sides differ by up to 0.09; the stick needs its speed on the helix.
+OVERLAPS = {"slew": (0.43, 0.50), "boom": (0.43, 0.50), "stick": (0.25, 0.30)}
+UNEQUAL = (0.04, 0.09)
 #: What the owner describes, over the shipped crane: no backlash, no hanging tool, one overlap for all valves.
 VISIBLE: Tables = {
     "name": "crane",
-    "axes": {
-        name: {"backlash": 0.0, "valve": {"deadband_positive": OVERLAP, "deadband_negative": OVERLAP}} for name in AXES
-    },
+    "axes": {name: {"backlash": 0.0, "valve": {"deadband_positive": OVERLAP, "deadband_negative": OVERLAP}} for name in AXES},
     "gripper": {"length": 0.0, "damping_ratio": 0.0},
     "slew_sensor": {"error": 0.0},
     "capture": {"swaps": [], "exported_markers": []},
@@ -76,30 +78,29 @@ def draw_machine(seed: int) -> SealedMachine:
 def _hidden(visible: Tables, draw: np.random.Generator) -> tuple[Tables, tuple[HiddenEffect, ...]]:
     sway = {"length": _drawn(draw, 0.20, 0.30), "damping_ratio": _drawn(draw, 0.01, 0.08)}
     hidden = [HiddenEffect("gripper_sway", "tool", sway)]
-    change: Tables = {"gripper": sway}
 
     pinned = str(draw.choice(["boom", "stick"]))
-    rack, pin = _drawn(draw, np.radians(0.4), np.radians(0.8)), _drawn(draw, 0.0004, 0.0010)
+    rack, pin = _drawn(draw, np.radians(0.4), np.radians(0.8)), _drawn(draw, 0.0005, 0.0010)
     hidden += [HiddenEffect("backlash", "slew", {"width": rack}), HiddenEffect("backlash", pinned, {"width": pin})]
     axes: Tables = {"slew": {"backlash": rack}, pinned: {"backlash": pin}}
 
-    for name in draw.choice(AXES, 2, replace=False):
-        sides = _drawn(draw, 0.20, 0.30), _drawn(draw, 0.12, 0.18)
+    for name, (low, high) in OVERLAPS.items():
+        wide = _drawn(draw, low, high)
+        sides = wide, round(wide - _drawn(draw, *UNEQUAL), 5)
         positive, negative = sides if draw.random() < 0.5 else sides[::-1]
-        hidden.append(HiddenEffect("valve_deadband", str(name), {"positive": positive, "negative": negative}))
+        hidden.append(HiddenEffect("valve_deadband", name, {"positive": positive, "negative": negative}))
         bands = {"valve": {"deadband_positive": positive, "deadband_negative": negative}}
-        axes = overlaid(axes, {str(name): bands})
+        axes = overlaid(axes, {name: bands})
 
-    slow = str(draw.choice(AXES[:3]))
-    delay = visible["axes"][slow]["valve"]["delay"] + _drawn(draw, 0.04, 0.07)
+    slow = str(draw.choice(["slew", "boom"]))
+    delay = round(visible["axes"][slow]["valve"]["delay"] + _drawn(draw, 0.04, 0.07), 5)
     hidden.append(HiddenEffect("input_delay", slow, {"delay": delay}))
-    change["axes"] = overlaid(axes, {slow: {"valve": {"delay": delay}}})
+    axes = overlaid(axes, {slow: {"valve": {"delay": delay}}})
 
     bent, sign = str(draw.choice(["boom", "stick"])), float(draw.choice([-1.0, 1.0]))
     offset = sign * _drawn(draw, np.radians(0.5), np.radians(1.0))
     hidden.append(HiddenEffect("joint_offset", bent, {"offset": offset}))
-    change["build"] = {"joint_offset": {bent: offset}}
-    return change, tuple(hidden)
+    return {"gripper": sway, "axes": axes, "build": {"joint_offset": {bent: offset}}}, tuple(hidden)
 
 
 def _drawn(draw: np.random.Generator, low: float, high: float) -> float:
