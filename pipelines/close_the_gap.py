@@ -5,13 +5,14 @@
 For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
 cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
 ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
-The truth is read after the last round. With ``--publish`` the result goes to reports/loop/ and the tables to
+The truth is read after the last round. A machine whose result is in the work folder is not run again. With ``--publish`` the result goes to reports/loop/ and the tables to
 docs/closing-the-gap.md.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 import time
@@ -39,8 +40,10 @@ def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
     machines = []
     for seed in seeds:
         folder = work / f"machine-{seed}"
-        machines.append(run_machine(seed, folder))
-        write_result(folder / "result.json", machines[-1])
+        kept = folder / "result.json"
+        if not kept.exists():
+            write_result(kept, run_machine(seed, folder))
+        machines.append(json.loads(kept.read_text("utf-8")))
     words = " ".join(map(str, seeds))
     result = {**provenance(f"{PIPELINE} --seeds {words}", seeds[0]), "seeds": list(seeds), "machines": machines}
     report = REPORT if publish else work / "result.json"

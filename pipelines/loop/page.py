@@ -7,7 +7,6 @@ from typing import Any
 
 from committed import markdown
 
-
 #: Columns of the errors at the tool.
 ERRORS = ("helix, max", "helix, RMSE", "circle, max")
 
