@@ -5,8 +5,8 @@
 For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
 cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
 ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
-The truth is read after the last round. A machine whose result is in the work folder is not run again. With ``--publish`` the result goes to reports/loop/ and the tables to
-docs/closing-the-gap.md.
+The truth is read after the last round. A machine whose result is in the work folder is not run again. With ``--publish`` the
+result goes to reports/loop/ and the tables to docs/closing-the-gap.md.
 """
 
 from __future__ import annotations
