@@ -29,6 +29,7 @@ CLASSES = 8
 NEARER_TO_ABSENT = 0.5
 #: Probability that a class of a present effect is taken for one without it, all classes together.
 ERROR = 0.05
+#: Share of the squares of all classes that keeps the estimate finite where a class moves nothing.
 RIDGE = 1e-9
 
 
@@ -64,7 +65,8 @@ def speed_classes(likelihood: StageLikelihood, model: ModelFit, candidate: Candi
     columns = _accumulated(rows, changes, _classes(changes, speeds))
     X, y = likelihood.whitened(columns), likelihood.whitened(left[:, None])[:, 0]
     squares = X.T @ X
-    inverse = np.linalg.inv(squares + RIDGE * max(float(np.trace(squares)), 1e-300) * np.eye(CLASSES))
+    ridge = RIDGE * max(float(np.trace(squares)), 1e-300) * np.eye(CLASSES)
+    inverse = np.asarray(np.linalg.inv(squares + ridge), dtype=np.float64)
     off = inverse @ (X.T @ y)
     covariance, clusters = scatter_of_clusters(X, y - X @ off, inverse, likelihood.clusters)
     return SpeedClasses(1.0 + off, np.sqrt(np.diag(covariance)), clusters)
@@ -94,7 +96,7 @@ def _classes(changes: Array, speeds: Array) -> npt.NDArray[np.int64]:
 
 def _accumulated(rows: StageRows, changes: Array, classes: npt.NDArray[np.int64]) -> Array:
     """Output changed by each class alone, (rows, CLASSES)."""
-    out = changes[:, None] * (classes[:, None] == np.arange(CLASSES))
+    out: Array = changes[:, None] * (classes[:, None] == np.arange(CLASSES))
     for s in rows.series:
         out[s.rows] = np.cumsum(out[s.rows], axis=0)
     return out

@@ -21,7 +21,7 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
         block: of each row, (rows,); rows without a measurement are zero.
     """
     k = parameters
-    bread = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
+    bread = np.asarray(np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1])), dtype=np.float64)
     left = residual - columns @ (bread @ (columns.T @ residual))
     within = np.asarray(bread[-k:, -k:])
     scatter, count = scatter_of_clusters(columns, left, bread[:, -k:], block)
