@@ -188,7 +188,9 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
     if effect.of_links:
         inputs = tuple(axis_signal(name, "joint") for name in probe_arm().axis_names)
         targets = probe_arm().axis_names if effect.target == "axis" else (effect.target,)
-        return tuple(EffectPlace(target, None, "links" if effect.stage == "links" else "friction", inputs) for target in targets)
+        return tuple(
+            EffectPlace(target, None, "links" if effect.stage == "links" else "friction", inputs) for target in targets
+        )
     if effect.target == "tool":
         return (EffectPlace("tool", None, "tool", point_signals("ee")),)
     if effect.target in ("base", "ee"):

@@ -182,7 +182,14 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
         if load.any():
             size = np.abs(load)
             # Friction of every curve over the load, in steps at a tenth and at half of it or saturated, and rising with speed.
-            parts["load"] = [load, size * sign, load**2 * sign, load * size, *(np.minimum(size, k) * sign for k in (0.1, 0.5)), size * v]
+            parts["load"] = [
+                load,
+                size * sign,
+                load**2 * sign,
+                load * size,
+                *(np.minimum(size, k) * sign for k in (0.1, 0.5)),
+                size * v,
+            ]
         found = {}
         for name, values in parts.items():
             table = signal.sosfiltfilt(inputs.low_pass, np.column_stack(values), axis=0)[inputs.rows]
