@@ -125,6 +125,7 @@ class Effect:
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
+        of_links: it acts by the torque of links with masses; without them it is absent, and an axis of an arm has no free run.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -156,6 +157,7 @@ class Effect:
     proportional: bool = False
     fitted: bool = True
     described_only: bool = False
+    of_links: bool = False
     surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:
