@@ -129,8 +129,11 @@ def _sharpened(a, k):
 
 
 @kernel
-def force_axis(p, arrays, i, x, v, a, dt, out, net):
-    """Force that the model needs for a measured motion: positions ``x``, speeds ``v``, accelerations ``a``, each (n,)."""
+def force_axis(p, arrays, i, x, v, a, torque, dt, out, net):
+    """Force that the model needs for a measured motion under a torque of links ``torque``, which it does not contain.
+
+    Positions ``x``, speeds ``v``, accelerations ``a``, each (n,).
+    """
     b, s = i * AXIS_WIDTH, np.full(flexible_drive.INVERSE_MEMORY, np.nan)
     flexible = p[b + AT.flexible_drive] < flexible_drive.ABSENT
     if net is not None:
@@ -140,6 +143,6 @@ def force_axis(p, arrays, i, x, v, a, dt, out, net):
         if flexible:
             load = flexible_drive.load_acceleration(_sharpened(a, k), p, b + AT.flexible_drive, s, 0, dt)
             mean = flexible_drive.mean(a[k], load, p, b + AT.flexible_drive)
-        out[k] = chain.force_at_motion(v[k], mean, p, b, arrays.axes[i, GAIN])
+        out[k] = chain.force_at_motion(v[k], mean, torque[k], p, b, arrays.axes[i, GAIN])
         if net is not None:
             out[k] += residual.update_stage(net, k, x[k], 0.0, dt)

@@ -23,6 +23,7 @@ from sysid.effects import (
     internal_leakage,
     joint_compliance,
     load_dependent_flow,
+    load_dependent_friction,
     oil_compressibility,
     second_order_lag,
     smooth_coulomb_friction,
@@ -123,10 +124,11 @@ def _against_friction(free, u, v, mobility, p, b):
 
 
 @inlined
-def force_at_motion(v, a, p, b, inertia):
+def force_at_motion(v, a, load, p, b, inertia):
     """Force that the model needs for a measured motion of the motor: speed ``v`` and acceleration ``a``.
 
-    ``a`` is that of the centre of mass of motor and load, where a spring is between them.
+    ``a`` is that of the centre of mass of motor and load, where a spring is between them. ``load``: torque of the links, which
+    the transmission carries; it causes friction here and is not contained.
     """
     return (
         inertia * p[b + AT.inertia_error] * a
@@ -134,6 +136,7 @@ def force_at_motion(v, a, p, b, inertia):
         + viscous_friction.force(v, p, b + AT.viscous_friction)
         + stribeck_friction.force(v, p, b + AT.stribeck_friction)
         + smooth_coulomb_friction.force(v, p, b + AT.smooth_coulomb_friction)
+        + load_dependent_friction.force(v, load, p, b + AT.load_dependent_friction, b + AT.smooth_coulomb_friction)
         + p[b + AT.load_bias]
     )
 

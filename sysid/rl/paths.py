@@ -88,6 +88,18 @@ def circle(centre: npt.ArrayLike, rate_hz: float = 100.0) -> Path:
     return helix(centre, rate_hz, climb=0.0, turns=1.0, name="circle")
 
 
+def eased(path: Path, ease_s: float) -> Array:
+    """The points of ``path`` (n, 3) with speed ramps of ``ease_s`` at both ends, where the machine is at rest."""
+    ease = round(ease_s * path.rate_hz)
+    last = len(path.points) - 1
+    if ease < 1 or 2 * ease > last:
+        return path.points.copy()
+    up = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ease) + 0.5) / ease)
+    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path per cycle; their sum is `last`
+    place = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.column_stack([np.interp(place, np.arange(last + 1), column) for column in path.points.T])
+
+
 def centre_for(
     inverse: InverseKinematics,
     low: Array,

@@ -14,13 +14,13 @@ from sysid.control import tune
 from sysid.errors import InputError
 from sysid.gap.experiment.experiment import Experiment
 from sysid.rl.paths import Path as Course
-from sysid.rl.paths import circle
+from sysid.rl.paths import circle, eased
 from sysid.runner.command_filter import CommandFilter, outside
 from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
 from sysid.runner.modes.collect import Collect, SafeMoves, draw_poses
 from sysid.runner.modes.mode import Move
 from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
-from sysid.runner.modes.track import TrackLive, eased
+from sysid.runner.modes.track import TrackLive
 from sysid.runner.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)

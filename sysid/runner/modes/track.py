@@ -9,27 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.rl.paths import Path
+from sysid.rl.paths import Path, eased
 from sysid.runner.limits import Limits
 from sysid.runner.modes.mode import Approach, Goal, done
 
 Array = npt.NDArray[np.float64]
 
-
 #: Time for which the last point is held [s].
 LINGER_S = 0.5
-
-
-def eased(path: Path, ease_s: float) -> Array:
-    """The points of ``path`` (n, 3) with speed ramps of ``ease_s`` at both ends, where the machine is at rest."""
-    ease = round(ease_s * path.rate_hz)
-    last = len(path.points) - 1
-    if ease < 1 or 2 * ease > last:
-        return path.points.copy()
-    up = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ease) + 0.5) / ease)
-    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path per cycle; their sum is `last`
-    place = np.concatenate([[0.0], np.cumsum(steps)])
-    return np.column_stack([np.interp(place, np.arange(last + 1), column) for column in path.points.T])
 
 
 class TrackPath:

@@ -1,0 +1,161 @@
+"""The hanging tool follows helix and circle, and comes to rest at targets: runs of one controller and their figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.control.coordinated_motion import motion_limits
+from sysid.control.input_shaper import ShaperKind, input_shaper
+from sysid.control.pendulum import Pendulum, pendulum_of
+from sysid.machine import KnownEffect
+from sysid.plant import Plant, compile_plant
+from sysid.rl.environment import Policy
+from sysid.rl.paths import Path, eased
+from sysid.rl.planned import CoordinatedPolicy, ShapedPolicy
+from sysid.rl.reach import tips
+from sysid.rl.tool_figures import ToolFigures, tool_figures
+from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
+from sysid.rl.tracking_task import TrackingTask
+
+Array = npt.NDArray[np.float64]
+
+#: Moves, their seed, their duration [s], and the sector of the slew in which they lie [rad].
+MOVES, SEED, MOVE_S, SECTOR = 20, 0, 10.0, 0.8
+#: Rest after a path [s], and speed ramps at its ends [s]; 0: the path moves at full speed from its first sample.
+REST_S, EASES = 6.0, (0.0, 1.0)
+#: Length of the machine's pendulum as a share of the identified one.
+LENGTHS = (1.0, 0.8, 1.2)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """One row of the tables.
+
+    Args:
+        policy: makes the policy of a run.
+        lookahead: of the observed target on a path [s].
+        preview: of the cylinder controller [s].
+        path: from the path that the tool is to follow, raised to the tip, to the targets that the policy observes.
+    """
+
+    name: str
+    policy: Callable[[], Policy]
+    lookahead: float = 0.0
+    preview: float = 0.0
+    path: Callable[[Path], Path] = lambda path: path
+
+
+def on_paths(task: TrackingTask) -> list[Controller]:
+    """Inverse kinematics on a path that is known in advance: as it is, shaped, and by inversion of the pendulum."""
+    pendulum, late = pendulum_of(task.plant), task.dead_time
+
+    def shaped(kind: ShaperKind) -> Controller:
+        shaper = input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
+        ahead = round((late + shaper.delay) * task.path.rate_hz) / task.path.rate_hz
+        return Controller(
+            f"ik-lookahead, {kind.upper()} shaper",
+            lambda: ShapedPolicy(InversePolicy(task.inverse), shaper, task.path.rate_hz, len(task.start)),
+            ahead,
+            late,
+        )
+
+    def inverted(path: Path) -> Path:
+        return replace(path, points=pendulum.tip_path(path.points - [0.0, 0.0, pendulum.length], path.rate_hz))
+
+    return [
+        Controller("ik", lambda: InversePolicy(task.inverse)),
+        Controller("ik-lookahead", lambda: InversePolicy(task.inverse), late, late),
+        shaped("zv"),
+        shaped("zvd"),
+        Controller("ik-lookahead, inverse pendulum", lambda: InversePolicy(task.inverse), late, late, inverted),
+    ]
+
+
+def at_targets(task: TrackingTask) -> list[Controller]:
+    """Inverse kinematics for targets that jump: at once, by a coordinated motion, and the same shaped."""
+    pendulum, late = pendulum_of(task.plant), task.dead_time
+    limits = motion_limits(task.plant, task.tuning)
+
+    def moving() -> Policy:
+        return CoordinatedPolicy(task.plant, task.inverse, limits)
+
+    def shaped(kind: ShaperKind) -> Controller:
+        shaper = input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
+        name = f"ik, coordinated motion, {kind.upper()} shaper"
+        return Controller(name, lambda: ShapedPolicy(moving(), shaper, task.path.rate_hz, len(task.start)), 0.0, late)
+
+    return [
+        Controller("ik", lambda: InversePolicy(task.inverse)),
+        Controller("ik, coordinated motion", moving, 0.0, late),
+        shaped("zv"),
+        shaped("zvd"),
+    ]
+
+
+def moves(task: TrackingTask, count: int = MOVES, seed: int = SEED) -> list[tuple[Array, Array]]:
+    """Joints at the start (A,) and target (3,) of random moves in the sector and the training range of the forward model."""
+    low, high = task.reach.trained_low.copy(), task.reach.trained_high.copy()
+    low[0], high[0] = max(low[0], -SECTOR), min(high[0], SECTOR)
+    joints = np.random.default_rng(seed).uniform(low, high, (count, 2, len(low)))
+    ends = tips(compile_plant(task.plant), joints[:, 1])
+    return [(begin, end) for begin, end in zip(joints[:, 0], ends, strict=True)]
+
+
+def run(task: TrackingTask, plant: Plant, controller: Controller, path: Path, start: Array) -> TrackingResult:
+    """One run; ``plant`` is the machine, which may differ from the one that the controller knows."""
+    shown = controller.path(path)
+    settings = {"tuning": task.tuning, "preview": controller.preview}
+    environment = track_environment(plant, task.forward, shown, full=True, reach=task.reach, settings=settings)
+    found = track(environment, controller.policy(), shown, start, lookahead=controller.lookahead, name=controller.name)
+    return replace(found, target=path.points[1:])
+
+
+def path_row(task: TrackingTask, controller: Controller, base: Path, ease_s: float) -> dict[str, Any]:
+    """Figures on a path that comes to rest."""
+    points = eased(base, ease_s)
+    rest = np.repeat(points[-1:], round(REST_S * base.rate_hz), axis=0)
+    path = replace(base, points=np.concatenate([points, rest]))
+    shown = controller.path(path)
+    start, _ = task.inverse.solve(shown.points[:1], task.joints[:1])
+    found = tool_figures(run(task, task.plant, controller, path, start[0]), pendulum_of(task.plant))
+    return {"controller": controller.name, "path": base.name, "ease_s": ease_s, **_figures(found)}
+
+
+def move_rows(
+    task: TrackingTask, controllers: Sequence[Controller], each: Sequence[tuple[Array, Array]], length: float
+) -> list[dict[str, Any]]:
+    """Figures over all moves of a machine whose pendulum has ``length`` times that of the identified one."""
+    pendulum = pendulum_of(task.plant)
+    true = Pendulum(length * pendulum.length, pendulum.damping_ratio)
+    parameters = {"length": true.length, "damping_ratio": true.damping_ratio}
+    plant = task.plant.with_effect(KnownEffect("gripper_sway", "tool", parameters))
+    rate = task.path.rate_hz
+    rows = []
+    for controller in controllers:
+        figures = []
+        for start, target in each:
+            path = Path("move", rate, np.repeat(target[None], round(MOVE_S * rate) + 1, axis=0))
+            figures.append(tool_figures(run(task, plant, controller, path, start), true))
+        rows.append({"controller": controller.name, "length": length, "moves": [_figures(found) for found in figures]})
+    return rows
+
+
+def _figures(found: ToolFigures) -> dict[str, Any]:
+    """In millimetres and seconds; None: never, or not defined."""
+
+    def known(value: float) -> float | None:
+        return round(value, 4) if math.isfinite(value) else None
+
+    return {
+        "rmse_mm": [known(1e3 * value) for value in found.rmse],
+        "max_mm": [known(1e3 * value) for value in found.worst],
+        "arrival_s": known(found.arrival),
+        "settling_s": known(found.settling),
+        "swing_mm": known(1e3 * found.swing),
+    }
