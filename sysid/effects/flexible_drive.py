@@ -58,7 +58,7 @@ EFFECT = Effect(
         "viscous_friction": "the damper of the spring acts around the antiresonance, viscous friction at all frequencies",
         "oil_compressibility": "the same spring behind a motor whose speed is commanded shows its load alone: velocity axes",
     },
-    example={"frequency": 4.0, "damping_ratio": 0.05, "inertia_ratio": 1.0},
+    example={"frequency": 2.0, "damping_ratio": 0.05, "inertia_ratio": 2.0},
     need=Need(
         "force_changes", 10, "Record {axis} with a multisine or steps up to twice its resonance, sampled at ten times as much."
     ),

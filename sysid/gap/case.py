@@ -76,16 +76,16 @@ class Stage:
     Args:
         sigma: noise floor by signal, (d,).
         theta: vector of the plant under test, with the sensor scales that other stages found.
-        resonance: of the drive of a force axis, where its force responds to its motion like that of a load behind a spring.
         result: of the search.
+        resonance: of the drive of a force axis, where its force responds to its motion like that of a load behind a spring.
     """
 
     problem: Problem
     split: Split
     sigma: Array
     theta: Array
-    resonance: DriveResonance | None = None
     result: StageResult | None = None
+    resonance: DriveResonance | None = None
 
     @property
     def label(self) -> str:
@@ -129,7 +129,7 @@ def _stage(case: Case, problem: Problem) -> Stage:
     resonance = _resonance(case, problem, split)
     theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
     sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
-    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta, resonance)
+    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta, resonance=resonance)
 
 
 def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | None:

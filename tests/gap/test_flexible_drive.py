@@ -27,7 +27,7 @@ NOISE = 0.05, 1e-6
 
 
 def pushed(seed: int, load: float, distort: Callable[[Array], Array] = lambda force: force) -> Recording:
-    """A motor with a load behind a spring (or a rigid mass), dry friction of the motor, and a force that is logged distorted."""
+    """A motor with a load behind a spring (or a rigid mass), dry friction of the motor, and a distorted log of the force."""
     force = multisine(10.0, 40.0, seed=seed)
     omega = 2.0 * np.pi * ANTIRESONANCE
     position = linear_motion(force, RATE, load * omega**2, load, damping=2.0 * 0.04 * omega * load)
