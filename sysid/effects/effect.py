@@ -121,7 +121,7 @@ class Effect:
         example: values of the picture on its page; by default start values.
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
-        proportional: it changes every speed by a share that does not depend on the speed.
+        proportional: it changes every speed by one share, whatever the command and the load.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.

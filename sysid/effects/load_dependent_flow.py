@@ -40,7 +40,6 @@ EFFECT = Effect(
     exempt=("time_invariant", "memoryless"),
     need=Need("load_change", 20, "Record {axis} up and down with the arm extended and retracted, 20 s each."),
     actuations=("velocity",),
-    proportional=True,
 )
 
 

@@ -23,12 +23,12 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
     k = parameters
     bread = np.asarray(np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1])), dtype=np.float64)
     left = residual - columns @ (bread @ (columns.T @ residual))
-    within = np.asarray(bread[-k:, -k:])
+    within = bread[-k:, -k:]
     scatter, count = scatter_of_clusters(columns, left, bread[:, -k:], block)
     if count < 2:
         return within
     wider = np.sqrt(np.maximum(1.0, np.diag(scatter) / np.diag(within)))
-    return within * np.outer(wider, wider)
+    return np.asarray(within * np.outer(wider, wider))
 
 
 def scatter_of_clusters(columns: Array, left: Array, bread: Array, cluster: npt.NDArray[np.int64]) -> tuple[Array, int]:
