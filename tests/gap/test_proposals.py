@@ -124,4 +124,4 @@ def test_a_simpler_form_is_compared_with_a_richer_one_that_is_not_needed() -> No
     search.fit([rich], np.array([[0.5, 0.0]]))
     search.around()
     assert search.best.labels == names(simple)
-    assert search.best.values == pytest.approx([0.6], abs=0.05)  # noqa: PD011
+    assert search.best.values == pytest.approx([0.6], abs=0.05)
