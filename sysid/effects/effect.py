@@ -121,6 +121,7 @@ class Effect:
         example: values of the picture on its page; by default start values.
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
+        proportional: it changes every speed by one share, whatever the command and the load.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
@@ -153,6 +154,7 @@ class Effect:
     example: Mapping[str, float | list[float]] = field(default_factory=dict, hash=False)
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
+    proportional: bool = False
     fitted: bool = True
     described_only: bool = False
     of_links: bool = False
