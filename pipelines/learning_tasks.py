@@ -1,53 +1,65 @@
 """Tasks beyond inverse kinematics, with classical controllers and trained policies in one table.
 
-.venv/bin/python pipelines/learning_tasks.py [--workspace DIR] [--moves N]
+.venv/bin/python pipelines/learning_tasks.py [--workspace DIR] [--moves N] [--seeds N]
 
-Needs the versions of `make demo`. Writes reports/learning_tasks/result.json and the tables of docs/learning-tasks.md; with
-another number of moves than the published one only into the workspace.
+Needs the versions of `make demo`, and trains the policies of rl/autolog/tool.toml that are not there yet (two minutes of a
+core each). Writes reports/learning_tasks/result.json and the tables of docs/learning-tasks.md; with other numbers of moves or
+seeds than the published ones only into the workspace.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
-import statistics
 import sys
-from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from committed import markdown, provenance, write_result, write_tables
+from committed import provenance, write_result, write_tables
 from sysid.control.pendulum import pendulum_of
+from sysid.networks.policy import PolicyNetwork
 from sysid.registry import Registry
 from sysid.rl.paths import circle
+from sysid.rl.policy import load_policy
+from sysid.rl.recipe import load_training
 from sysid.rl.tracking_task import plan_tracking
+from sysid.rl.training import train_policy
 from sysid.rl.versions import load_versions
-from task_runs import sway
+from task_runs import page, pump, sway
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORT, PAGE = ROOT / "reports" / "learning_tasks", ROOT / "docs" / "learning-tasks.md"
+RECIPE = ROOT / "rl" / "autolog" / "tool.toml"
 PLANT, FORWARD = "autolog@2", "autolog-forward@1"
+#: Seeds of the trained policies.
+SEEDS = 3
 
 
-def main(workspace: Path, count: int = sway.MOVES) -> Path:
-    """Run all tasks and write the result."""
-    plant, forward = load_versions(Registry(workspace), PLANT, FORWARD)
+def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS) -> Path:
+    """Train what is not there, run all tasks and write the result."""
+    registry = Registry(workspace)
+    plant, forward = load_versions(registry, PLANT, FORWARD)
     task = plan_tracking(plant, forward, "helix", full=True)
-    pendulum = pendulum_of(plant)
+    networks = policies(registry, workspace, seeds)
+    measured, estimated = sway.trained(task, networks), sway.trained(task, networks[:1], measured=False)
     level = circle(0.5 * (task.path.points.min(axis=0) + task.path.points.max(axis=0)), task.path.rate_hz)
     paths = [
-        sway.path_row(task, controller, path, ease_s)
+        row
         for ease_s in sway.EASES
         for path in (task.path, level)
-        for controller in sway.on_paths(task)
+        for controller in [*sway.on_paths(task), measured]
         if ease_s or "inverse" not in controller.name  # it needs a path without jumps of the speed
+        for row in sway.path_rows(task, controller, path, ease_s)
     ]
     each = sway.moves(task, count)
-    targets = [row for length in sway.LENGTHS for row in sway.move_rows(task, sway.at_targets(task), each, length)]
+    off = [controller for controller in sway.at_targets(task) if "shaper" in controller.name and "least" not in controller.name]
+    targets = sway.move_rows(task, [*sway.at_targets(task), measured], each)
+    for length in sway.LENGTHS:
+        targets += sway.move_rows(task, [*off, measured, estimated], each[: sway.FEWER_MOVES], length)
+    pendulum = pendulum_of(plant)
     result = {
-        **provenance("python pipelines/learning_tasks.py", sway.SEED),
+        **provenance("python pipelines/learning_tasks.py", sway.SEED, ("torch",)),
         "plant": plant.reference,
         "forward": FORWARD,
         "pendulum": {
@@ -56,73 +68,34 @@ def main(workspace: Path, count: int = sway.MOVES) -> Path:
             "frequency_rad_s": pendulum.frequency,
             "period_s": pendulum.period,
         },
+        "trained": {"recipe": f"rl/autolog/{RECIPE.name}", "seeds": len(networks)},
         "paths": paths,
         "targets": targets,
+        "swing": sway.swing_rows(task, [*sway.in_place(task), measured], sway.moves(task, count, sway.SWING_SEED)),
+        "pump": pump.rows(pump.with_pump(task), each),
     }
-    report = REPORT if count == sway.MOVES else workspace / "learning_tasks"
+    report = REPORT if (count, seeds) == (sway.MOVES, SEEDS) else workspace / "learning_tasks"
     write_result(report / "result.json", result)
     if report == REPORT:
-        write_tables(PAGE, page(result), "pipelines/learning_tasks.py")
+        for name, text in page.tables(result).items():
+            write_tables(PAGE, text, f"pipelines/learning_tasks.py: {name}")
     return report
 
 
-def page(result: dict[str, Any]) -> str:
-    return f"{paths_table(result['paths'])}\n\n{targets_table(result['targets'])}"
-
-
-def paths_table(rows: Sequence[dict[str, Any]]) -> str:
-    errors = "RMSE x / y / z, mm", "max x / y / z, mm"
-    head = ("path, speed ramps", "controller", *errors, "residual swing, mm", "tool settles, s")
-    lines = [
-        (
-            f"{row['path']}, " + (f"{row['ease_s']:g} s" if row["ease_s"] else "none"),
-            row["controller"],
-            shown(row["rmse_mm"]),
-            shown(row["max_mm"]),
-            number(row["swing_mm"], 1),
-            number(row["settling_s"]),
-        )
-        for row in rows
-    ]
-    return markdown(head, lines, "llll")
-
-
-def targets_table(rows: Sequence[dict[str, Any]]) -> str:
-    head = ("pendulum of the machine", "controller", "tip arrives, s", "tool settles, s", "residual swing, mm", "not settled")
-    lines = []
-    for row in rows:
-        moves = row["moves"]
-        never = sum(move["settling_s"] is None for move in moves)
-        lines.append(
-            (
-                "as identified" if row["length"] == 1.0 else f"{100.0 * (row['length'] - 1.0):+.0f} % in length",
-                row["controller"],
-                spread([move["arrival_s"] for move in moves]),
-                spread([move["settling_s"] for move in moves]),
-                spread([move["swing_mm"] for move in moves], 1),
-                f"{never} of {len(moves)}",
-            )
-        )
-    return markdown(head, lines, "ll")
-
-
-def spread(values: Sequence[float | None], digits: int = 2) -> str:
-    """Median and greatest; what never happened counts as infinite."""
-    known = sorted(math.inf if value is None else value for value in values)
-    return "; ".join(number(value if value < math.inf else None, digits) for value in (statistics.median(known), known[-1]))
-
-
-def number(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def shown(values: Sequence[float]) -> str:
-    return " / ".join(number(value, 1) for value in values)
+def policies(registry: Registry, workspace: Path, seeds: int) -> list[PolicyNetwork]:
+    """The policies of the recipe, one for each seed; those that are registered are not trained again."""
+    recipe = load_training(RECIPE)
+    found = []
+    for seed in range(seeds):
+        trained = train_policy(registry, replace(recipe, seed=seed), workspace / "training")
+        found.append(load_policy(registry.load(trained.version.reference)))
+    return found
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--workspace", type=Path, default=ROOT / "workspace")
     parser.add_argument("--moves", type=int, default=sway.MOVES, help="random moves to a target")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="trained policies")
     given = parser.parse_args()
-    print(main(given.workspace, given.moves))
+    print(main(given.workspace, given.moves, given.seeds))
