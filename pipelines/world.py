@@ -108,9 +108,7 @@ def by_force(plant: Plant, recording: Recording) -> tuple[Plant, Recording]:
 
 def agreement(nominal: Plant, recording: Recording) -> list[Row]:
     """One row for each effect, then everything at once in the variants of the world."""
-    missing = {e.name for e in CATALOGUE if e.stage != "links" and not e.described_only} - {
-        item.name for item in (*EFFECTS, SWAY)
-    }
+    missing = {e.name for e in CATALOGUE if not e.of_links and not e.described_only} - {item.name for item in (*EFFECTS, SWAY)}
     if missing:
         raise SystemExit(f"no example for {', '.join(sorted(missing))}: add one to EFFECTS")
     rows = []

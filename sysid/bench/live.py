@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from sysid.bench.live_bus import CanFrame, LiveBus, parse_line
 from sysid.bench.live_machine import LiveMachine, Watchdog
-from sysid.bench.recipe import AXES
+from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.recipe_file import load_recipe
 from sysid.errors import SysidError
 
@@ -164,13 +164,18 @@ class SerialLine:
 
 
 class LiveProcess:
-    """Machine, watchdog, bus and switches, cycle after cycle by the clock."""
+    """Machine, watchdog, bus and switches, cycle after cycle by the clock.
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        recipe = load_recipe(options.machine)
-        self.machine = LiveMachine(recipe, options.seed)
+    Args:
+        database: of the bus (DBC).
+        seed: of the noise.
+        survey: with inclinometers and a tracker of the boom tip on the bus.
+    """
+
+    def __init__(self, recipe: BenchRecipe, database: Path, seed: int = 0, survey: bool = False) -> None:
+        self.machine = LiveMachine(recipe, seed)
         self.machine.advance(np.zeros((self.machine.steps, len(AXES))))  # compile before the first cycle
-        self.bus = LiveBus(options.database, options.survey)
+        self.bus = LiveBus(database, survey)
         self.watchdog, self.switches = Watchdog(), Switches()
         self._step_ns = round(self.machine.step * 1e9)
         self.cycle_ns = self.machine.steps * self._step_ns
@@ -224,7 +229,7 @@ def run_live(options: argparse.Namespace) -> None:
     Raises:
         SysidError: an invalid recipe or database.
     """
-    process = LiveProcess(options)
+    process = LiveProcess(load_recipe(options.machine), options.database, options.seed, options.survey)
     # Real-time priority, where it is permitted.
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -40,6 +40,7 @@ VERBS: dict[str, Verb] = {
     "run": Verb("sysid.cli.run:run", "Run a task on a machine: supervised, recorded, stoppable."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
+    "ui": Verb("sysid.cli.ui:ui", "Write the workspace as linked pages, or serve them."),
     "demo": Verb("sysid.cli.demo:demo", "Run the whole workflow on the shipped logs."),
 }
 

@@ -11,9 +11,10 @@ from sysid.errors import SysidError
 HOST = "127.0.0.1"
 #: Reads a page; raises OSError or SysidError if it is missing, or is a link.
 Page = Callable[[], bytes]
-#: No scripts, no external content, no embedding.
+#: No external content, no embedding. Pages restrict their scripts further by a policy of their own.
 POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
 )
 #: Time limit for a request [s].
 TIMEOUT_S = 10.0
@@ -52,7 +53,8 @@ def page_server(pages: Mapping[str, Page], port: int = 0) -> ThreadingHTTPServer
                 self.send_error(404)
                 return
             self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
+            script = urlsplit(self.path).path.endswith(".js")
+            self.send_header("Content-Type", f"text/{'javascript' if script else 'html'}; charset=utf-8")
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
             self.send_header("X-Content-Type-Options", "nosniff")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,10 +11,8 @@ import click
 from sysid.cli.datasets import ReferenceGroup
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.errors import SettingsError, StoreError
-from sysid.foreign import visible
 
 if TYPE_CHECKING:
-    from sysid.cli.loopback import Page
     from sysid.model_versions import ModelVersions
     from sysid.registry import DamagedModel, ModelVersion, Registry
 
@@ -211,55 +208,6 @@ def card(location: str, reference: str, out: Path | None) -> None:
     for path in (out,) if out is not None else tuple(map(versions.workspace.output, names)):
         text = found.markdown() if path.suffix == ".md" else card_page(found)
         Printer().line(str(write_page(path, text)))
-
-
-@models.command()
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F.html", help="Default: WORKSPACE/models.html.")
-@click.option("--open", "show_it", is_flag=True, help="Open it in the browser.")
-@click.option("--serve", is_flag=True, help="Serve it and the cards to this computer until Ctrl-C.")
-@click.option("--port", type=click.IntRange(0, 65535), default=8642, show_default=True, help="For --serve.")
-@click.pass_obj
-def ui(location: str, out: Path | None, show_it: bool, serve: bool, port: int) -> None:
-    """Write one page about all versions: aliases, figures, lineage, decisions."""
-    from datetime import datetime
-
-    from sysid.registry import DamagedModel
-    from sysid.reports.model_pages import models_page
-    from sysid.reports.pages import write_page
-
-    workspace = _versions(location).workspace
-    path = out or workspace.output("models.html")
-    kinds = workspace.root.entries("cards")
-    there = [name.removesuffix(".html") for name, kind in kinds.items() if kind == "file" and name.endswith(".html")]
-    cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
-    created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    found = workspace.models.survey()
-    versions = [entry for entry in found if not isinstance(entry, DamagedModel)]
-    Printer().line(str(write_page(path, models_page(versions, str(location), created, cards))))
-    for entry in found:
-        if isinstance(entry, DamagedModel):
-            click.echo(visible(f"damaged, and not on the page: {entry.error}"), err=True)
-    if serve:
-        pages: dict[str, Page] = {"/": path.read_bytes if out is not None else partial(workspace.root.read, "models.html")}
-        pages |= {f"/cards/{name}.html": partial(workspace.root.read, f"cards/{name}.html") for name in there}
-        _serve(pages, port, show_it)
-    elif show_it:
-        click.launch(path.resolve().as_uri())
-
-
-def _serve(pages: dict[str, Page], port: int, show_it: bool) -> None:
-    from sysid.cli.loopback import page_server
-
-    try:
-        server = page_server(pages, port)
-    except OSError as error:
-        raise SettingsError(f"--port {port}", f"cannot be used ({error.strerror})", "a free port; 0 takes one") from None
-    with server:
-        address = f"http://127.0.0.1:{server.server_address[1]}/"
-        Printer().line(f"{address}  (Ctrl-C ends it)")
-        if show_it:
-            click.launch(address)
-        server.serve_forever()
 
 
 def _registry(location: str) -> Registry:

@@ -121,9 +121,11 @@ class Effect:
         example: values of the picture on its page; by default start values.
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
+        proportional: it changes every speed by one share, whatever the command and the load.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
+        of_links: it acts by the torque of links with masses; without them it is absent, and an axis of an arm has no free run.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -152,8 +154,10 @@ class Effect:
     example: Mapping[str, float | list[float]] = field(default_factory=dict, hash=False)
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
+    proportional: bool = False
     fitted: bool = True
     described_only: bool = False
+    of_links: bool = False
     surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:

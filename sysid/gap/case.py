@@ -27,6 +27,7 @@ from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.stage_result import StageResult
+from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 
 Array = npt.NDArray[np.float64]
@@ -171,7 +172,9 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
-    """Whether the plant has what the effect changes: gravity on a link about its own joint, a stated inertia of an axis."""
+    """Whether the plant has what the effect acts by: links with masses, gravity on a link about its own joint, an inertia."""
+    if candidate.effect.of_links and not moves_masses(plant.machine):
+        return False
     if candidate.effect is link_mass_error.EFFECT:
         return bool(scales.loads.get(candidate.target))
     return candidate.effect is not inertia_error.EFFECT or plant.machine.axis(candidate.target).inertia is not None

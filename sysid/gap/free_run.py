@@ -20,6 +20,7 @@ from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.proposals import Proposals
+from sysid.gap.speed_classes import speed_classes
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +69,10 @@ class LeastSquares(FreeRun):
         """Error without one of the effects, the others refitted, less the error with it (in quadrature)."""
         less = self.proposals.without(self.nearest(model), candidate)
         return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))
+
+    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+        fitted = self.least_squares(model)
+        return speed_classes(self.proposals.likelihood, fitted, candidate).absent
 
     def _squares(self, model: ModelFit) -> Array:
         """Sum of the squared errors of each block, in noise floors, (blocks,)."""

@@ -100,14 +100,19 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
 
 
 def _with_proven_model(case: Case, searched: Stage) -> Stage:
-    """The stage with its intervals; with its named effects alone, if these pass on held-out recordings and all do not."""
+    """The stage with its intervals; with its named effects alone, if these pass on held-out recordings and all do not.
+
+    Where errors accumulate, effects that are adjusted beside the names compensate for the formulas: they also fail if they
+    leave a tenth more than the names alone.
+    """
     stage = _with_intervals(case, searched)
     names = searched.found.names_alone
     passes = _better(stage)
     if names is None or (passes and not _accumulates(searched.found)):
         return stage
     alone = _with_intervals(case, replace(searched, result=names))
-    if not passes and _better(alone):
+    whole, least = (held_out_score(each, each.found.fit.theta) for each in (stage, alone))
+    if _better(alone) and not (passes and whole <= EXPLAINED * least):
         return alone
     return with_intervals_of(stage, alone) if _accumulates(searched.found) else stage
 
@@ -148,12 +153,12 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         return stage
     lost = dict[str, str]()
     for kept in result.named:
-        less = fitted.dropped[kept.candidate.label].theta if fitted.decision.accumulates else stage.theta
-        excited = _excited(stage, less)
+        less, theta = compared_without(stage, kept.candidate.label)
+        excited = _excited(stage, less, theta)
         if not excited and not fitted.decision.accumulates:
             continue
         recordings = stage.split.held_out if excited else stage.split.seen
-        before, after = (_score(stage, theta, recordings) for theta in (less, result.fit.theta))
+        before, after = (_score(stage, each, recordings) for each in (less, theta))
         alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
         if excited and not pays(before, after):
             lost[kept.candidate.label] = LOST
@@ -163,13 +168,30 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
     if fitted.decision.accumulates and rest:
-        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *(fitted.dropped[k].theta for k in lost)))
+        others = (compared_without(stage, label)[0] for label in lost)
+        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
             lost |= dict.fromkeys(rest, BESIDE)
     named = tuple(kept for kept in result.named if kept.candidate.label not in lost)
     adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
     unsure = replace(fitted, decision=fitted.decision.without_names(lost))
     return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
+
+
+def compared_without(stage: Stage, label: str) -> tuple[Array, Array]:
+    """Parameter vectors without and with the effect ``label``, by which held-out recordings test its name.
+
+    Where errors accumulate, sets of effects were compared by what they leave alone, and the names are tested alone. Effects
+    that are adjusted beside them compensate for the formulas in the fitted recordings, which makes others worse, and take the
+    place of the effect that is left out.
+    """
+    result = stage.found
+    if not _accumulates(result):
+        return stage.theta, result.fit.theta
+    for found in (result.names_alone, result):
+        if found is not None and found.stage_fit is not None and label in found.stage_fit.dropped:
+            return found.stage_fit.dropped[label].theta, found.fit.theta
+    raise KeyError(label)
 
 
 def _formula_error(stage: Stage) -> float:
@@ -279,7 +301,8 @@ def _better(stage: Stage) -> bool:
     there = ~np.isnan(before) & ~np.isnan(after)
     limit = EXPLAINED * np.maximum(before, stage.sigma)[there]
     whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
-    return bool(there.any() and (after[there] <= limit).all() and (whole or not _excited(stage, stage.theta)))
+    excited = _excited(stage, stage.theta, stage.found.fit.theta)
+    return bool(there.any() and (after[there] <= limit).all() and (whole or not excited))
 
 
 def _add_sensor_steps(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
@@ -477,7 +500,8 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     fitted = stage.found.stage_fit
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
-    recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
+    excited = _excited(stage, dropped.theta, stage.found.fit.theta)
+    recordings = stage.split.held_out if excited else stage.split.seen
     first, framed = stage.theta, fitted.framed
     if (
         framed is not None
@@ -489,15 +513,13 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 
-def _excited(stage: Stage, without: Array) -> bool:
-    """Whether held-out recordings excite the difference between the chosen model and ``without``.
+def _excited(stage: Stage, without: Array, theta: Array) -> bool:
+    """Whether held-out recordings excite the difference between a model ``theta`` and ``without`` an effect.
 
     The output has to change by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
     """
-    score = held_out_score(stage, stage.found.fit.theta)
-    moved = [
-        np.diff(stage.problem.predict(np.array([without, stage.found.fit.theta]), r), axis=0)[0] for r in stage.split.held_out
-    ]
+    score = held_out_score(stage, theta)
+    moved = [np.diff(stage.problem.predict(np.array([without, theta]), r), axis=0)[0] for r in stage.split.held_out]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
     return held_out_score(stage, stage.theta) > EXPLAINED and size > equivalent_change(score)
 

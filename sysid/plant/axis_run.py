@@ -117,11 +117,14 @@ def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, net):
 
 
 @kernel
-def force_axis(p, arrays, i, x, v, a, dt, out, net):
-    """Force that the model needs for a measured motion: positions ``x``, speeds ``v``, accelerations ``a``, each (n,)."""
+def force_axis(p, arrays, i, x, v, a, load, dt, out, net):
+    """Force that the model needs for a measured motion under a torque of links ``load``, which it does not contain.
+
+    Positions ``x``, speeds ``v``, accelerations ``a``, each (n,).
+    """
     if net is not None:
         residual.reset_memory(net.memory)
     for k in range(len(v)):
-        out[k] = chain.force_at_motion(v[k], a[k], p, i * AXIS_WIDTH, arrays.axes[i, GAIN])
+        out[k] = chain.force_at_motion(v[k], a[k], load[k], p, i * AXIS_WIDTH, arrays.axes[i, GAIN])
         if net is not None:
             out[k] += residual.update_stage(net, k, x[k], 0.0, dt)

@@ -22,6 +22,7 @@ from sysid.effects import (
     internal_leakage,
     joint_compliance,
     load_dependent_flow,
+    load_dependent_friction,
     oil_compressibility,
     second_order_lag,
     smooth_coulomb_friction,
@@ -102,14 +103,18 @@ def force_stage(u, v, p, b, inertia, dt):
 
 
 @inlined
-def force_at_motion(v, a, p, b, inertia):
-    """Force that the model needs for a measured motion: speed ``v`` and acceleration ``a``."""
+def force_at_motion(v, a, load, p, b, inertia):
+    """Force that the model needs for a measured motion: speed ``v`` and acceleration ``a``.
+
+    ``load``: torque of the links, which the transmission carries; it causes friction here and is not contained.
+    """
     return (
         inertia * p[b + AT.inertia_error] * a
         + coulomb_friction.force(v, p, b + AT.coulomb_friction)
         + viscous_friction.force(v, p, b + AT.viscous_friction)
         + stribeck_friction.force(v, p, b + AT.stribeck_friction)
         + smooth_coulomb_friction.force(v, p, b + AT.smooth_coulomb_friction)
+        + load_dependent_friction.force(v, load, p, b + AT.load_dependent_friction, b + AT.smooth_coulomb_friction)
         + p[b + AT.load_bias]
     )
 

@@ -35,6 +35,11 @@ def ancestors(versions: Sequence[ModelVersion], version: ModelVersion) -> tuple[
     return tuple(found.values())
 
 
+def sources(version: ModelVersion) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The dataset versions and the model versions that a lineage names, and other texts: compare them with known references."""
+    return tuple(_named_in(version.lineage, datasets=True)), tuple(_named_in(version.lineage, datasets=False))
+
+
 def _followed(versions: Sequence[ModelVersion], reached: set[str]) -> set[str]:
     parents = {version.reference: {*_named_in(version.lineage, datasets=False)} for version in versions}
     while more := {name for name, own in parents.items() if name not in reached and own & reached}:

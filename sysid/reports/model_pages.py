@@ -13,7 +13,7 @@ from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.decision import decision_row
 from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
-from sysid.reports.pages import page
+from sysid.reports.pages import SiteBar, page
 from sysid.reports.words import signal_name
 from sysid.validate import ErrorMap
 from sysid.versions import Card
@@ -24,8 +24,13 @@ STYLES = ("page.css", "models.css")
 LINE_CLASSES = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
 
-def card_page(card: Card) -> str:
-    """The card as a whole HTML page."""
+def card_page(card: Card, bar: SiteBar | None = None, lineage: Markup | None = None) -> str:
+    """The card as a whole HTML page.
+
+    Args:
+        bar: links to the other pages of a site that it is part of.
+        lineage: a drawing of what the version was made from, and what was made from it.
+    """
     blocks = [
         {
             "name": f"part-{number}",
@@ -38,11 +43,16 @@ def card_page(card: Card) -> str:
         }
         for number, block in enumerate(card.blocks)
     ]
-    return page("model_card.html", STYLES, title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
+    values: dict[str, Any] = {"title": card.title, "kind": "Model card", "facts": card.facts, "blocks": blocks}
+    return page("model_card.html", STYLES, bar=bar, lineage=lineage, **values)
 
 
 def models_page(
-    versions: Sequence[ModelVersion], workspace: str, created: str = "", cards: Mapping[str, str] | None = None
+    versions: Sequence[ModelVersion],
+    workspace: str,
+    created: str = "",
+    cards: Mapping[str, str] | None = None,
+    bar: SiteBar | None = None,
 ) -> str:
     """All versions of a workspace: aliases, figures, lineage and decisions.
 
@@ -50,6 +60,7 @@ def models_page(
         versions: from ``Registry.list``.
         created: time as text; empty to leave it out.
         cards: reference → relative URL of its card.
+        bar: as for :func:`card_page`.
     """
     models = []
     for name in sorted({version.name for version in versions}):
@@ -64,9 +75,14 @@ def models_page(
                 "versions": [_entry(version, versions, (cards or {}).get(version.reference, "")) for version in own],
             }
         )
-    return page(
-        "models_page.html", STYLES, title="Models", kind="Model versions", facts=workspace, created=created, models=models
-    )
+    values: dict[str, Any] = {
+        "title": "Models",
+        "kind": "Model versions",
+        "facts": workspace,
+        "created": created,
+        "models": models,
+    }
+    return page("models_page.html", STYLES, bar=bar, **values)
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
@@ -82,7 +98,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
         "dataset": dataset,
         "parents": [parent.reference for parent in ancestors(versions, version)],
         "children": children,
-        "figures": _figures(version),
+        "figures": held_out_figures(version),
         "decisions": [
             {
                 "when": when,
@@ -98,7 +114,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
     }
 
 
-def _figures(version: ModelVersion) -> list[dict[str, str]]:
+def held_out_figures(version: ModelVersion) -> list[dict[str, str]]:
     """RMSE, 95 % and maximum of every output, from the stored metrics."""
     rows: dict[str, dict[str, str]] = {}
     for key, value in version.metrics.items():

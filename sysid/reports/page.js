@@ -36,7 +36,10 @@
     return result;
   };
 
-  const config = { displaylogo: false, responsive: true, plotlyServerURL: "", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+  const config = {
+    displaylogo: false, responsive: true, plotlyServerURL: "", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    toImageButtonOptions: { format: "svg", filename: document.title },
+  };
   const draw = (element, data, layout) => Plotly.react(element, themed(data), layoutOf(layout), config);
 
   const drawings = new Map();
@@ -58,7 +61,8 @@
       const [time, measured, before, after] = [recording.time, signal.measured, signal.before, signal.after].map(decode);
       const minus = (a, b) => a.map((value, i) => value - b[i]);
       const line = (name, y, color, width, row, extra = {}) => ({
-        type: "scatter", mode: "lines", name, x: time, y, line: { color, width }, yaxis: `y${row}`, connectgaps: false, ...extra,
+        type: "scatter", mode: "lines", name, x: time, y, line: { color, width }, yaxis: `y${row}`, connectgaps: false,
+        hovertemplate: `${row === "2" ? "error " : ""}${name} %{y:.4~g}${row === "3" ? "" : `\u202f${signal.unit}`}<extra></extra>`, ...extra,
       });
       const data = [
         line("before", before, "$before", 1.6, "", { legendgroup: "before" }),
@@ -76,13 +80,28 @@
       const band = { type: "rect", xref: "paper", x0: 0, x1: 1, yref: "y2", y0: -2 * signal.floor, y1: 2 * signal.floor,
         fillcolor: "$band", line: { width: 0 }, layer: "below" };
       draw(explorer, data, {
-        xaxis: { title: { text: "time [s]", standoff: 6 }, anchor: "y3" },
+        xaxis: { title: { text: "time [s]", standoff: 6 }, anchor: "y3", unifiedhovertitle: { text: "%{x:.2f}\u202fs" } },
         yaxis: { title: `${chosenSignal.selectedOptions[0].text}${unit}`, domain: [0.5, 1] },
         yaxis2: { title: `error${unit}`, domain: [0.2, 0.45], zeroline: true },
         yaxis3: { title: "command", domain: [0, 0.15] },
         shapes: signal.floor > 0 ? [band] : [], hovermode: "x unified", margin: { l: 66, r: 18, t: 58, b: 52 },
       });
     };
+    const save = () => {
+      const recording = recordings[chosenRecording ? chosenRecording.value : Object.keys(recordings)[0]];
+      const signal = recording.signals[chosenSignal.value];
+      const names = ["measured", "before", ...(repaired ? ["after"] : [])];
+      const commands = Object.keys(recording.commands);
+      const columns = [recording.time, ...names.map((name) => signal[name]), ...commands.map((name) => recording.commands[name])].map(decode);
+      const title = (name) => `${chosenSignal.value} ${name}${signal.unit ? ` [${signal.unit}]` : ""}`;
+      const header = ["time [s]", ...names.map(title), ...commands.map((name) => `${name}.command`)];
+      const text = (value) => (Number.isFinite(value) ? String(value) : "");
+      const rows = Array.from(columns[0], (_, i) => columns.map((column) => text(column[i])).join(","));
+      const address = URL.createObjectURL(new Blob([[header.join(","), ...rows, ""].join("\n")], { type: "text/csv" }));
+      Object.assign(document.createElement("a"), { href: address, download: `${chosenSignal.value}.csv` }).click();
+      setTimeout(() => URL.revokeObjectURL(address), 10000);
+    };
+    document.getElementById("traces-csv").addEventListener("click", save);
     chosenSignal.addEventListener("change", show);
     if (chosenRecording) chosenRecording.addEventListener("change", show);
     drawings.set(explorer, show);
@@ -97,5 +116,16 @@
     }
   }, { rootMargin: "600px" });
   for (const element of drawings.keys()) seen.observe(element);
+  // The link to the section in view.
+  const links = new Map([...document.querySelectorAll("nav a")].map((link) => [link.hash.slice(1), link]));
+  const sections = [...document.querySelectorAll("main > section")];
+  const mark = () => {
+    const current = sections.filter((section) => section.getBoundingClientRect().top < innerHeight / 3).at(-1) ?? sections[0];
+    for (const [id, link] of links) {
+      if (id === current?.id) link.setAttribute("aria-current", "true"); else link.removeAttribute("aria-current");
+    }
+  };
+  addEventListener("scroll", mark, { passive: true });
+  mark();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((element) => drawings.get(element)()));
 })();

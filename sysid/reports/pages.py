@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,35 @@ from sysid.files import written_whole
 from sysid.reports import display, words
 
 FOLDER = Path(__file__).parent
+#: Styles of pages that are part of a site.
+LINKED = "linked.css"
 
 
-def filled(template: str, **values: Any) -> Markup:
-    """A template of this package with its values; values other than markup are escaped."""
+@dataclass(frozen=True)
+class SiteBar:
+    """Links from a page to the other pages of the site that it is part of.
+
+    Args:
+        up: path from the page to the root of the site: empty, or ``../``.
+        trail: kind and name of what the page shows; empty on the pages of the whole workspace.
+        versions: other versions of the same name: text and path from the root.
+        compare: path from the root to the comparison with the version before; empty without one.
+    """
+
+    up: str = ""
+    trail: tuple[str, ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    compare: str = ""
+
+
+def filled(template: str, folder: Path = FOLDER, **values: Any) -> Markup:
+    """A template with its values; values other than markup are escaped.
+
+    Args:
+        folder: of the template; templates that it extends or includes may be of this package.
+    """
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("sysid.reports", ""),
+        loader=jinja2.FileSystemLoader([folder, FOLDER]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -36,10 +60,11 @@ def filled(template: str, **values: Any) -> Markup:
     return Markup(environment.get_template(template).render(**values))
 
 
-def page(template: str, styles: Sequence[str], **values: Any) -> str:
-    """A whole page: a template that extends ``shell.html``, with inline style sheets."""
-    style = "\n".join((FOLDER / name).read_text("utf-8") for name in styles)
-    return str(filled(template, style=Markup(style), **values))
+def page(template: str, styles: Sequence[str], folder: Path = FOLDER, bar: SiteBar | None = None, **values: Any) -> str:
+    """A whole page: a template that extends ``shell.html``, with inline style sheets of this package or of ``folder``."""
+    names = [*styles, *([LINKED] if bar is not None else [])]
+    style = "\n".join(next(f for f in (folder / name, FOLDER / name) if f.is_file()).read_text("utf-8") for name in names)
+    return str(filled(template, folder, style=Markup(style), bar=bar, **values))
 
 
 def write_page(path: Path, text: str) -> Path:

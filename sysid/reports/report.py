@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.pages import FOLDER, filled, page, write_page
+from sysid.reports.pages import FOLDER, SiteBar, filled, page, write_page
 from sysid.reports.sections import (
     clocks,
     evidence,
@@ -56,8 +56,13 @@ SECTIONS: tuple[Section, ...] = (
 )
 
 
-def build_report(inputs: ReportInputs) -> str:
-    """The whole page as HTML text, with styles, script, plot library and data, without external content."""
+def build_report(inputs: ReportInputs, bar: SiteBar | None = None, lineage: Markup | None = None, library: str = "") -> str:
+    """The whole page as HTML text, with styles, script, plot library and data, without external content.
+
+    Args:
+        bar, lineage: as for :func:`sysid.reports.model_pages.card_page`.
+        library: path of the plot library (:func:`plot_library`) that the pages of a site share; empty to include it.
+    """
     sections = []
     for section in SECTIONS:
         context = section.context(inputs)
@@ -72,7 +77,10 @@ def build_report(inputs: ReportInputs) -> str:
         inputs=inputs,
         sections=sections,
         script=Markup((FOLDER / "page.js").read_text("utf-8")),
-        plotly=_plotly(),
+        plotly="" if library else Markup(plot_library()),
+        library=library,
+        bar=bar,
+        lineage=lineage,
     )
 
 
@@ -82,7 +90,8 @@ def write_report(path: Path, inputs: ReportInputs) -> Path:
 
 
 @functools.cache
-def _plotly() -> Markup:
+def plot_library() -> str:
+    """The script of Plotly, such that it can be part of a page."""
     from plotly.offline import get_plotlyjs
 
-    return Markup(get_plotlyjs().replace("</script", "<\\/script"))
+    return str(get_plotlyjs()).replace("</script", "<\\/script")

@@ -10,18 +10,17 @@ import hashlib
 import math
 import os
 import tempfile
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
 from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, format_identifiers
-from sysid.runner.clock import SECOND, MonotonicClock
+from sysid.runner.clock import SECOND, Clock, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
 from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 
@@ -37,6 +36,8 @@ NETWORKED = ("udp_multicast", "socketcand", "remote", "zmq")
 STATUS_TIME_OUT_NS = 100_000_000
 #: Error frame of socketcan: the controller is off the bus (CAN_ERR_BUSOFF).
 _BUS_OFF = 0x40
+#: Time between two looks at the line while listening [ns].
+LISTEN_STEP_NS = 2_000_000
 #: Longest wait of a frame for the adapter [s]; half of the machine's time-out.
 _SEND = 0.05
 #: Most frames read in one cycle: a busy bus may not delay the loop.
@@ -61,24 +62,39 @@ class CanSettings(BusSettings):
     control: Path | None = None
 
 
-class CanTransport(MonotonicClock):
-    """See :class:`sysid.runner.transport.Transport`. Stamps of the machine are mapped to this computer's monotonic clock.
+class Bus(Protocol):
+    """What is used of an open bus of python-can."""
+
+    def recv(self, timeout: float | None = None) -> Message | None: ...
+
+    def send(self, msg: Message, timeout: float | None = None) -> None: ...
+
+    def shutdown(self) -> None: ...
+
+
+class CanTransport:
+    """See :class:`sysid.runner.transport.Transport`. Stamps of the machine are mapped to the clock of this end of the line.
 
     Args:
         settings: ``[transport]`` of the recipe, paths resolved.
         where: the recipe, for messages.
         bus: an open bus instead of that of the settings.
+        clock: of this end; by default the computer's monotonic clock. A simulated machine may bring its own.
 
     Raises:
         SettingsError: settings that do not fit the database, a bus load above the limit, a network interface.
     """
 
-    def __init__(self, settings: CanSettings, where: str = "[transport]", bus: BusABC | None = None) -> None:
+    def __init__(
+        self, settings: CanSettings, where: str = "[transport]", bus: Bus | None = None, clock: Clock | None = None
+    ) -> None:
         self.settings, self.where = settings, where
+        clock = clock or MonotonicClock()
+        self.now_ns, self.wait_until = clock.now_ns, clock.wait_until
         _require_local(settings, where)
         self.machine = MachineBus(settings, where)
         self.signals, self.axes = self.machine.signals, self.machine.axes
-        self._bus = bus
+        self._bus: Bus | None = bus
         self._lock: BaseFileLock | None = None
         self._readings: dict[str, Measurement] = {}
         self._counts = dict.fromkeys(self.signals, 0)
@@ -126,15 +142,15 @@ class CanTransport(MonotonicClock):
         """Raise InputError unless the traffic fits the database."""
         received: dict[str, int] = {}
         wrong: list[str] = []
-        end = time.monotonic_ns() + round(self.settings.listen * SECOND)
-        while time.monotonic_ns() < end:
+        end = self.now_ns() + round(self.settings.listen * SECOND)
+        while self.now_ns() < end:
             for item in self._receive():
                 received[item.message] = received.get(item.message, 0) + item.fresh
                 if (text := self.machine.implausible(item)) and text not in wrong:
                     wrong.append(text)
             if self._fault or self._malformed_text:
                 break
-            time.sleep(0.002)
+            self.wait_until(self.now_ns() + LISTEN_STEP_NS)
         if self._malformed_text:
             wrong.insert(0, self._malformed_text)
         for message in self.machine.expected.values():
@@ -157,7 +173,7 @@ class CanTransport(MonotonicClock):
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         self._receive()
-        self._read_ns = time.monotonic_ns()
+        self._read_ns = self.now_ns()
         return dict(self._readings), self._inputs()
 
     def _receive(self) -> list[ReceivedFrame]:
@@ -180,7 +196,7 @@ class CanTransport(MonotonicClock):
         return received
 
     def _frame(self, frame: Message) -> ReceivedFrame | None:
-        now = time.monotonic_ns()
+        now = self.now_ns()
         if frame.is_error_frame:
             if frame.arbitration_id & _BUS_OFF:
                 self._fault = "bus off"
@@ -216,11 +232,11 @@ class CanTransport(MonotonicClock):
         if self._status is None or self._fault:
             return replace(RELEASED_INPUTS, fault=self._fault or "no status of the machine")
         values = self._status.values
-        late = time.monotonic_ns() - self._status_ns > STATUS_TIME_OUT_NS
+        late = self.now_ns() - self._status_ns > STATUS_TIME_OUT_NS
         # Two bits each: off, on, error, not available. The last two count as the safe state.
         dead_man = int(values["dead_man"]) == ON and not late
         pressed = int(values["emergency_stop"]) != 0
-        text = "no status of the machine" if late else self._round_trip.late(time.monotonic_ns())
+        text = "no status of the machine" if late else self._round_trip.late(self.now_ns())
         if not text and (code := int(values.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
@@ -247,7 +263,7 @@ class CanTransport(MonotonicClock):
             self._fault = self._fault or self._send_fault
             raise OSError(self._send_fault) from error
         if self.machine.echoes:
-            self._round_trip.sent(self.machine.sent_count, time.monotonic_ns())
+            self._round_trip.sent(self.machine.sent_count, self.now_ns())
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         """Set the switches of a simulated test bench.

@@ -1,13 +1,10 @@
-"""``sysid models promote · lineage · diff · export · card · ui`` and the verdict of ``sysid validate``, as users meet them."""
+"""``sysid models promote · lineage · diff · export · card`` and the verdict of ``sysid validate``, as users meet them."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
-import threading
-import urllib.error
-import urllib.request
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +15,6 @@ from crane_data import dataset, motion
 from stored import small_dataset
 from version_data import actuator, forward, structured
 
-from sysid.cli.loopback import page_server
 from sysid.datasets import Store
 from sysid.datasets.recording import Source
 from sysid.datasets.versions.manifest import PartRecord
@@ -169,7 +165,7 @@ def test_diff_of_models_of_different_make(place: Path) -> None:
     assert [entry.points > 4000 for entry in found.predictions] == [True] * 3
 
 
-def test_export_card_and_page(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_and_card(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("onnxruntime", reason="the extra onnx is not installed")
     ws = ("--workspace", place, "models")
     assert run(*ws, "export", "crane-actuator@1", "--json", place / "e.json") == 0
@@ -186,45 +182,6 @@ def test_export_card_and_page(place: Path, capsys: pytest.CaptureFixture[str]) -
     assert "&lt;b&gt;first&lt;/b&gt;" in page
     assert run(*ws, "card", "crane", "--out", place / "c.txt") == 2
     assert "suffix '.txt'; expected .md or .html" in capsys.readouterr().err
-    assert run(*ws, "ui") == 0
-    page = (place / "models.html").read_text()
-    assert 'href="cards/crane-actuator@1.html"' in page
-    assert '<span class="alias champion">champion</span>' in page
-    assert "<b>first</b>" not in page
-    assert "http://" not in page.replace("http://www.w3.org", "")
-    assert "https://" not in page
-    assert page.count("<article") == 6
-
-
-def test_an_empty_workspace_has_a_page_too(tmp_path: Path) -> None:
-    assert run("--workspace", tmp_path, "models", "ui") == 0
-    assert "No models yet" in (tmp_path / "models.html").read_text()
-
-
-def test_the_page_is_served_to_this_computer_alone(tmp_path: Path) -> None:
-    (tmp_path / "models.html").write_text("<p>models</p>")
-    (tmp_path / "secret.html").write_text("no")
-    pages = {"/": (tmp_path / "models.html").read_bytes, "/cards/a@1.html": (tmp_path / "gone.html").read_bytes}
-    with page_server(pages) as server:
-        assert server.server_address[0] == "127.0.0.1"
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        address = f"http://127.0.0.1:{server.server_address[1]}"
-        with urllib.request.urlopen(f"{address}/") as answer:
-            assert answer.read() == b"<p>models</p>"
-        for path, host, status in (
-            ("/secret.html", "localhost", 404),
-            ("/../secret.html", "localhost", 404),
-            ("/cards/a%401.html", "localhost", 404),
-            ("/", "evil.example", 403),
-        ):
-            request = urllib.request.Request(address + path, headers={"Host": host})
-            with pytest.raises(urllib.error.HTTPError) as refused:
-                urllib.request.urlopen(request)
-            assert refused.value.code == status
-            refused.value.close()
-        server.shutdown()
-        thread.join()
 
 
 def test_validate_says_whether_it_still_fits(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

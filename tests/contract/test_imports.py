@@ -29,6 +29,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("rl",),
     ("workspace",),
     ("model_versions",),
+    ("site",),
     ("runner",),
     ("cli",),
 )

@@ -443,5 +443,5 @@ def test_every_effect_has_a_reference() -> None:
     compared |= {"backlash", "joint_offset", "link_length_error", "tip_offset", "base_misalignment", "gripper_sway"}
     compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance", "second_order_lag"}
     compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
-    compared |= {"payload", "link_mass_error", "inertial_error"}  # tests/plant/test_link_torque.py
+    compared |= {"payload", "link_mass_error", "inertial_error", "load_dependent_friction"}  # tests/plant/test_link_torque.py
     assert compared == {effect.name for effect in CATALOGUE}

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import with_intervals_of
+from sysid.gap.proof import compared_without, with_intervals_of
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
 
@@ -127,3 +127,23 @@ def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone(
     found = with_intervals_of(whole, stage([oil], [3.2], [[3.1, 3.3]]))
     assert found.found.limits is not None
     assert found.found.limits.tolist() == [[0.0, 2.0], [1.0, 3.0], [3.0, 3.3]]
+
+
+@pytest.mark.parametrize("accumulates", [True, False])
+def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_beside_it(accumulates: bool) -> None:
+    """The set that won the comparison against the set without the name, not the chosen model with six effects."""
+
+    def result(theta: float, less: float, alone: Any = None) -> Any:
+        fitted = SimpleNamespace(decision=SimpleNamespace(accumulates=accumulates), dropped={"rate": vector(less)})
+        return SimpleNamespace(fit=vector(theta), stage_fit=fitted, names_alone=alone)
+
+    def vector(value: float) -> Any:
+        return SimpleNamespace(theta=np.array([value]))
+
+    whole = result(3.0, 4.0, alone=result(1.0, 2.0))
+    stage: Any = SimpleNamespace(found=whole, theta=np.zeros(1))
+    less, theta = compared_without(stage, "rate")
+    assert (less.item(), theta.item()) == ((2.0, 1.0) if accumulates else (0.0, 3.0))
+    whole.names_alone = None
+    less, theta = compared_without(stage, "rate")
+    assert (less.item(), theta.item()) == ((4.0, 3.0) if accumulates else (0.0, 3.0))

@@ -34,7 +34,7 @@ def placed(effect: Effect) -> list[tuple[str, KnownEffect]]:
 
 
 #: What acts in a run of a plant; forces of an arm are compared at measured motion only.
-RUNNING = [effect for effect in CATALOGUE if effect.stage != "links"]
+RUNNING = [effect for effect in CATALOGUE if not effect.of_links]
 PLACED = [entry for effect in RUNNING for entry in placed(effect)]
 
 

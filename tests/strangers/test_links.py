@@ -119,7 +119,7 @@ def test_a_lock_that_is_a_link_empties_no_file(workspace: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "link", ["results", "results/demo@1", "results/demo@1/report.html", "curves", "exports", "cards", "models.html"]
+    "link", ["results", "results/demo@1", "results/demo@1/report.html", "curves", "exports", "cards", "site"]
 )
 def test_nothing_is_written_through_a_link(workspace: Path, outside: Path, link: str) -> None:
     place = Workspace(workspace)

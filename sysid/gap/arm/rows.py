@@ -70,8 +70,8 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             nominal = link_torque(model, theta, recording, name)
             inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
             rotor = (inertia or 0.0) * theta[at] * own.acceleration
-            friction = friction_columns(own.speed, own.acceleration, nominal, inertia is not None)
-            table = np.column_stack([own.raw - nominal - rotor, own.raw, rotor, friction, slopes[j]])
+            friction = friction_columns(own.speed, own.acceleration, nominal.carried, inertia is not None)
+            table = np.column_stack([own.raw - nominal.whole - rotor, own.raw, rotor, friction, slopes[j]])
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))

@@ -183,7 +183,7 @@ def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
     """Places at which the machine admits the effect, observable or not."""
-    if effect.stage == "links" and not (effect.fitted and moves_masses(machine)):
+    if effect.of_links and not (effect.fitted and moves_masses(machine)):
         return
     if effect.target == "axis":
         for axis in machine.axes:

@@ -1,0 +1,84 @@
+"""Closing the loop: a machine that hides five kinds of errors is deployed, identified and deployed again.
+
+.venv/bin/python pipelines/close_the_gap.py [--seeds 0 1 2 3 4] [--work DIR] [--publish]
+
+For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
+cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
+ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
+The truth is read after the last round. A machine whose result is in the work folder is not run again. With ``--publish`` the
+result goes to reports/loop/ and the tables to docs/closing-the-gap.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from committed import provenance, write_result, write_tables
+from loop.alternatives import deployed, fixed_structure, true_plant
+from loop.page import tables
+from loop.rounds import Site, close_gap
+from loop.score import machine_result, read_truth
+from loop.sealed import draw_machine, write_site, write_truth
+from sysid.bench.recipe import AXES
+
+ROOT = Path(__file__).resolve().parents[1]
+REPORT, PAGE = ROOT / "reports" / "loop" / "result.json", ROOT / "docs" / "closing-the-gap.md"
+PIPELINE = "pipelines/close_the_gap.py"
+SEEDS = (0, 1, 2, 3, 4)
+
+
+def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
+    """Run the loop on the machine of every seed and write the result."""
+    machines = []
+    for seed in seeds:
+        folder = work / f"machine-{seed}"
+        kept = folder / "result.json"
+        if not kept.exists():
+            write_result(kept, run_machine(seed, folder))
+        machines.append(json.loads(kept.read_text("utf-8")))
+    words = " ".join(map(str, seeds))
+    result = {**provenance(f"{PIPELINE} --seeds {words}", seeds[0]), "seeds": list(seeds), "machines": machines}
+    report = REPORT if publish else work / "result.json"
+    write_result(report, result)
+    if publish:
+        write_tables(PAGE, tables(result), PIPELINE)
+    else:
+        print(tables(result))
+    return report
+
+
+def run_machine(seed: int, folder: Path) -> dict[str, Any]:
+    """Draw and seal the machine of a seed, close its gap, and compare the names with the truth."""
+    shutil.rmtree(folder, ignore_errors=True)
+    machine = draw_machine(seed)
+    site, truth = Site(machine, folder), folder / "sealed" / "truth.json"
+    write_site(machine, site.description)
+    write_truth(machine, truth)
+    begin = time.perf_counter()
+    rounds = close_gap(site, lambda text: print(f"seed {seed}, {text}", flush=True))
+    seconds = time.perf_counter() - begin
+    hidden, nominal = read_truth(truth), site.nominal()
+    parked = {name: machine.visible.axis(name).park for name in AXES}
+    first = site.workspace.dataset(rounds[0].gap.dataset) if rounds[0].gap is not None else site.dataset()
+    compared = {
+        "fixed_structure": deployed(site, fixed_structure(nominal, first), "fixed-structure"),
+        "truth": deployed(site, true_plant(nominal, hidden, parked), "truth"),
+    }
+    return {**machine_result(f"seed {seed}", hidden, rounds), "compared": compared, "seconds": seconds}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "loop")
+    parser.add_argument("--publish", action="store_true", help="write reports/loop/ and the tables of the page")
+    given = parser.parse_args()
+    print(main(tuple(given.seeds), given.work, given.publish))

@@ -1,0 +1,54 @@
+"""A deployment: the versions that control a machine, and the runner that they are assembled to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid.registry import CHAMPION, Registry
+from sysid.runner.assemble import Assembly, assemble
+from sysid.runner.recipe import KINEMATIC, parse_runner
+
+#: Disabled checks of the supervisor, with their reasons.
+WITHOUT = {
+    "domain": "the forward model is the kinematics of the plant, not a network",
+    "delay": "the machine's dead time is unknown, and a simulated machine cannot be damaged",
+}
+#: Rest before a run, in which the motion capture sees the parked machine [s].
+REST_S = 3.0
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """Versions of the registry; ``policy`` is one of them, or inverse kinematics."""
+
+    plant: str
+    forward: str
+    policy: str = "ik-lookahead"
+
+    def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:
+        """The runner for a task.
+
+        Args:
+            site: folder with the ``machine.toml`` of the owner.
+            task: ``mode`` and its table, as in a runner recipe.
+        """
+        versions = {"plant": self.plant, "forward": self.forward, "policy": self.policy}
+        models = [reference for reference in versions.values() if reference not in KINEMATIC]
+        values = {
+            "schema": 1,
+            "name": "loop",
+            "machine": str((site / "machine.toml").resolve()),
+            "versions": versions | {"unpromoted": _unpromoted(registry, models)},
+            "transport": {"kind": "can"},
+            "checks": {"without": WITHOUT},
+            "loop": {"settle_s": REST_S, "priority": 0, "lock_memory": False},
+            **task,
+        }
+        return assemble(parse_runner(values, "deployment"), registry, site / "runner.toml")
+
+
+def _unpromoted(registry: Registry, references: list[str]) -> list[str]:
+    return [reference for reference in references if CHAMPION not in registry.find(reference).aliases]

@@ -1,0 +1,149 @@
+"""Runs of the runner: on the sealed machine over its bus, and on a plant, each with the true motion of the tool."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from loop.bench_line import BenchLine
+from loop.capture_export import export_take
+from loop.deployment import Deployment
+from sysid.bench.live import LiveProcess
+from sysid.bench.recipe import AXES, BenchRecipe
+from sysid.plant import Plant
+from sysid.registry import Registry
+from sysid.runner.can import CanSettings, CanTransport
+from sysid.runner.clock import SECOND
+from sysid.runner.cycle import Cycle
+from sysid.runner.flight_log import FlightLog, provenance
+from sysid.runner.operator import Unattended
+from sysid.runner.outcome import RunOutcome
+from sysid.runner.simulated import SimulatedTransport
+
+Array = npt.NDArray[np.float64]
+
+DATABASE = Path(__file__).resolve().parents[2] / "rl" / "autolog" / "machine.dbc"
+SIGNALS = {
+    "slew.joint": "SLEW_SENSOR.slew",
+    "boom.cylinder": "DRAW_WIRES.boom",
+    "stick.cylinder": "DRAW_WIRES.stick",
+    "telescope.joint": "DRAW_WIRES.telescope",
+}
+VALVES = {axis: f"AUX_VALVE_{k}_COMMAND" for k, axis in enumerate(AXES)}
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The part of a run in which a path was followed.
+
+    Args:
+        path: name of the path, or the mode of another task.
+        time: of the targets, (n,) [s].
+        target, tip, tool: (n, 3) [m]; the tool is raised by its distance below the resting tip, so that it is compared with the
+            target of the tip.
+        ended, why: of the run.
+        log: folder of the recording; None in simulation.
+    """
+
+    path: str
+    time: Array
+    target: Array
+    tip: Array
+    tool: Array
+    ended: str
+    why: str
+    log: Path | None = None
+
+    @property
+    def error(self) -> Array:
+        """Tool less target, (n, 3) [m]."""
+        return self.tool - self.target
+
+    def figures(self) -> dict[str, Any]:
+        """RMSE and maximum of the tool's error per coordinate, and the maximum of the boom tip's [mm]."""
+        if not len(self.time):
+            return {"ended": self.ended, "why": self.why}
+        return {
+            "rmse_mm": (1e3 * np.sqrt(np.mean(self.error**2, axis=0))).tolist(),
+            "max_mm": (1e3 * np.abs(self.error).max(axis=0)).tolist(),
+            "tip_max_mm": (1e3 * np.abs(self.tip - self.target).max(axis=0)).tolist(),
+            "ended": self.ended,
+        }
+
+
+def fly(
+    machine: BenchRecipe,
+    site: Path,
+    logs: Path,
+    registry: Registry,
+    deployment: Deployment,
+    task: Mapping[str, Any],
+    seed: int,
+) -> Flight:
+    """Run ``task`` on ``machine`` over its CAN bus, on a simulated clock; log and take are a recording below ``logs``.
+
+    Args:
+        seed: of the noise of this run.
+    """
+    assembly = deployment.assembled(registry, site, task)
+    line = BenchLine(LiveProcess(machine, DATABASE, seed))
+    transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES), bus=line, clock=line)
+    versions = {version.kind: version.reference for version in assembly.loaded.versions}
+    words = provenance({"machine": assembly.machine_file}, versions)
+    offset_ns = time.time_ns() - line.now_ns()
+    log = FlightLog(logs, assembly.machine_file, transport.axes, transport.signals, words, clock_ns=line.now_ns())
+    cycles: list[Cycle] = []
+    with log:
+        outcome = assembly.loop(transport, log, Unattended(line)).run(cycles.append)
+    truth = line.truth
+    export_take(machine, truth, offset_ns, seed, log.folder)
+    points = {name: np.column_stack([truth[f"{name}.{letter}"] for letter in "xyz"]) for name in ("ee", "tool")}
+    name = _name(task)
+    return _flight(name, assembly.dt, cycles, outcome, truth["at_ns"], points["ee"], points["tool"], log.folder)
+
+
+def simulate(plant: Plant, site: Path, registry: Registry, deployment: Deployment, task: Mapping[str, Any]) -> Flight:
+    """Run ``task`` on a plant from where the machine is parked: what the simulation predicts for the deployment."""
+    assembly = deployment.assembled(registry, site, task)
+    transport = SimulatedTransport(plant, assembly.middle, seed=0)
+    cycles: list[Cycle] = []
+    rows: list[tuple[int, Array, Array]] = []
+
+    def watch(cycle: Cycle) -> None:
+        cycles.append(cycle)
+        rows.append((transport.now_ns(), transport.truth.ee[0].copy(), transport.truth.tool[0].copy()))
+
+    outcome = assembly.loop(transport, _NoLog(), Unattended(transport)).run(watch)
+    at, tip, tool = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
+    return _flight(_name(task), assembly.dt, cycles, outcome, at, tip, tool, None)
+
+
+class _NoLog:
+    """A recorder that keeps nothing."""
+
+    fault = ""
+
+    def record(self, cycle: Cycle) -> None:
+        """Nothing."""
+
+
+def _name(task: Mapping[str, Any]) -> str:
+    return str(task["track"]["path"] if task["mode"] == "track" else task["mode"])
+
+
+def _flight(
+    name: str, dt: float, cycles: list[Cycle], outcome: RunOutcome, at: Array, tip: Array, tool: Array, log: Path | None
+) -> Flight:
+    """The cycles with a target, with tip and tool (m, 3) at the times ``at`` (m,) [ns] of the machine."""
+    tracked = [cycle for cycle in cycles if cycle.state == "running" and np.isfinite(cycle.target).all()]
+    due = np.array([cycle.at_ns + dt * SECOND for cycle in tracked])  # a target is that of the end of its cycle
+    target = np.array([cycle.target for cycle in tracked]).reshape(-1, 3)
+    below = np.array([0.0, 0.0, tip[0, 2] - tool[0, 2]])  # at rest
+    tips, tools = (np.column_stack([np.interp(due, at, column) for column in points.T]) for points in (tip, tool + below))
+    return Flight(name, due / SECOND, target, tips, tools, outcome.ended, outcome.why, log)

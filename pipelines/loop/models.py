@@ -1,0 +1,47 @@
+"""Versions that control the machine: the plant, and the forward model of its kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import qmc
+
+from sysid.networks import Geometry, StructuredForward, calibrate, to_files
+from sysid.plant import Plant
+from sysid.registry import Registry
+from sysid.rl.inverse_kinematics import chain_of_plant
+from sysid.rl.reach import joint_limits
+
+#: Poses of the plant from which its forward model is calibrated.
+POSES = 512
+
+
+def forward_of(plant: Plant) -> StructuredForward:
+    """Joints → boom tip of a plant, calibrated on poses of its kinematics.
+
+    Raises:
+        SettingsError: its machine has no URDF.
+    """
+    machine = plant.machine
+    kinematics = machine.kinematics()
+    assert kinematics is not None
+    low, high = joint_limits(plant)
+    joints = qmc.scale(qmc.Sobol(len(low), seed=0).random(POSES), low, high)
+    tips = chain_of_plant(plant).predict(joints)
+    unknown = np.full(len(low), np.nan), np.full(3, np.nan)
+    found = calibrate(Geometry(kinematics), joints, tips, *unknown, elastic=False)
+    signals = tuple(f"{axis.name}.joint" for axis in machine.axes)
+    turning = tuple(not kinematics.joints[axis.joint].prismatic for axis in machine.axes)
+    return StructuredForward(signals, turning, found, machine.urdf_text or "", (), 0.0, low, high)
+
+
+def register_forward(registry: Registry, plant: Plant) -> str:
+    """The forward model of a registered plant as a version."""
+    kind, files = to_files(forward_of(plant))
+    lineage = {"plant": plant.reference, "machine": plant.machine.name}
+    return registry.register(f"{plant.machine.name}-forward", kind, files, lineage, {}).reference
+
+
+def register_plant(registry: Registry, plant: Plant) -> str:
+    """A plant as a version, e.g. the nominal one before the first run."""
+    lineage = {"machine": plant.machine.name}
+    return registry.register(plant.machine.name, "plant", plant.to_files(), lineage, {}).reference

@@ -1,0 +1,135 @@
+"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from loop.deployment import Deployment
+from loop.flight import SIGNALS, Flight, fly, simulate
+from loop.models import register_forward, register_plant
+from loop.recording import ingest_flights
+from loop.sealed import SealedMachine
+from sysid.datasets import Dataset
+from sysid.gap import GapResult, find_gap
+from sysid.machine import load_machine
+from sysid.plant import Plant, nominal_plant, plant_from_files
+from sysid.workspace import Workspace, open_workspace
+
+#: Paths of each deployment; the figures are those of the first helix and of the circle. The third run is the first round's
+#: held-out recording.
+PATHS = ("helix", "circle", "helix")
+#: Most repairs.
+MOST = 3
+
+
+@dataclass(frozen=True)
+class Round:
+    """One deployment and what its logs led to.
+
+    Args:
+        flights, simulated: path → run on the machine, and on the plant of the deployment.
+        gap: result of the gap workflow on all logs so far; None after the last round.
+        seconds: wall time of the steps.
+    """
+
+    plant: str
+    flights: Mapping[str, Flight]
+    simulated: Mapping[str, Flight]
+    gap: GapResult | None
+    seconds: Mapping[str, float]
+
+
+@dataclass
+class Site:
+    """A sealed machine with its owner's description, logs and workspace; seeds of the runs count up.
+
+    Args:
+        machine: sealed; only the bench reads its ``real`` part.
+    """
+
+    machine: SealedMachine
+    folder: Path
+    runs: int = 0
+    workspace: Workspace = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.workspace = open_workspace(self.folder / "workspace")
+
+    @property
+    def description(self) -> Path:
+        return self.folder / "site"
+
+    @property
+    def logs(self) -> Path:
+        return self.folder / "flights"
+
+    def nominal(self) -> Plant:
+        """The plant of the owner's description, registered."""
+        plant = nominal_plant(load_machine(self.description / "machine.toml"))
+        return replace(plant, reference=register_plant(self.workspace.models, plant))
+
+    def dataset(self) -> Dataset:
+        """A version with all logs so far."""
+        return ingest_flights(self.logs, self.machine.visible, tuple(SIGNALS), self.folder / "workspace")
+
+    def plant(self, reference: str) -> Plant:
+        return plant_from_files(self.workspace.models.load(reference).files, reference)
+
+    def deployment(self, plant: Plant) -> Deployment:
+        """Inverse kinematics and the controller of a registered plant."""
+        return Deployment(plant.reference, register_forward(self.workspace.models, plant))
+
+    def fly(self, deployment: Deployment, task: Mapping[str, Any], logs: Path | None = None) -> Flight:
+        """A run on the machine, with its recording below ``logs``, by default the folder that is ingested."""
+        self.runs += 1
+        models = self.workspace.models
+        return fly(self.machine.real, self.description, logs or self.logs, models, deployment, task, self.runs)
+
+
+def path_task(path: str) -> dict[str, Any]:
+    """The task of the runner to follow a path."""
+    return {"mode": "track", "track": {"path": path}}
+
+
+def deploy(site: Site, plant: Plant, logs: Path | None = None) -> tuple[dict[str, Flight], dict[str, Flight]]:
+    """The paths on the machine and on the plant, both controlled from ``plant``.
+
+    Raises:
+        SettingsError: the runner refuses a path, e.g. since it exceeds the top speed of the plant.
+    """
+    deployment = site.deployment(plant)
+    flights: dict[str, Flight] = {}
+    for path in PATHS:
+        flight = site.fly(deployment, path_task(path), logs)
+        flights.setdefault(path, flight)
+    models = site.workspace.models
+    return flights, {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in flights}
+
+
+def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
+    """Rounds until the gap workflow promotes no repair, at most :data:`MOST` repairs."""
+    plant, rounds = site.nominal(), []
+    for number in range(MOST + 1):
+        begin = time.perf_counter()
+        flights, simulated = deploy(site, plant)
+        seconds = {"deploy": time.perf_counter() - begin}
+        show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
+        if number == MOST:
+            rounds.append(Round(plant.reference, flights, simulated, None, seconds))
+            return rounds
+        begin = time.perf_counter()
+        dataset = site.dataset()
+        seconds["ingest"], begin = time.perf_counter() - begin, time.perf_counter()
+        gap = find_gap(dataset, plant, site.workspace.models, add=True, world=False)
+        site.workspace.keep_gap(dataset, gap)
+        seconds["gap"] = time.perf_counter() - begin
+        rounds.append(Round(plant.reference, flights, simulated, gap, seconds))
+        show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
+        if gap.promotion is None or not gap.promotion.promoted:
+            return rounds
+        plant = site.plant(gap.plant_after)
+    raise AssertionError("the last round returns")

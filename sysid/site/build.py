@@ -1,0 +1,181 @@
+"""Builds the site of a workspace, and again only the pages whose content has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from markupsafe import Markup
+
+from sysid.datasets.versions.index import VersionIndex
+from sysid.errors import SysidError
+from sysid.files import json_text
+from sysid.model_versions import ModelVersions
+from sysid.parse import parse_json
+from sysid.progress import Progress, silent
+from sysid.registry import ModelVersion
+from sysid.release import __version__
+from sysid.reports.model_pages import card_page, models_page
+from sysid.reports.pages import FOLDER as REPORTS
+from sysid.reports.pages import SiteBar, write_page
+from sysid.reports.report import build_report, plot_library
+from sysid.root import Root
+from sysid.site.dataset_page import dataset_page
+from sysid.site.drawing import drawing
+from sysid.site.graph import around, lineage_graph
+from sysid.site.inventory import inventory, manifest_of
+from sysid.site.item import Item
+from sysid.site.workspace_pages import compare_page, index_page, lineage_page
+from sysid.workspace import Workspace
+
+#: File of the site that states from what each page was made.
+STAMPS = "pages.json"
+LIBRARY = "plotly.js"
+
+
+@dataclass(frozen=True)
+class Built:
+    """The result of a build.
+
+    Args:
+        index: the first page.
+        made, kept: pages that were written, and that were up to date already.
+        failed: page → why it could not be made; the others are complete.
+    """
+
+    index: Path
+    made: tuple[str, ...]
+    kept: tuple[str, ...]
+    failed: Mapping[str, str]
+
+
+def build_site(workspace: Workspace, folder: Path | None = None, progress: Progress = silent) -> Built:
+    """Write the pages of a workspace, and remove those of items that are gone.
+
+    Args:
+        folder: of the site; default: ``site`` in the workspace.
+
+    Raises:
+        StoreError: a link in the folder.
+        StorageError: it cannot be written.
+    """
+    root = Root(folder or workspace.root.make("site"))
+    items = inventory(workspace)
+    before, stamps, made, failed = _stamps(root), {}, [], {}
+    pages = list(_pages(workspace, items))
+    for number, (path, content, make) in enumerate(pages):
+        progress(number / len(pages), path)
+        stamp = _stamp(content)
+        if before.get(path) == stamp and root.kind(path) == "file":
+            stamps[path] = stamp
+            continue
+        try:
+            write_page(root.output(path), make())
+        except SysidError as error:
+            failed[path] = str(error)
+            continue
+        made.append(path)
+        stamps[path] = stamp
+    for path in before.keys() - stamps.keys() - failed.keys():
+        root.remove(path)
+    write_page(root.output(STAMPS), json_text({"schema": 1, "pages": stamps}))
+    progress(1.0, "index.html")
+    return Built(root.folder / "index.html", tuple(made), tuple(path for path in stamps if path not in made), failed)
+
+
+#: Path of a page, everything that its content depends on, and the function that makes it.
+Page = tuple[str, Any, Callable[[], str]]
+
+
+def _pages(workspace: Workspace, items: Sequence[Item]) -> Iterator[Page]:
+    by_key = {item.key: item for item in items if item.kind != "damaged"}
+    graph = lineage_graph(by_key.values())
+    yield LIBRARY, "", plot_library
+    for item in by_key.values():
+        if item.kind == "logs":
+            continue
+        near = around(graph, item.key)
+        context = [asdict(by_key[key]) for key in sorted(near)]
+        others = [other for other in by_key.values() if (other.kind, other.name) == (item.kind, item.name)]
+        bar = site_bar(item, others)
+        drawn = drawing(near, by_key, "../", item.key)
+        yield item.path, [context, [other.key for other in others]], _maker(workspace, item, by_key, bar, drawn)
+    found = [entry for entry in workspace.models.survey() if isinstance(entry, ModelVersion)]
+    cards = {item.reference: item.href for item in by_key.values() if item.path.startswith("models/")}
+    name, everything = _title(workspace), [asdict(item) for item in items]
+    created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
+    yield "models.html", everything, lambda: models_page(found, name, cards=cards, bar=SiteBar())
+    yield "lineage.html", everything, lambda: lineage_page(items, name)
+    yield "compare.html", everything, lambda: compare_page(items, name)
+    yield "index.html", everything, lambda: index_page(items, name, created)
+
+
+def site_bar(item: Item, others: Sequence[Item]) -> SiteBar:
+    """The links of an item's page: other versions of it, and the comparison with the one before."""
+    rows = sorted(others, key=lambda other: _number(other.reference))
+    earlier = [other for other in rows if _number(other.reference) < _number(item.reference)]
+    compare = f"compare.html#a={quote(earlier[-1].key)}&b={quote(item.key)}" if earlier else ""
+    versions = tuple((f"@{_number(other.reference)}", other.href) for other in rows if other.key != item.key)
+    return SiteBar("../", (item.word, item.reference), versions, compare)
+
+
+def _maker(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: SiteBar, drawn: Markup) -> Callable[[], str]:
+    if item.kind == "dataset":
+        gap = by_key.get(f"gap:{item.reference}")
+        command = f"sysid gap {item.reference} --add"
+
+        def dataset() -> str:
+            manifest = manifest_of(VersionIndex(workspace.location), item)
+            return dataset_page(item, manifest, bar, drawn, f"../{gap.href}" if gap is not None else "", command)
+
+        return dataset
+    if item.kind == "gap":
+
+        def report() -> str:
+            inputs = workspace.report_inputs(workspace.dataset(item.reference))
+            return build_report(inputs, bar, drawn, f"../{LIBRARY}")
+
+        return report
+    return lambda: card_page(ModelVersions(workspace).card(item.reference), bar, drawn)
+
+
+def _title(workspace: Workspace) -> str:
+    location = str(workspace.location)
+    return location if "://" in location else Path(location).resolve().name
+
+
+def _number(reference: str) -> int:
+    return int(reference.rpartition("@")[2])
+
+
+def _stamps(root: Root) -> dict[str, str]:
+    """The stamps of the last build; none if their file is missing or damaged."""
+    try:
+        found = parse_json(root.read(STAMPS))["pages"]
+        return {str(path): str(stamp) for path, stamp in found.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _stamp(content: Any) -> str:
+    text = json.dumps([_TEMPLATES, content], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def _template_digest() -> str:
+    """Of everything that pages are made with: this release, its templates, styles and scripts."""
+    digest = hashlib.sha256(__version__.encode())
+    for folder in (REPORTS, Path(__file__).parent):
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in (".html", ".css", ".js", ".py"):
+                digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_TEMPLATES = _template_digest()

@@ -1,0 +1,180 @@
+"""The loop: what is sealed stays sealed, runs on the bench repeat, and rows say what happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid.bench.recipe import AXES
+from sysid.gap import GapResult
+from sysid.gap.result import Gap, NamedEffect, WrittenEffect
+from sysid.machine import load_machine
+from sysid.plant import nominal_plant
+from sysid.rl.inverse_kinematics import chain_of_plant
+from sysid.rl.reach import joint_limits
+
+
+@pytest.fixture(scope="module")
+def loop(pipeline: Callable[[str], ModuleType]) -> Any:
+    """The pipeline's file; its parts are importable from then on."""
+    return pipeline("close_the_gap")
+
+
+@pytest.fixture(scope="module")
+def site(loop: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    machine = loop.draw_machine(3)
+    found = loop.Site(machine, tmp_path_factory.mktemp("machine"))
+    loop.write_site(machine, found.description)
+    return found
+
+
+def test_a_seed_draws_one_machine(loop: Any) -> None:
+    assert loop.draw_machine(3) == loop.draw_machine(3)
+    assert loop.draw_machine(3).hidden != loop.draw_machine(4).hidden
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_machine_hides_all_kinds(loop: Any, seed: int) -> None:
+    machine = loop.draw_machine(seed)
+    names = [effect.name for effect in machine.hidden]
+    kinds = {"gripper_sway": 1, "backlash": 2, "valve_deadband": 3, "input_delay": 1, "joint_offset": 1}
+    assert {name: names.count(name) for name in kinds} == kinds
+    for effect in machine.hidden:
+        if effect.name == "valve_deadband":
+            valve = machine.real.axis(effect.target).valve
+            assert (valve.deadband_positive, valve.deadband_negative) == tuple(effect.parameters.values())
+            assert valve.deadband_positive != valve.deadband_negative
+
+
+def test_the_description_holds_nothing_hidden(site: Any) -> None:
+    described = load_machine(site.description / "machine.toml")
+    plant = nominal_plant(described)
+    for effect in site.machine.hidden:
+        known = plant.effect(effect.name, effect.target, "drive" if effect.name == "backlash" else None)
+        assert known is None or all(known.parameters[key] != value for key, value in effect.parameters.items())
+    written = "".join(path.read_text("utf-8") for path in site.description.iterdir())
+    assert not [value for effect in site.machine.hidden for value in effect.parameters.values() if str(value) in written]
+
+
+def test_the_truth_is_what_the_machine_hides(loop: Any, site: Any, tmp_path: Path) -> None:
+    loop.write_truth(site.machine, tmp_path / "sealed" / "truth.json")
+    hidden = loop.read_truth(tmp_path / "sealed" / "truth.json")
+    assert [(each["name"], each["target"]) for each in hidden] == [(e.name, e.target) for e in site.machine.hidden]
+
+
+def test_the_true_plant_moves_the_tip_as_the_machine_is_built(loop: Any, site: Any) -> None:
+    machine, nominal = site.machine, site.nominal()
+    hidden = [{"name": e.name, "target": e.target, "parameters": e.parameters} for e in machine.hidden]
+    parked = {name: machine.visible.axis(name).park for name in AXES}
+    true = loop.true_plant(nominal, hidden, parked)
+    (bent,) = [effect for effect in machine.hidden if effect.name == "joint_offset"]
+    joints = np.array([list(parked.values())])
+    moved = joints.copy()
+    moved[0, AXES.index(bent.target)] += bent.parameters["offset"]
+    np.testing.assert_allclose(chain_of_plant(true).predict(joints), chain_of_plant(nominal).predict(moved), atol=1e-9)
+
+
+def test_the_forward_model_is_the_plants_kinematics(site: Any) -> None:
+    from loop.models import forward_of
+
+    plant = site.nominal()
+    low, high = joint_limits(plant)
+    joints = np.random.default_rng(0).uniform(low, high, (50, len(low)))
+    np.testing.assert_allclose(forward_of(plant).predict(joints), chain_of_plant(plant).predict(joints), atol=1e-5)
+
+
+def test_runs_on_the_bench_repeat_and_are_recordings(loop: Any, site: Any, tmp_path: Path) -> None:
+    from loop.flight import SIGNALS, fly
+    from loop.recording import ingest_flights
+
+    deployment, models = site.deployment(site.nominal()), site.workspace.models
+    time = np.arange(0.0, 3.0, 0.01)
+    parked = np.array([site.machine.visible.axis(name).park for name in AXES])
+    joints = parked + np.outer(0.5 - 0.5 * np.cos(2.0 * np.pi * time / 3.0), [0.2, 0.1, 0.1, 0.03])
+    head = ",".join(["time", *(f"{name}.joint" for name in AXES)])
+    np.savetxt(tmp_path / "strokes.csv", np.column_stack([time, joints]), delimiter=",", header=head, comments="")
+    task, logs = {"mode": "replay", "replay": {"file": str(tmp_path / "strokes.csv")}}, tmp_path / "flights"
+    one, two = (fly(site.machine.real, site.description, logs, models, deployment, task, 7) for _ in range(2))
+    assert (one.ended, one.why) == ("done", "replay is done")
+    # All but the head line of a take, which has its name and date.
+    takes = [(flight.log / "mocap.csv").read_text("utf-8").split("\n", 1)[1] for flight in (one, two) if flight.log]
+    assert one.log != two.log
+    assert takes[0] == takes[1]
+    dataset = ingest_flights(logs, site.machine.visible, tuple(SIGNALS), tmp_path / "workspace")
+    # Of two recordings blocks are fitted and held out: <name>#1 ….
+    assert {each.name.partition("#")[0] for each in dataset.recordings} == {each.log.name for each in (one, two) if each.log}
+    table = dataset.recordings[0].table
+    assert {"boom.command", "boom.cylinder", "boom.joint", "ee.z", "tool.z"} <= set(table)
+    hangs = float(np.nanmedian(table["ee.z"] - table["tool.z"]))
+    assert hangs == pytest.approx(site.machine.real.gripper.length, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_the_hidden_errors_are_those_of_the_tool(loop: Any, site: Any) -> None:
+    """The described machine follows within millimetres; the sealed one does not."""
+    from loop.flight import fly
+
+    deployment, models = site.deployment(site.nominal()), site.workspace.models
+    task = {"mode": "track", "track": {"path": "circle"}}
+    worst = {}
+    for name in ("visible", "real"):
+        machine = getattr(site.machine, name)
+        flight = fly(machine, site.description, site.folder / name, models, deployment, task, 1)
+        worst[name] = float(np.abs(flight.error).max())
+    assert worst["visible"] < 0.002
+    assert worst["real"] > 0.030
+
+
+# ---- Rows ---------------------------------------------------------------------------------------------------------------
+
+
+def effect(name: str, target: str, aliases: tuple[tuple[str, str], ...] = ()) -> NamedEffect:
+    return NamedEffect(name, target, {"width": 0.01}, {"width": (0.009, 0.011)}, 0.5, aliases=aliases)
+
+
+def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> GapResult:
+    none = Gap({"tool.x": 0.1}, {"tool.x": 0.01}, {"tool.x": 0.005})
+    return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
+
+
+def test_names_are_compared_with_the_truth(loop: Any) -> None:
+    from loop.flight import Flight
+    from loop.rounds import Round
+
+    ramp = np.linspace(0.0, 0.03, 31)
+    tool = np.column_stack([ramp, 0.0 * ramp, -ramp])
+    flight = Flight("helix", ramp, 0.0 * tool, 0.5 * tool, tool, "done", "")
+    flights = {"helix": flight, "circle": flight}
+    first = gap_result(
+        effect("backlash", "slew"),
+        effect("link_length_error", "boom", (("joint_offset", "stick"),)),
+        effect("stiction", "boom"),
+        written=(WrittenEffect("input_delay", "boom", "adjusted", {"delay": 0.1}),),
+    )
+    rounds = [Round("crane@1", flights, flights, first, {"gap": 2.0}), Round("crane@2", flights, flights, None, {})]
+    hidden = [
+        {"name": name, "target": target, "parameters": {}}
+        for name, target in (("backlash", "slew"), ("joint_offset", "stick"), ("input_delay", "boom"), ("backlash", "stick"))
+    ]
+    found = loop.machine_result("seed 9", hidden, rounds)
+    assert found["missed"] == [("input_delay", "boom"), ("backlash", "stick")]
+    assert found["adjusted"] == [("input_delay", "boom")]
+    assert found["wrong"] == [("stiction", "boom")]
+    assert found["rounds"][0]["helix"]["max_mm"] == pytest.approx([30.0, 0.0, 30.0])
+    assert found["rounds"][0]["helix"]["tip_max_mm"] == pytest.approx([15.0, 0.0, 15.0])
+    json.dumps(found, allow_nan=False)
+
+    refused = {path: {"ended": "refused", "why": "needs 110 % of the top speed of slew"} for path in flights}
+    compared = {"fixed_structure": refused, "truth": found["rounds"][1]}
+    text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
+    assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
+    assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
+    assert (
+        "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text
+    )

@@ -1,0 +1,170 @@
+"""The site in a browser: search, sorting, comparison, lineage, phone, keyboard, and what axe-core finds.
+
+Needs Chromium (Debian's package ``chromium``). The script of axe-core is optional: ``AXE_CORE=/path/axe.min.js``, package
+``axe-core`` of npm.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from sample_workspace import sample_workspace
+
+from sysid.site import build_site
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+AXE = os.environ.get("AXE_CORE", "")
+#: Nothing may leave this computer.
+OPTIONS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+PAGES = ("index.html", "lineage.html", "compare.html", "models.html", "datasets/autolog@1.html", "reports/autolog@1.html")
+PAGES = (*PAGES, "models/autolog@2.html", "models/autolog-actuator@1.html")
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_site(sample_workspace(tmp_path_factory.mktemp("browser") / "ws")).index.parent
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page on which an error or a message of the console fails the test."""
+    context = browser.new_context(viewport={"width": 1400, "height": 900})
+    opened = context.new_page()
+    messages: list[str] = []
+    opened.on("console", lambda message: messages.append(message.text))
+    opened.on("pageerror", lambda error: messages.append(str(error)))
+    yield opened
+    context.close()
+    assert messages == []
+
+
+def rows(page: Page) -> list[str]:
+    """Kind and name of the visible rows of the overview."""
+    return [str(row.get_attribute("data-key")) for row in page.locator("#table tbody tr:visible").all()]
+
+
+def test_search_and_kinds_filter_the_table(site: Path, page: Page) -> None:
+    page.goto((site / "index.html").as_uri())
+    assert len(rows(page)) == 7
+    page.get_by_label("Search").fill("backlash slew")
+    assert set(rows(page)) == {"gap:autolog@1", "plant:autolog@2"}
+    page.get_by_role("button", name="plant 2").click()
+    assert rows(page) == ["plant:autolog@2"]
+    page.get_by_label("Search").fill("nothing has this")
+    assert rows(page) == []
+    assert page.get_by_text("Nothing matches.").is_visible()
+
+
+def test_columns_sort_both_ways(site: Path, page: Page) -> None:
+    page.goto((site / "index.html").as_uri())
+    header = page.get_by_role("button", name="name")
+    header.click()
+    names = [cell.inner_text().split()[0] for cell in page.locator("#table tbody td:nth-child(2)").all()]
+    assert names == sorted(names)
+    assert page.locator("th", has=header).get_attribute("aria-sort") == "ascending"
+    header.click()
+    again = [cell.inner_text().split()[0] for cell in page.locator("#table tbody td:nth-child(2)").all()]
+    assert again == names[::-1] or sorted(again, reverse=True) == again
+
+
+def test_two_rows_are_compared(site: Path, page: Page) -> None:
+    page.goto((site / "index.html").as_uri())
+    page.get_by_label("compare plant autolog@1").check()
+    page.get_by_label("compare plant autolog@2").check()
+    page.get_by_role("link", name="Compare them").click()
+    assert page.locator("#head-a").inner_text() == "plant autolog@1"
+    assert page.locator("#head-b").inner_text() == "plant autolog@2"
+    differing = page.locator("#compared tbody tr", has_text="Backlash, slew: width")
+    assert differing.locator("td").nth(1).inner_text() == "–"
+    assert float(differing.locator("td").nth(2).inner_text()) == pytest.approx(0.01052)
+    assert page.locator("#compared tbody tr", has_text="machine.toml").count() == 0
+    page.get_by_label("differences only").uncheck()
+    assert page.locator("#compared tbody tr", has_text="plant.json").count() == 1
+    page.reload()
+    assert page.locator("#head-b").inner_text() == "plant autolog@2", "the choice is part of the address"
+
+
+def test_the_lineage_is_walked_by_clicks_and_by_keys(site: Path, page: Page) -> None:
+    page.goto((site / "lineage.html").as_uri())
+    page.locator("a.gap").click()
+    assert page.url.endswith("reports/autolog%401.html")
+    page.locator("#lineage a.champion").click()
+    assert page.locator("h1").inner_text() == "autolog@2"
+    page.locator("#drawn a.dataset").first.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/datasets/autolog%401.html")
+    page.get_by_role("link", name="Workspace").click()
+    assert page.locator("#table").is_visible()
+
+
+def test_versions_lead_to_the_comparison_with_the_one_before(site: Path, page: Page) -> None:
+    page.goto((site / "models/autolog-actuator@2.html").as_uri())
+    page.get_by_role("link", name="compare with the version before").click()
+    assert page.locator("#head-a").inner_text() == "actuator networks autolog-actuator@1"
+
+
+def test_the_report_draws_its_figures_and_saves_them(site: Path, page: Page) -> None:
+    page.goto((site / "reports/autolog@1.html").as_uri())
+    page.locator("#traces-figure").scroll_into_view_if_needed()
+    page.locator("#traces-figure .main-svg").first.wait_for()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save as CSV").click()
+    lines = Path(download.value.path()).read_text().splitlines()
+    assert lines[0].startswith("time [s],")
+    assert lines[0].count(",") == lines[100].count(",")
+    assert page.locator("nav a[aria-current]").inner_text() == "Before and after"
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_no_page_is_wider_than_a_phone(browser: Browser, site: Path, path: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    page.goto((site / path).as_uri())
+    width = page.evaluate("document.documentElement.scrollWidth")
+    context.close()
+    assert width == 390
+
+
+def test_print_shows_what_is_folded(browser: Browser, site: Path) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto((site / "reports/autolog@1.html").as_uri())
+    folded = page.locator("details:not([open]) table").first
+    assert folded.bounding_box() in (None, {"x": 0, "y": 0, "width": 0, "height": 0}) or not folded.is_visible()
+    page.emulate_media(media="print")
+    assert folded.is_visible()
+    context.close()
+
+
+@pytest.mark.skipif(not AXE, reason="axe-core is not here: AXE_CORE=/path/axe.min.js")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390])
+@pytest.mark.parametrize("path", PAGES)
+def test_axe_finds_nothing_serious(browser: Browser, site: Path, path: str, width: int, scheme: str) -> None:
+    context = browser.new_context(
+        viewport={"width": width, "height": 900},
+        color_scheme=scheme,  # type: ignore[arg-type]
+        bypass_csp=True,
+    )
+    page = context.new_page()
+    page.goto((site / path).as_uri())
+    page.add_script_tag(path=AXE)
+    found = page.evaluate("axe.run({runOnly: ['wcag2a', 'wcag2aa', 'wcag21aa']})")
+    context.close()
+    serious = [(entry["id"], entry["nodes"][0]["target"]) for entry in found["violations"]]
+    assert serious == []

@@ -1,0 +1,67 @@
+"""The lineage as a layered graph, and its drawing."""
+
+from __future__ import annotations
+
+import networkx as nx
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid.site.drawing import drawing
+from sysid.site.graph import around, layers, lineage_graph
+from sysid.site.item import Item
+
+#: Numbers of up to 12 items, each made from earlier ones.
+LINEAGES = st.integers(1, 12).flatmap(
+    lambda count: st.tuples(*(st.sets(st.integers(0, max(0, own - 1)), max_size=3 if own else 0) for own in range(count)))
+)
+
+
+def items(lineage: tuple[set[int], ...]) -> list[Item]:
+    return [
+        Item("plant", f"m{number}@1", parents=tuple(f"plant:m{source}@1" for source in sorted(sources)))
+        for number, sources in enumerate(lineage)
+    ]
+
+
+@given(LINEAGES)
+def test_every_source_is_drawn_left_of_its_product(lineage: tuple[set[int], ...]) -> None:
+    graph = lineage_graph(items(lineage))
+    found = layers(graph)
+    column = {key: number for number, layer in enumerate(found) for key in layer}
+    assert sorted(column) == sorted(item.key for item in items(lineage))
+    assert sum(map(len, found)) == len(lineage)
+    assert all(column[source] < column[product] for source, product in graph.edges)
+
+
+@given(LINEAGES)
+def test_connections_that_others_replace_are_left_out_and_no_ancestor_is_lost(lineage: tuple[set[int], ...]) -> None:
+    graph = lineage_graph(items(lineage))
+    whole = nx.DiGraph([(source, item.key) for item in items(lineage) for source in item.parents])
+    whole.add_nodes_from(graph)
+    assert all(nx.ancestors(graph, key) == nx.ancestors(whole, key) for key in graph)
+    assert graph.number_of_edges() <= whole.number_of_edges()
+
+
+def test_only_relatives_are_around_an_item() -> None:
+    graph = lineage_graph(items((set(), {0}, {0}, {1}, set())))
+    assert set(around(graph, "plant:m1@1")) == {"plant:m0@1", "plant:m1@1", "plant:m3@1"}
+
+
+def test_a_crossing_is_removed() -> None:
+    graph = lineage_graph(items((set(), set(), {1}, {0})))
+    first, second = layers(graph)
+    assert [next(iter(graph.successors(key))) for key in first] == second
+
+
+def test_a_circle_is_drawn_as_it_is_stated() -> None:
+    both = [Item("plant", "a@1", parents=("gap:d@1",)), Item("gap", "d@1", parents=("plant:a@1",))]
+    graph = lineage_graph(both)
+    assert str(drawing(graph, {item.key: item for item in both})).count("<a ") == 2
+
+
+def test_boxes_link_and_hold_no_markup_of_others() -> None:
+    item = Item("dataset", "Kran-Größe@2", digest="ab" * 32, summary="<script>")
+    text = str(drawing(lineage_graph([item]), {item.key: item}, "../", item.key))
+    assert 'href="../datasets/Kran-Gr%C3%B6%C3%9Fe%402.html" aria-current="page"' in text
+    assert "&lt;script&gt;" in text
+    assert "<script>" not in text
