@@ -26,7 +26,7 @@ from sysid.rl.recipe import load_training
 from sysid.rl.tracking_task import plan_tracking
 from sysid.rl.training import train_policy
 from sysid.rl.versions import load_versions
-from task_runs import page, pump, sway
+from task_runs import page, peer, pump, sway
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORT, PAGE = ROOT / "reports" / "learning_tasks", ROOT / "docs" / "learning-tasks.md"
@@ -41,8 +41,9 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS) -> Path:
     registry = Registry(workspace)
     plant, forward = load_versions(registry, PLANT, FORWARD)
     task = plan_tracking(plant, forward, "helix", full=True)
-    networks = policies(registry, workspace, seeds)
+    networks, cpu_s = policies(registry, workspace, seeds)
     measured, estimated = sway.trained(task, networks), sway.trained(task, networks[:1], measured=False)
+    sac = sway.trained(task, [peer.trained(load_training(RECIPE), plant, forward, networks[0], cpu_s)], name="SAC")
     level = circle(0.5 * (task.path.points.min(axis=0) + task.path.points.max(axis=0)), task.path.rate_hz)
     paths = [
         row
@@ -54,12 +55,12 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS) -> Path:
     ]
     each = sway.moves(task, count)
     off = [controller for controller in sway.at_targets(task) if "shaper" in controller.name and "least" not in controller.name]
-    targets = sway.move_rows(task, [*sway.at_targets(task), measured], each)
+    targets = sway.move_rows(task, [*sway.at_targets(task), measured, sac], each)
     for length in sway.LENGTHS:
         targets += sway.move_rows(task, [*off, measured, estimated], each[: sway.FEWER_MOVES], length)
     pendulum = pendulum_of(plant)
     result = {
-        **provenance("python pipelines/learning_tasks.py", sway.SEED, ("torch",)),
+        **provenance("python pipelines/learning_tasks.py", sway.SEED, ("torch", "stable-baselines3")),
         "plant": plant.reference,
         "forward": FORWARD,
         "pendulum": {
@@ -68,10 +69,10 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS) -> Path:
             "frequency_rad_s": pendulum.frequency,
             "period_s": pendulum.period,
         },
-        "trained": {"recipe": f"rl/autolog/{RECIPE.name}", "seeds": len(networks)},
+        "trained": {"recipe": f"rl/autolog/{RECIPE.name}", "seeds": len(networks), "cpu_seconds": cpu_s},
         "paths": paths,
         "targets": targets,
-        "swing": sway.swing_rows(task, [*sway.in_place(task), measured], sway.moves(task, count, sway.SWING_SEED)),
+        "swing": sway.swing_rows(task, [*sway.in_place(task), measured, sac], sway.moves(task, count, sway.SWING_SEED)),
         "pump": pump.rows(pump.with_pump(task), each),
     }
     report = REPORT if (count, seeds) == (sway.MOVES, SEEDS) else workspace / "learning_tasks"
@@ -82,14 +83,15 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS) -> Path:
     return report
 
 
-def policies(registry: Registry, workspace: Path, seeds: int) -> list[PolicyNetwork]:
-    """The policies of the recipe, one for each seed; those that are registered are not trained again."""
+def policies(registry: Registry, workspace: Path, seeds: int) -> tuple[list[PolicyNetwork], float]:
+    """The policies of the recipe, one for each seed, and the processor time of the first; registered ones are not trained again."""
     recipe = load_training(RECIPE)
-    found = []
+    found, seconds = [], []
     for seed in range(seeds):
         trained = train_policy(registry, replace(recipe, seed=seed), workspace / "training")
         found.append(load_policy(registry.load(trained.version.reference)))
-    return found
+        seconds.append(float(trained.version.metrics["cpu_seconds"]))
+    return found, seconds[0]
 
 
 if __name__ == "__main__":

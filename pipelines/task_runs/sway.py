@@ -15,7 +15,6 @@ from sysid.control.input_shaper import ShaperKind, input_shaper
 from sysid.control.pendulum import Pendulum, pendulum_of
 from sysid.control.swing_damper import SwingDamper
 from sysid.machine import KnownEffect
-from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, compile_plant
 from sysid.rl.environment import Policy
 from sysid.rl.inverse_kinematics import chain_of_plant
@@ -121,14 +120,13 @@ def in_place(task: TrackingTask) -> list[Controller]:
     ]
 
 
-def trained(task: TrackingTask, networks: Sequence[PolicyNetwork], measured: bool = True) -> Controller:
+def trained(task: TrackingTask, networks: Sequence[Any], measured: bool = True, name: str = "trained policy") -> Controller:
     """Trained residual policies, one for each seed; the swing is measured, or estimated from the motion of the tip."""
 
-    def deployed(network: PolicyNetwork) -> Callable[[], Policy]:
+    def deployed(network: Any) -> Callable[[], Policy]:
         return lambda: ResidualPolicy(network, task.plant, task.inverse, measured)
 
-    name = "trained policy" if measured else "trained policy, swing estimated"
-    return Controller(name, tuple(deployed(network) for network in networks))
+    return Controller(name if measured else f"{name}, swing estimated", tuple(deployed(network) for network in networks))
 
 
 def moves(task: TrackingTask, count: int = MOVES, seed: int = SEED) -> list[tuple[Array, Array]]:
