@@ -49,7 +49,7 @@ def write_documents(folder: Path) -> None:
 
 
 def _index() -> str:
-    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{e.equation}` | {e.excited_by} |" for e in CATALOGUE]
+    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{_cell(e.equation)}` | {e.excited_by} |" for e in CATALOGUE]
     return "\n".join(
         [
             _NOTICE,
@@ -64,6 +64,11 @@ def _index() -> str:
             "",
         ]
     )
+
+
+def _cell(text: str) -> str:
+    """Text for a cell of a Markdown table: a bar would end the cell, in code too."""
+    return text.replace("|", "\\|")
 
 
 def page(effect: Effect) -> str:
