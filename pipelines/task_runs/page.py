@@ -20,6 +20,7 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         "targets": targets(result["targets"]),
         "swing": swing(result["swing"]),
         "pump": pump(result["pump"]),
+        "redundancy": redundancy(result["redundancy"]),
     }
 
 
@@ -83,6 +84,24 @@ def pump(rows: Rows) -> str:
                 f"{100.0 * row['margin']:.1f} % of its range",
             )
         )
+    return markdown(head, lines, "l")
+
+
+def redundancy(rows: Rows) -> str:
+    """Shares in per cent: median; lowest of all circles."""
+    head = (
+        "controller",
+        "mean distance from the nearest limit, %",
+        "at the end, %",
+        "farther than ik-lookahead in",
+        "RMSE of the tip, mm",
+    )
+    lines = []
+    for row in rows:
+        mean, end = (f"{100.0 * statistics.median(row[key]):.1f}; {100.0 * min(row[key]):.1f}" for key in ("mean", "end"))
+        better = sum(own > base for own, base in zip(row["mean"], rows[0]["mean"], strict=True))
+        count = f"{better} of {len(row['mean'])}" if row is not rows[0] else "–"
+        lines.append((row["controller"], mean, end, count, spread(row["rmse_mm"])))
     return markdown(head, lines, "l")
 
 

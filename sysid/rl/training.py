@@ -158,13 +158,11 @@ def policy_of(trainer: Trainer) -> PolicyNetwork:
     weights, biases = trainer.agent.layers()
     acts = len(space.action_low)
     same = Normalisation(np.zeros(acts), np.ones(acts))
-    names: tuple[str, ...] = (*forward.joints, *(f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz"))
-    names = (*names, *(f"further.{number}" for number in range(len(space.low) - len(names))))
     setting, residual = trainer.recipe.setting, None
     if setting.residual is not None:
-        names, residual = trainer.environment.names, {**asdict(setting.residual), "repeat": float(setting.repeat)}
+        residual = {**asdict(setting.residual), "repeat": float(setting.repeat)}
     return PolicyNetwork(
-        inputs=names,
+        inputs=trainer.environment.names,
         outputs=forward.joints,
         mlp=Mlp(weights, biases, Normalisation(space.centre, space.half), same),
         low=space.action_low,

@@ -65,6 +65,14 @@ def test_under_a_shared_pump_the_goal_of_least_time_is_reached_first(study: Modu
     assert all(row["margin"] >= 0.0 for row in rows)
 
 
+def test_gradient_projection_keeps_away_from_the_limits(study: ModuleType, task: TrackingTask) -> None:
+    circles = study.redundancy.circles(task, 3)
+    assert len(circles) == 3
+    plain, away = study.redundancy.rows(task, circles)
+    assert np.median(away["mean"]) > 1.2 * np.median(plain["mean"])
+    assert np.median(away["rmse_mm"]) < np.median(plain["rmse_mm"]) + 1.0
+
+
 def test_a_trained_policy_is_one_row_of_all_seeds(study: ModuleType, task: TrackingTask) -> None:
     controller = study.sway.Controller("two", (lambda: InversePolicy(task.inverse), lambda: InversePolicy(task.inverse)))
     (row,) = study.sway.move_rows(task, [controller], study.sway.moves(task, 1))
@@ -90,5 +98,5 @@ def test_the_figures_of_the_tables(study: ModuleType) -> None:
 def test_the_page_is_that_of_the_result(study: ModuleType) -> None:
     result = json.loads((study.REPORT / "result.json").read_text("utf-8"))
     text = study.PAGE.read_text("utf-8")
-    assert len(study.page.tables(result)) == 4
+    assert len(study.page.tables(result)) == 5
     assert all(table in text for table in study.page.tables(result).values())
