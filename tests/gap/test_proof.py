@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import compared_without, with_intervals_of
+from sysid.gap.proof import comparisons_without, with_intervals_of
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
 
@@ -133,17 +133,23 @@ def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone(
 def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_beside_it(accumulates: bool) -> None:
     """The set that won the comparison against the set without the name, not the chosen model with six effects."""
 
-    def result(theta: float, less: float, alone: Any = None) -> Any:
-        fitted = SimpleNamespace(decision=SimpleNamespace(accumulates=accumulates), dropped={"rate": vector(less)})
+    def result(theta: float, less: float, alone: Any = None, beside: Any = None) -> Any:
+        decision = SimpleNamespace(accumulates=accumulates)
+        fitted = SimpleNamespace(decision=decision, dropped={"rate": vector(less)}, beside=beside)
         return SimpleNamespace(fit=vector(theta), stage_fit=fitted, names_alone=alone)
 
     def vector(value: float) -> Any:
         return SimpleNamespace(theta=np.array([value]))
 
-    whole = result(3.0, 4.0, alone=result(1.0, 2.0))
-    stage: Any = SimpleNamespace(found=whole, theta=np.zeros(1))
-    less, theta = compared_without(stage, "rate")
-    assert (less.item(), theta.item()) == ((2.0, 1.0) if accumulates else (0.0, 3.0))
-    whole.names_alone = None
-    less, theta = compared_without(stage, "rate")
-    assert (less.item(), theta.item()) == ((4.0, 3.0) if accumulates else (0.0, 3.0))
+    def pairs(found: Any) -> list[tuple[float, float]]:
+        stage: Any = SimpleNamespace(found=found, theta=np.zeros(1))
+        return [(less.item(), theta.item()) for less, theta in comparisons_without(stage, "rate")]
+
+    if not accumulates:
+        assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0))) == [(0.0, 3.0)]
+        return
+    assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0))) == [(2.0, 1.0)]
+    assert pairs(result(3.0, 4.0)) == [(4.0, 3.0)]
+    beside = vector(5.0), {"rate": vector(6.0)}
+    assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0), beside=beside)) == [(2.0, 1.0), (6.0, 5.0)]
+    assert pairs(result(3.0, 4.0, beside=(vector(5.0), {"delay": vector(6.0)}))) == [(4.0, 3.0)]
