@@ -71,7 +71,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
-    for stage in _without_cheap_names(known):
+    for stage in without_cheap_names(known):
         result = stage.found
         proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
@@ -130,7 +130,7 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     return replace(stage, result=replace(result, limits=limits))
 
 
-def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
+def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
 
     The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
