@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
+from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
@@ -37,7 +38,6 @@ from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, Resi
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.unnamed.drive_resonance import drive_resonance
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
 from sysid.machine import KnownEffect
@@ -268,9 +268,7 @@ def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome:
     depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
     depends = "earlier motion" if depends == "past" else depends
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
-    outcome.unnamed.append(
-        _with_resonance(stage, case, Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
-    )
+    outcome.unnamed.append(_with_resonance(stage, Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form)))
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
@@ -290,16 +288,13 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
         theta = stage.theta
     outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")
     found = describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
-    outcome.unnamed += [_with_resonance(stage, case, item) for item in found]
+    outcome.unnamed += [_with_resonance(stage, item) for item in found]
 
 
-def _with_resonance(stage: Stage, case: Case, item: Unnamed) -> Unnamed:
-    """The residual of a force with the resonance of its drive, where there is one."""
-    settings = stage.problem.force_filter
-    if settings is None or compile_plant(case.plant).rigid is not None:  # of an arm, other axes move the force as well
-        return item
-    found = drive_resonance(stage.split.seen, case.plant.machine.axis(stage.problem.target), settings)
-    if found is None:
+def _with_resonance(stage: Stage, item: Unnamed) -> Unnamed:
+    """The residual of a force with the resonance of its drive, where there is one without a name."""
+    found = stage.resonance
+    if found is None or any(kept.candidate.effect is flexible_drive.EFFECT for kept in stage.found.named):
         return item
     form = f"{item.form}; {found}"
     return replace(item, form=form, antiresonance_hz=found.antiresonance_hz, resonance_hz=found.resonance_hz)
