@@ -51,7 +51,7 @@ class Parameter:
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
     secondary: bool = False
-    scale: Literal["", "force", "1/load"] = ""
+    scale: Literal["", "force", "1/load", "response"] = ""
 
     @property
     def components(self) -> tuple[tuple[str, ...], ...]:
