@@ -12,11 +12,12 @@ from planar_arm import C2, I2, M1, M2, planar
 
 from sysid.datasets import Dataset, Recording
 from sysid.gap import steps
+from sysid.gap.arm.rows import axis_rows, with_carried
 from sysid.gap.case import stage_candidates
 from sysid.gap.excitation import excitation_of
 from sysid.gap.stages import search_stages
-from sysid.machine import machine_from_files
-from sysid.plant import nominal_plant
+from sysid.machine import KnownEffect, machine_from_files
+from sysid.plant import compile_plant, nominal_plant
 from sysid.progress import silent
 from sysid.testing.probe import probe_arm
 
@@ -124,6 +125,21 @@ def test_a_load_that_does_not_vary_cannot_tell() -> None:
     assert not found.sufficient
     assert found.unit == "% change of the magnitude of the gravity load"
     assert NAME not in named(data)
+
+
+def test_a_payload_loads_the_friction_of_a_joint() -> None:
+    """The rows of the links contain friction under the torques of a payload as if the plant had it."""
+    data, payload = dataset(growing), KnownEffect("payload", "tool", {"mass": 2.0, "centre": [0.0, 0.0, 0.0]})
+    study = steps.open_study(data, nominal_plant(data.machine))
+    stage = next(s for s in study.stages if s.problem.stage == "links")
+    model, seen = compile_plant(study.case.plant), stage.split.seen
+    loaded = study.case.plant.with_effect(payload).vector()
+    rows = axis_rows(model, stage.problem, seen, stage.theta)
+    found = with_carried(rows, model, stage.problem, seen, loaded)
+    for own, other, before in zip(found, axis_rows(model, stage.problem, seen, loaded), rows, strict=True):
+        assert own.friction == pytest.approx(other.friction, rel=1e-9, abs=1e-9)
+        assert own.target == pytest.approx(before.target)
+        assert np.abs(own.friction - before.friction).max() > 1.0, "the payload matters"
 
 
 def test_a_machine_without_masses_has_no_such_candidate() -> None:
