@@ -70,6 +70,13 @@ class LeastSquares(FreeRun):
         less = self.proposals.without(self.nearest(model), candidate)
         return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))
 
+    def extended(self, model: ModelFit) -> ModelFit | None:
+        """The set with the further effect that leaves least, if this is a tenth less."""
+        size = len(model.candidates) + 1
+        larger = [f for f in self.proposals.fits.values() if len(f.candidates) == size and model.labels < f.labels]
+        best = min(larger, key=lambda f: f.left, default=None)
+        return best if best is not None and best.left * EXPLAINED < model.left else None
+
     def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
         fitted = self.least_squares(model)
         return speed_classes(self.proposals.likelihood, fitted, candidate).absent

@@ -71,7 +71,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
-    for stage in _without_cheap_names(known):
+    for stage in without_cheap_names(known):
         result = stage.found
         proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
@@ -130,7 +130,7 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     return replace(stage, result=replace(result, limits=limits))
 
 
-def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
+def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
 
     The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
@@ -153,22 +153,14 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         return stage
     lost = dict[str, str]()
     for kept in result.named:
-        less, theta = compared_without(stage, kept.candidate.label)
-        excited = _excited(stage, less, theta)
-        if not excited and not fitted.decision.accumulates:
-            continue
-        recordings = stage.split.held_out if excited else stage.split.seen
-        before, after = (_score(stage, each, recordings) for each in (less, theta))
-        alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
-        if excited and not pays(before, after):
-            lost[kept.candidate.label] = LOST
-        elif not pays_beside(before, after, alike):
-            lost[kept.candidate.label] = ORDINARY
+        lacks = [_too_cheap(stage, less, theta, typical) for less, theta in comparisons_without(stage, kept.candidate.label)]
+        if all(lacks):
+            lost[kept.candidate.label] = lacks[0]
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
     if fitted.decision.accumulates and rest:
-        others = (compared_without(stage, label)[0] for label in lost)
+        others = (comparisons_without(stage, label)[0][0] for label in lost)
         before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
             lost |= dict.fromkeys(rest, BESIDE)
@@ -178,20 +170,39 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
     return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
 
 
-def compared_without(stage: Stage, label: str) -> tuple[Array, Array]:
-    """Parameter vectors without and with the effect ``label``, by which held-out recordings test its name.
+def _too_cheap(stage: Stage, without: Array, theta: Array, typical: float) -> str:
+    """Condition that a name fails by a comparison of parameter vectors without and with its effect; empty if it fails none."""
+    accumulates = _accumulates(stage.found)
+    excited = _excited(stage, without, theta)
+    if not excited and not accumulates:
+        return ""
+    recordings = stage.split.held_out if excited else stage.split.seen
+    before, after = (_score(stage, each, recordings) for each in (without, theta))
+    if excited and not pays(before, after):
+        return LOST
+    return "" if pays_beside(before, after, typical * _distance(stage, recordings) if accumulates else 0.0) else ORDINARY
+
+
+def comparisons_without(stage: Stage, label: str) -> list[tuple[Array, Array]]:
+    """Pairs of parameter vectors without and with the effect ``label``; one of them has to prove its name.
 
     Where errors accumulate, sets of effects were compared by what they leave alone, and the names are tested alone. Effects
     that are adjusted beside them compensate for the formulas in the fitted recordings, which makes others worse, and take the
-    place of the effect that is left out.
+    place of the effect that is left out. They are also tested beside the one further effect that leaves least: values that the
+    owner's plant has not exactly may hide it on the few held-out recordings.
     """
     result = stage.found
     if not _accumulates(result):
-        return stage.theta, result.fit.theta
+        return [(stage.theta, result.fit.theta)]
+    pairs = []
     for found in (result.names_alone, result):
         if found is not None and found.stage_fit is not None and label in found.stage_fit.dropped:
-            return found.stage_fit.dropped[label].theta, found.fit.theta
-    raise KeyError(label)
+            pairs.append((found.stage_fit.dropped[label].theta, found.fit.theta))
+            break
+    beside = result.stage_fit.beside if result.stage_fit is not None else None
+    if beside is not None and label in beside[1]:
+        pairs.append((beside[1][label].theta, beside[0].theta))
+    return pairs
 
 
 def _formula_error(stage: Stage) -> float:
