@@ -36,8 +36,7 @@ class Parameter:
         starts: start values of a fit.
         negligible: a negligible change, from which steps and tolerances of fits derive.
         scale: unit of ``starts`` and ``negligible``: the typical force in the data, or one over the typical gravity load; ""
-        for
-            SI values.
+            for SI values.
         stepwise: a small change may have no effect (a threshold between two samples of a command): a fit uses a grid.
         secondary: it determines how the effect acts, not how much, and has no meaning without the others.
         sets: for each component, the slots that take its value; by default the slot of the same name.
