@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
-from sysid.effects import flexible_drive, inertia_error, link_mass_error, oil_compressibility
+from sysid.effects import coulomb_friction, flexible_drive, inertia_error, link_mass_error, oil_compressibility
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -205,10 +205,18 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     problem = stage.problem
     scales = scales_of(case.plant, stage)
     found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales)
-    found = [c for c in found if _has_nominal(c, case.plant, scales)]
+    found = [c for c in found if _has_nominal(c, case.plant, scales) and not _hidden_by_spring(c, stage)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
+
+
+def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
+    """Whether the shape of dry friction at low speeds is offered on a drive with a spring, which does not show it.
+
+    The spring reverses the motor several times in each motion; errors of its damping and of the delay of the force act there.
+    """
+    return stage.resonance is not None and coulomb_friction.EFFECT.name in candidate.effect.generalises
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
