@@ -22,7 +22,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from loop.alternatives import deployed, fixed_structure, true_plant
+from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, true_plant
 from loop.page import tables
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
@@ -69,7 +69,8 @@ def run_machine(seed: int, folder: Path) -> dict[str, Any]:
     parked = {name: machine.visible.axis(name).park for name in AXES}
     first = site.workspace.dataset(rounds[0].gap.dataset) if rounds[0].gap is not None else site.dataset()
     compared = {
-        "fixed_structure": deployed(site, fixed_structure(nominal, first), "fixed-structure"),
+        "lag_delay_gain": deployed(site, fixed_structure(nominal, first, LAG_DELAY_GAIN), "lag-delay-gain"),
+        "with_deadband": deployed(site, fixed_structure(nominal, first, WITH_DEADBAND), "with-deadband"),
         "truth": deployed(site, true_plant(nominal, hidden, parked), "truth"),
     }
     return {**machine_result(f"seed {seed}", hidden, rounds), "compared": compared, "seconds": seconds}

@@ -68,7 +68,8 @@ def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
         found = {
             "nominal plant": machine["rounds"][0],
             f"repaired plant, round {last}": machine["rounds"][last],
-            "dead time, lag and gain by least squares": machine["compared"]["fixed_structure"],
+            "dead time, lag and gain by least squares": machine["compared"]["lag_delay_gain"],
+            "the same and one dead-band": machine["compared"]["with_deadband"],
             "true plant": machine["compared"]["truth"],
         }
         for name, row in found.items():

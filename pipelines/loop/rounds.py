@@ -1,4 +1,7 @@
-"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted."""
+"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted.
+
+The next round has the named effects of the repaired plant only (:func:`loop.models.named_part`).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any
 
 from loop.deployment import Deployment
 from loop.flight import SIGNALS, Flight, fly, simulate
-from loop.models import register_forward, register_plant
+from loop.models import named_part, register_forward, register_plant
 from loop.recording import ingest_flights
 from loop.sealed import SealedMachine
 from sysid.datasets import Dataset
@@ -69,8 +72,11 @@ class Site:
 
     def nominal(self) -> Plant:
         """The plant of the owner's description, registered."""
-        plant = nominal_plant(load_machine(self.description / "machine.toml"))
-        return replace(plant, reference=register_plant(self.workspace.models, plant))
+        return self.registered(nominal_plant(load_machine(self.description / "machine.toml")))
+
+    def registered(self, plant: Plant, **lineage: str) -> Plant:
+        """The plant as a version of the workspace."""
+        return replace(plant, reference=register_plant(self.workspace.models, plant, **lineage))
 
     def dataset(self) -> Dataset:
         """A version with all logs so far."""
@@ -131,5 +137,5 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
         show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
         if gap.promotion is None or not gap.promotion.promoted:
             return rounds
-        plant = site.plant(gap.plant_after)
+        plant = site.registered(named_part(site.plant(gap.plant_after), gap), plant=gap.plant_after)
     raise AssertionError("the last round returns")
