@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ def _plain(value: Any) -> float | list[float]:
     return [float(each) for each in value] if np.ndim(value) else float(value)
 
 
-def register_plant(registry: Registry, plant: Plant, **lineage: Any) -> str:
-    """A plant as a version, e.g. the nominal one before the first run."""
-    lineage = {"machine": plant.machine.name, **lineage}
-    return registry.register(plant.machine.name, "plant", plant.to_files(), lineage, {}).reference
+def register_plant(registry: Registry, plant: Plant, lineage: Mapping[str, str]) -> str:
+    """A plant as a version, with its sources."""
+    sources = {"machine": plant.machine.name, **lineage}
+    return registry.register(plant.machine.name, "plant", plant.to_files(), sources, {}).reference

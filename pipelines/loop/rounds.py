@@ -74,9 +74,9 @@ class Site:
         """The plant of the owner's description, registered."""
         return self.registered(nominal_plant(load_machine(self.description / "machine.toml")))
 
-    def registered(self, plant: Plant, **lineage: str) -> Plant:
-        """The plant as a version of the workspace."""
-        return replace(plant, reference=register_plant(self.workspace.models, plant, **lineage))
+    def registered(self, plant: Plant, lineage: Mapping[str, str] | None = None) -> Plant:
+        """The plant as a version of the workspace, with its sources."""
+        return replace(plant, reference=register_plant(self.workspace.models, plant, lineage or {}))
 
     def dataset(self) -> Dataset:
         """A version with all logs so far."""
@@ -137,5 +137,5 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
         show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
         if gap.promotion is None or not gap.promotion.promoted:
             return rounds
-        plant = site.registered(named_part(site.plant(gap.plant_after), gap), plant=gap.plant_after)
+        plant = site.registered(named_part(site.plant(gap.plant_after), gap), {"plant": gap.plant_after})
     raise AssertionError("the last round returns")
