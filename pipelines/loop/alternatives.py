@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from loop.rounds import PATHS, Site, deploy
-from loop.score import flown
+from loop.rounds import PATHS, Site, fly_paths
+from loop.score import figures_of
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.machine import Axis, KnownEffect
@@ -105,8 +105,8 @@ def deployed(site: Site, plant: Plant, name: str) -> dict[str, Any]:
 
     A path that the runner refuses has no figures, and the reason in ``why``.
     """
+    paths = tuple(dict.fromkeys(PATHS))
     try:
-        return flown(*deploy(site, site.registered(plant), site.folder / f"flights-{name}"))
+        return figures_of(fly_paths(site, site.registered(plant), paths, site.folder / f"flights-{name}"))
     except SettingsError as error:
-        refused = {path: {"ended": "refused", "why": error.found} for path in dict.fromkeys(PATHS)}
-        return {**refused, "simulation": refused}
+        return {path: {"ended": "refused", "why": error.found} for path in paths}

@@ -6,7 +6,7 @@ The next round has the named effects of the repaired plant only (:func:`loop.mod
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -101,19 +101,24 @@ def path_task(path: str) -> dict[str, Any]:
     return {"mode": "track", "track": {"path": path}}
 
 
-def deploy(site: Site, plant: Plant, logs: Path | None = None) -> tuple[dict[str, Flight], dict[str, Flight]]:
-    """The paths on the machine and on the plant, both controlled from ``plant``.
+def fly_paths(site: Site, plant: Plant, paths: Sequence[str], logs: Path | None = None) -> dict[str, Flight]:
+    """The first run of each path on the machine, controlled from ``plant``.
 
     Raises:
         SettingsError: the runner refuses a path, e.g. since it exceeds the top speed of the plant.
     """
     deployment = site.deployment(plant)
     flights: dict[str, Flight] = {}
-    for path in PATHS:
+    for path in paths:
         flight = site.fly(deployment, path_task(path), logs)
         flights.setdefault(path, flight)
-    models = site.workspace.models
-    return flights, {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in flights}
+    return flights
+
+
+def simulate_paths(site: Site, plant: Plant) -> dict[str, Flight]:
+    """The same on the plant itself."""
+    deployment, models = site.deployment(plant), site.workspace.models
+    return {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in dict.fromkeys(PATHS)}
 
 
 def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
@@ -121,7 +126,7 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
     plant, rounds = site.nominal(), []
     for number in range(MOST + 1):
         begin = time.perf_counter()
-        flights, simulated = deploy(site, plant)
+        flights, simulated = fly_paths(site, plant, PATHS), simulate_paths(site, plant)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
         if number == MOST:
