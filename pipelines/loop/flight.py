@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ class Flight:
         joints: of the structure, (n, A) [rad or m].
         ended, why: of the run.
         log: folder of the recording; None in simulation.
+        sources: share of the cycles by the source of their setpoints: ``track``, ``fallback``, ``hold``.
     """
 
     path: str
@@ -61,6 +63,7 @@ class Flight:
     ended: str
     why: str
     log: Path | None = None
+    sources: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def error(self) -> Array:
@@ -155,4 +158,6 @@ def _flight(
     at, tip, tool, joints = motion
     below = np.array([0.0, 0.0, tip[0, 2] - tool[0, 2]])  # at rest
     found = [np.column_stack([np.interp(due, at, column) for column in points.T]) for points in (tip, tool + below, joints)]
-    return Flight(name, due / SECOND, target, *found, outcome.ended, outcome.why, log)
+    counts = Counter(cycle.source for cycle in tracked)
+    sources = {source: count / len(tracked) for source, count in counts.items()}
+    return Flight(name, due / SECOND, target, *found, outcome.ended, outcome.why, log, sources)

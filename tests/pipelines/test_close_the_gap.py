@@ -162,7 +162,8 @@ def effect(name: str, target: str, aliases: tuple[tuple[str, str], ...] = ()) ->
 
 
 def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> GapResult:
-    none = Gap({"tool.x": 0.1}, {"tool.x": 0.01}, {"tool.x": 0.005})
+    signals = [f"{point}.{letter}" for point in ("ee", "tool") for letter in "xyz"]
+    none = Gap(*(dict.fromkeys(signals, value) for value in (0.1, 0.01, 0.005)))
     return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
 
 
@@ -197,6 +198,8 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     compared = {"lag_delay_gain": refused, "with_deadband": found["rounds"][1], "truth": found["rounds"][1]}
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
     assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
+    assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
+    assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
     assert (
         "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text
