@@ -7,7 +7,7 @@ cylinder controller of the nominal plant follows helix and circle on it, over it
 ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
 The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). A
 machine whose result is in the work folder is not run again. With ``--publish`` the result goes to reports/loop/ and the tables
-to docs/closing-the-gap.md.
+to docs/closing-the-gap.md and README.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
 from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, true_plant
-from loop.page import tables
+from loop.page import summary, tables
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
 from loop.sealed import draw_machine, write_site, write_truth
@@ -52,6 +52,7 @@ def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
     write_result(report, result)
     if publish:
         write_tables(PAGE, tables(result), PIPELINE)
+        write_tables(ROOT / "README.md", summary(result), PIPELINE)
     else:
         print(tables(result))
     return report

@@ -18,6 +18,29 @@ def tables(result: Mapping[str, Any]) -> str:
     return "\n\n".join(part(machines) for part in (_tracking, _names, _compared, _ratios, _gaps))
 
 
+def summary(result: Mapping[str, Any]) -> str:
+    """The table of README.md: largest error of the tool on the helix, by machine."""
+    machines = result["machines"]
+    head = ("controller made from", *(machine["name"] for machine in machines))
+    rows = {name: [_worst(row) for row in found] for name, found in _controllers(machines).items()}
+    return markdown(head, [(name, *cells) for name, cells in rows.items()], "l" * len(head))
+
+
+def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Controller → its runs on each machine."""
+    return {
+        "nominal plant": [machine["rounds"][0] for machine in machines],
+        "repaired plant, last round": [machine["rounds"][-1] for machine in machines],
+        "dead time, lag and gain by least squares": [machine["compared"]["lag_delay_gain"] for machine in machines],
+        "the same and one dead-band": [machine["compared"]["with_deadband"] for machine in machines],
+        "true plant": [machine["compared"]["truth"] for machine in machines],
+    }
+
+
+def _worst(row: Mapping[str, Any]) -> str:
+    return "path refused" if row["helix"]["ended"] == "refused" else shown(row["helix"].get("max_mm"))
+
+
 def _tracking(machines: Sequence[Mapping[str, Any]]) -> str:
     head = (
         "machine",
@@ -64,16 +87,9 @@ def _names(machines: Sequence[Mapping[str, Any]]) -> str:
 def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
     head = ("machine", "controller made from", *ERRORS)
     rows = []
-    for machine in machines:
-        last = len(machine["rounds"]) - 1
-        found = {
-            "nominal plant": machine["rounds"][0],
-            f"repaired plant, round {last}": machine["rounds"][last],
-            "dead time, lag and gain by least squares": machine["compared"]["lag_delay_gain"],
-            "the same and one dead-band": machine["compared"]["with_deadband"],
-            "true plant": machine["compared"]["truth"],
-        }
-        for name, row in found.items():
+    for number, machine in enumerate(machines):
+        for name, found in _controllers(machines).items():
+            row = found[number]
             figures = (*(shown(row["helix"].get(key)) for key in ("max_mm", "rmse_mm")), shown(row["circle"].get("max_mm")))
             refused = row["helix"]["ended"] == "refused"
             rows.append((machine["name"], name, *((f"refused: {row['helix']['why']}", "–", "–") if refused else figures)))

@@ -54,7 +54,9 @@ def test_rows_of_the_machine_state_who_controlled_it(paper: Any) -> None:
 
     time, target = np.linspace(0.0, 1.0, 5), np.zeros((5, 3))
     tool = target + np.array([[0.0, 0.03, 0.0]])
-    flight = Flight("helix", time, target, target, tool, np.zeros((5, 4)), "done", "", Path(), {"track": 0.75, "fallback": 0.25})
+    flight = Flight(
+        "helix", time, target, target, tool, np.zeros((5, 4)), "done", "", Path(), {"track": 0.75, "fallback": 0.25}
+    )
     (row,) = paper.machine.rows({"helix": flight}, "policy 1", 0)
     assert row.paper == (75.2, 80.1, 73.1)
     assert row.ours == pytest.approx((0.0, 30.0, 0.0))
