@@ -1,5 +1,5 @@
-# demo · test · test-slow · fuzz · lint · bench · hidden-effects · arms · report · clean. Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow fuzz lint bench hidden-effects arms report clean
+# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · report · clean. Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -35,6 +35,11 @@ lint: $(READY)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+# The documentation as a site in build/docs; a dead link or a missing page fails.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 # PARTS="readers memory" measures some of it; the rest stays as it was.
 PARTS ?=
 bench: $(READY)
@@ -66,6 +71,6 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 		{ echo "make: $(PYTHON) has no venv module. On Debian 12: apt install python3-venv" >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt setuptools
+	$(BIN)/python -m pip install --quiet -c constraints.txt hatchling editables
 	$(BIN)/python -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
 	@touch $(READY)

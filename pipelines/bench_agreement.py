@@ -29,7 +29,7 @@ PAGE, RESULT = ROOT / "docs" / "bench.md", ROOT / "reports" / "bench_agreement" 
 def main(chosen: Sequence[Row] = ROWS, result: Path = RESULT, page: Path | None = PAGE) -> list[Agreement]:
     # The bench has no arm with masses: links are compared with closed forms (tests/plant/test_link_torque.py), as is the place
     # of a marker (tests/effects/test_references.py).
-    shown = {effect.name for effect in CATALOGUE if effect.stage != "links" and not effect.described_only}
+    shown = {effect.name for effect in CATALOGUE if not effect.of_links and not effect.described_only}
     missing = shown - {row.effect for row in ROWS} - ELSEWHERE
     if missing:
         raise SystemExit(f"no machine shows {', '.join(sorted(missing))}: add a row to ROWS")

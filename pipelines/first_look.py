@@ -1,7 +1,8 @@
 """First look: from raw logs to named effects, a report and a moving crane. `make demo` and `sysid demo` run this file.
 
 The logs are those in datasets/autolog: a hydraulic crane of four axes, its valves and draw wires in a ROS 2 bag, motion capture
-in a Motive export on another clock. Its simulation (machine.toml) knows most of the machine, but not all.
+in a Motive export on another clock. Its simulation (machine.toml) knows most of the machine, but not all. Networks are left out
+where torch is not installed, the Rerun recording where rerun-sdk is not.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 from sysid.cli.output import PipelineProgress, Printer, rerun_command, write_json
 from sysid.cli.tables import show_errors, show_gap, show_repair, show_world
 from sysid.datasets import ingest
+from sysid.extras import install_command, installed
 from sysid.gap import find_gap
 from sysid.networks import PAPER_MAX, Model, NetworkRecipe, fit_actuator, fit_forward
 from sysid.reports import write_report
@@ -32,11 +34,12 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
 
     with step("ingest") as progress:
         dataset = ingest(logs, workspace, progress=progress)
-    with step("fit actuator") as progress:
-        actuator = fit_actuator(dataset, recipe, progress)
-    with step("fit forward") as progress:
-        forward = fit_forward(dataset, recipe, progress)
-    networks: tuple[Model, ...] = (actuator, forward)
+    networks: list[Model] = []
+    if installed("torch"):
+        with step("fit actuator") as progress:
+            networks.append(fit_actuator(dataset, recipe, progress))
+        with step("fit forward") as progress:
+            networks.append(fit_forward(dataset, recipe, progress))
     with step("validate"):
         reports = [validate_model(network, dataset, recipe=recipe) for network in networks]
         versions = [place.add_network(dataset, n, recipe, report) for n, report in zip(networks, reports, strict=True)]
@@ -47,13 +50,16 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         kept = place.keep_gap(dataset, gap).parent
     with step("report"):
         page = write_report(folder / "report.html", place.report_inputs(dataset))
-    with step("view"):
-        recording = gap.held_out_recordings[0]
-        simulated = place.predictions(dataset, recording)
-        film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
+    film = None
+    if installed("rerun"):
+        with step("view"):
+            recording = gap.held_out_recordings[0]
+            simulated = place.predictions(dataset, recording)
+            film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
 
     out.block(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
-    show_errors(out, *reports, paper=PAPER_MAX)
+    if reports:
+        show_errors(out, *reports, paper=PAPER_MAX)
     show_gap(out, gap, dataset)
     show_world(out, gap, dataset)
     if gap.plant_after:
@@ -68,7 +74,10 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         "files": {"report": page, "rerun": film},
     }
     write_json(folder / "result.json", result)
-    out.block(f"\nReport   {page}\nRerun    {film}   (view: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
+    view = f"{film}   (view: {rerun_command(film)})" if film is not None else f"left out: {install_command('view')}"
+    out.block(f"\nReport   {page}\nRerun    {view}\nFigures  {folder / 'result.json'}")
+    if not networks:
+        out.line(f"Networks were left out: {install_command('networks')}")
     return folder / "result.json"
 
 

@@ -6,7 +6,6 @@ results and loads them for the next step.
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import pandas as pd
 from sysid.datasets import Dataset, Store, VacuumResult, vacuum
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
+from sysid.extras import versions_of
 from sysid.gap import GapResult
 from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.location import LOCAL, checked_location, local_folder
@@ -271,7 +271,7 @@ class Workspace:
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             excitation=excitation_report(dataset, self._tested_plant(dataset, result)),
             clocks=clock_residuals(self.datasets.channels(dataset.reference), dataset.clocks),
-            software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
+            software={"sysid": __version__, **versions_of(SOFTWARE)},
         )
 
     def _tested_plant(self, dataset: Dataset, result: GapResult | None) -> Plant:

@@ -4,7 +4,7 @@
 | --- | --- |
 | tanh | F·tanh(q̇/v) |
 | arctan | F·(2/π)·arctan(q̇/v) |
-| load | (F + μ·|gravity torque|)·sign(q̇), on a pendulum with a URDF |
+| load | (F + μ·|load|)·sign(q̇), on a pendulum with a URDF; load: torque of the pendulum by gravity and acceleration |
 | lugre | bristles (Canudas de Wit et al., IEEE TAC 40 (1995)): ż = q̇ − σ0·|q̇|/g(q̇)·z, F = σ0·z + σ1·ż |
 | sharp | F·sign(q̇), as a control |
 
@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 
 NAME = "smooth_friction"
 STEP = 2e-5
+#: Inertia of the rotor of a pendulum's drive [kg·m²].
+ROTOR = 1e-4
 #: Kinds by seed, in turn.
 KINDS = ("tanh", "arctan", "load", "tanh", "lugre", "arctan", "sharp", "tanh", "load", "arctan")
 
@@ -95,7 +97,7 @@ def make(seed: int, kind: str | None = None, friction: bool = True) -> Case:
         row=NAME,
         name=f"{NAME}-{seed:03d}",
         rate_hz=rate,
-        axes=[AxisText("axis1", "force", (-2.0, 2.0), "axis1_joint", inertia=0.0001 if axis.weight else axis.inertia)],
+        axes=[AxisText("axis1", "force", (-2.0, 2.0), "axis1_joint", inertia=ROTOR if axis.weight else axis.inertia)],
         logs=logs,
         clean=clean,
         hidden=truth(axis) if friction else [],
@@ -138,7 +140,7 @@ def pendulum(axis: Axis) -> RigidArm:
     """A level axis with a mass at 0.5 m below it; the inertia about the axis is as given, less that of the rotor."""
     away = 0.3
     mass = axis.weight / (9.81 * away)
-    own = max(axis.inertia - 1e-4 - mass * away**2, 1e-3)
+    own = max(axis.inertia - ROTOR - mass * away**2, 1e-3)
     return RigidArm(
         (Link("axis1", (0, 0, 0), (0, 1, 0), (-2.0, 2.0), 200.0, mass, (0.0, 0.0, -away), (own, own, own, 0.0, 0.0, 0.0)),),
         (0.0, 0.0, -0.5),
@@ -150,7 +152,7 @@ def moving_inertia(axis: Axis) -> float:
     if not axis.weight:
         return axis.inertia
     (link,) = pendulum(axis).links
-    return link.inertia[1] + link.mass * link.centre[2] ** 2 + 1e-4
+    return link.inertia[1] + link.mass * link.centre[2] ** 2 + ROTOR
 
 
 # ---- Simulation ---------------------------------------------------------------------------------------------------------
@@ -161,15 +163,26 @@ def simulate(axis: Axis, q: Array, v: Array, a: Array, period: float) -> tuple[A
     inertia = moving_inertia(axis)
     wanted = np.column_stack([q, v, a])
     kind = ("sharp", "load", "tanh", "arctan", "lugre").index(axis.kind)
+    carried = inertia - ROTOR if axis.kind == "load" else 0.0
     numbers = np.array([
         inertia, axis.weight, axis.force, axis.viscous, axis.speed, axis.load, axis.static, axis.bristles, axis.bristle_damping,
+        carried,
     ])  # fmt: skip
     return _run(wanted, period, round(period / STEP), kind, numbers)
 
 
 @numba.njit(cache=True)
+def _acceleration(net, pull, load, inertia, carried):  # type: ignore[no-untyped-def]
+    """Acceleration a with inertia·a + load·|pull + carried·a| = net, for |load|·carried < inertia."""
+    found = (net - load * pull) / (inertia + load * carried)
+    if pull + carried * found >= 0.0:
+        return found
+    return (net + load * pull) / (inertia - load * carried)
+
+
+@numba.njit(cache=True)
 def _run(wanted, period, count, kind, numbers):  # type: ignore[no-untyped-def]
-    inertia, weight, force, viscous, speed, load, static, bristles, bristle_damping = numbers
+    inertia, weight, force, viscous, speed, load, static, bristles, bristle_damping, carried = numbers
     dt = period / count
     q, v, z = wanted[0, 0], wanted[0, 1], 0.0
     torque, angle = np.empty(len(wanted)), np.empty(len(wanted))
@@ -183,9 +196,13 @@ def _run(wanted, period, count, kind, numbers):  # type: ignore[no-untyped-def]
             pull = weight * math.sin(q)
             net = applied - pull - viscous * v
             if kind <= 1:
-                most = dt * (force + load * abs(pull)) / inertia
                 free = v + dt * net / inertia
-                v = 0.0 if abs(free) <= most else free - math.copysign(most, free)
+                if abs(free) <= dt * (force + load * abs(pull)) / inertia:
+                    v = 0.0
+                else:
+                    side = math.copysign(1.0, free)
+                    moved = v + dt * _acceleration(net - side * force, pull, side * load, inertia, carried)
+                    v = moved if moved * side > 0.0 else 0.0
             elif kind == 2:
                 v += dt * (net - force * math.tanh(v / speed)) / inertia
             elif kind == 3:

@@ -65,7 +65,7 @@ def crane() -> Plant:
             sizes = {key: value for key, value in drawing[axis.name]["cylinder"].items() if key != "stroke"}
             linkages[axis.name] = TriangleLinkage(Linkage(kind="triangle", **sizes))
     plant = nominal_plant(machine, linkages, STREAMS)
-    for effect in (e for e in CATALOGUE if e.stage != "links" and not e.described_only):  # of other machines
+    for effect in (e for e in CATALOGUE if not e.of_links and not e.described_only):  # of other machines
         for target in targets(machine, effect):
             if effect.name not in AMOUNTS:
                 raise SystemExit(f"no magnitude for {effect.name}: add one to AMOUNTS in {Path(__file__).name}")

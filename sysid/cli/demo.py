@@ -1,4 +1,4 @@
-"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package is installed from."""
+"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package is installed from, else of the wheel."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import click
 
 from sysid.cli.output import json_option, write_json_text
 
-#: The pipeline and its logs are content of the repository, not of the package.
+#: The root of a checkout, and the part of a wheel that holds the same files: the pipeline and its logs.
 CHECKOUT = Path(__file__).resolve().parents[2]
+SHIPPED = Path(__file__).resolve().parents[1] / "shipped"
 PIPELINE = "pipelines/first_look.py"
 
 
@@ -19,26 +20,30 @@ PIPELINE = "pipelines/first_look.py"
 @json_option
 @click.pass_obj
 def demo(workspace: str, json_file: str | None) -> None:
-    """Run the whole workflow on the shipped logs in datasets/autolog."""
-    module = _load(find_pipeline(CHECKOUT))
+    """Run the whole workflow on the shipped logs of a hydraulic crane.
+
+    Networks are fitted where torch is installed, and a Rerun recording is written where rerun-sdk is.
+    """
+    module = _load(find_pipeline(CHECKOUT, SHIPPED))
     result: Path = module.main(Path(workspace))
     write_json_text(json_file, result.read_text("utf-8"))
 
 
-def find_pipeline(checkout: Path) -> Path:
-    """The pipeline of a checkout.
+def find_pipeline(checkout: Path, shipped: Path) -> Path:
+    """The pipeline of a checkout, else of the wheel.
 
     Raises:
-        SettingsError: the package is not installed from a checkout.
+        SettingsError: neither is there.
     """
     from sysid.errors import SettingsError
 
-    path = checkout / PIPELINE
     # The folder of installed packages may contain another package named `pipelines`.
-    if not path.is_file() or not (checkout / "pyproject.toml").is_file():
-        remedy = "Clone the repository and type `make demo`; run your own pipeline with `python FILE`."
-        raise SettingsError("sysid demo", f"no {PIPELINE} in {checkout}", "sysid to be installed from its repository", remedy)
-    return path
+    if (checkout / "pyproject.toml").is_file() and (checkout / PIPELINE).is_file():
+        return checkout / PIPELINE
+    if (shipped / PIPELINE).is_file():
+        return shipped / PIPELINE
+    remedy = "Install the wheel again, or clone the repository and type `make demo`."
+    raise SettingsError("sysid demo", f"no {PIPELINE} in {checkout} or {shipped}", "the files of the wheel", remedy)
 
 
 def _load(path: Path) -> ModuleType:

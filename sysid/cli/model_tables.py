@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
+from sysid.registry.effect_changes import effect_changes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from sysid.cli.output import Printer
-    from sysid.registry import Promotion
+    from sysid.registry import ModelVersion, Promotion
+    from sysid.registry.effect_changes import EffectChange
     from sysid.versions import DriftReport, ExportedFile, ModelDiff, ModelLineage
 
+#: Entries of a plant's lineage that are too long for the console, or repeat its effects.
+IN_JSON = ("proof", "notes", "named", "software", "dataset_digest")
 #: Largest number of listed parameters of a geometry.
 MAX_PARAMETERS = 20
 
@@ -55,7 +60,7 @@ def show_model_lineage(out: Printer, found: ModelLineage) -> None:
 
 def show_model_diff(out: Printer, found: ModelDiff) -> None:
     """Differences of two versions, predictions first."""
-    from sysid.versions.outputs import shown
+    from sysid.quantity import readable
 
     out.line(f"{found.before} → {found.after}")
     if found.empty:
@@ -69,11 +74,18 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
         if not entry.points:
             at = "the fitted ranges do not overlap"
-        rows.append((entry.output, shown(entry.largest, entry.unit), shown(entry.rms, entry.unit), at))
+        rows.append((entry.output, readable(entry.largest, entry.unit), readable(entry.rms, entry.unit), at))
     if rows:
         out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
+    if found.effects:
+        header = ("effect", "on", "parameter [SI]", "before", "after", "95 % interval")
+        out.table(header, [_effect_row(change) for change in found.effects], right=(3, 4))
     show_changes(out, "recipe", found.recipe)
-    show_changes(out, "made from", found.lineage)
+    own = [change for change in found.lineage if change.what.split(".")[0] not in IN_JSON]
+    show_changes(out, "made from", own)
+    if len(own) < len(found.lineage):
+        more = len(found.lineage) - len(own)
+        out.line(f"{more} values of proof, near misses, software and digests differ too (--json FILE has them all)")
     show_changes(out, "figure", found.figures)
     show_names(out, "file", found.files)
     only = [change for change in found.geometry if not math.isfinite(change.sigmas)]
@@ -82,13 +94,76 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         out.line(f"geometry: {len(only)} parameters only in {who}")
     largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
-        (change.parameter, shown(change.before, change.unit), shown(change.after, change.unit), f"{change.sigmas:.1f}")
+        (change.parameter, readable(change.before, change.unit), readable(change.after, change.unit), f"{change.sigmas:.1f}")
         for change in largest[:MAX_PARAMETERS]
     ]
     if rows:
         out.table(("geometry", "before", "after", "differs by sigmas"), rows, right=(1, 2, 3))
     if len(largest) > MAX_PARAMETERS:
         out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
+
+
+def _effect_row(change: EffectChange) -> tuple[str, ...]:
+    before, after = (_number(value) for value in (change.before, change.after))
+    return change.effect, change.target, change.parameter, before, after, " … ".join(map(_number, change.interval95))
+
+
+def _number(value: float | str | None) -> str:
+    return "none" if value is None else value if isinstance(value, str) else f"{value:.6g}"
+
+
+def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
+    """One version: what it was made from, its held-out figures, effects, recipe and decisions.
+
+    Args:
+        difference: its change of ``machine.toml``; empty without one.
+    """
+    from datetime import UTC, datetime
+
+    from sysid.registry.decision import decision_row
+    from sysid.registry.figures import held_out_figures
+
+    known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
+    out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
+    out.line(f"made      {datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC")
+    for key, value in version.lineage.items():
+        if key not in ("recipe", "effects", "dataset_digest") and not isinstance(value, Mapping | list):
+            out.line(f"{key:<9} {value}")
+    recipe = version.lineage.get("recipe")
+    for key, value in sorted(_own_part(recipe, version.kind).items()) if isinstance(recipe, Mapping) else ():
+        out.line(f"recipe    {key} = {value}")
+    rows = [(row.signal, row.rows, row.rmse, row.p95, row.max) for row in held_out_figures(version)]
+    if rows:
+        out.table(("held out", "rows", "rmse", "95 %", "max"), rows, right=(2, 3, 4))
+    else:
+        for name, figure in version.metrics.items():
+            out.line(f"{name} = {figure:.6g}")
+    effects = effect_changes({}, version.lineage)
+    if effects:
+        columns = [(row[0], row[1], row[2], row[4], row[5]) for row in map(_effect_row, effects)]
+        out.table(("effect", "on", "parameter [SI]", "value", "95 % interval"), columns, right=(3,))
+    if difference:
+        out.block(difference)
+    for decision in version.decisions:
+        when, what, by, why = decision_row(decision)
+        out.line(f"{when} UTC  {what}  ({by}): {why}")
+
+
+def _own_part(recipe: Mapping[str, Any], kind: str) -> dict[str, str]:
+    """The entries of a recipe that concern a kind of model: its table and what belongs to no kind."""
+    from sysid.registry import KINDS
+
+    table = "actuator" if kind == "history" else kind
+    own = {key: value for key, value in recipe.items() if key == table or key not in KINDS}
+    return {key.removeprefix(f"{table}."): value for key, value in _flat(own)}
+
+
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _flat(item, f"{name}.{key}" if name else str(key))
+    else:
+        yield name, ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -> None:
@@ -111,9 +186,9 @@ def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -
 
 def show_drift(out: Printer, found: DriftReport) -> None:
     """The test for drift of each output."""
+    from sysid.quantity import readable
     from sysid.reports.display import percent
     from sysid.versions.drift import OUTSIDE_SHARE
-    from sysid.versions.outputs import shown
 
     rows = []
     for entry in found.outputs:
@@ -124,9 +199,9 @@ def show_drift(out: Printer, found: DriftReport) -> None:
                 entry.output,
                 entry.rows,
                 str(entry.inside),
-                shown(entry.own_rmse, entry.unit),
-                shown(entry.own_worst, entry.unit),
-                shown(entry.rmse, entry.unit),
+                readable(entry.own_rmse, entry.unit),
+                readable(entry.own_worst, entry.unit),
+                readable(entry.rmse, entry.unit),
                 f"{entry.ratio:.2f} ({low:.2f} … {high:.2f})" if compared else "–",
                 ("< 0.001" if entry.p_value < 1e-3 else f"{entry.p_value:.3f}") if compared else "–",
                 entry.verdict,

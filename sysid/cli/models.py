@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -40,17 +39,15 @@ def show(location: str, reference: str | None, kind: str | None, json_file: str 
     registry = _registry(location)
     out = Printer(json_file)
     if reference is not None:
+        from sysid.cli.model_tables import show_model
+
         version = registry.find(reference)
-        known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
-        out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
-        out.block(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
+        difference = ""
         if "machine.diff" in version.sha256:
-            out.block(registry.load(version.reference).files["machine.diff"].decode("utf-8", "replace"))
+            difference = registry.load(version.reference).files["machine.diff"].decode("utf-8", "replace")
+        show_model(out, version, difference)
         if _has_residual(version):
             out.line(RESIDUAL_NOTE)
-        for name, value in version.metrics.items():
-            out.line(f"{name} = {value:.6g}")
-        _show_decisions(out, version)
         write_json(json_file, {"schema": 1, **version.to_json()})
         return
     found = registry.survey(kind)
@@ -223,15 +220,6 @@ def _versions(location: str) -> ModelVersions:
     from sysid.workspace import open_workspace
 
     return ModelVersions(open_workspace(location))
-
-
-def _show_decisions(out: Printer, version: ModelVersion) -> None:
-    if version.decisions:
-        from sysid.registry.decision import decision_row
-
-        for decision in version.decisions:
-            when, what, by, why = decision_row(decision)
-            out.line(f"{when} UTC  {what}  ({by}): {why}")
 
 
 def _has_residual(version: ModelVersion) -> bool:

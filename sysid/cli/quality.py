@@ -65,7 +65,7 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         rows.append(
             (
                 name,
-                "–" if span is None else percent(span.covered) if span.source == "limits" else "no limits",
+                "–" if span is None else percent(span.covered_moving) if span.source == "limits" else "no limits",
                 f"{percent(use.covered(-1))} / {percent(use.covered(1))}",
                 f"{use.negative_s:.0f} / {use.positive_s:.0f}",
                 f"{use.small_negative_s:.1f} / {use.small_positive_s:.1f}",
@@ -76,7 +76,7 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         )
     if rows:
         header = (
-            *("axis", "range driven", "commands − / +", "s − / +", "small s − / +"),
+            *("axis", "range in motion", "commands − / +", "s − / +", "small s − / +"),
             *("changes", "reversals", "slow s − / +"),
         )
         out.table(header, rows, right=range(1, 8))

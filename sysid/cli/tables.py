@@ -68,6 +68,9 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
     beside = [] if paper is None else ["paper's max"]
     header = ("network output", "rows", "rmse", "95 %", "max", *beside, "noise", "unit", "best simple model")
     out.table(header, rows, right=range(2, 6 + len(beside)))
+    for report in reports:
+        if report.recommendation:
+            out.line(f"{report.model or report.kind}: {report.recommendation}")
 
 
 def show_directions(out: Printer, report: ValidationReport) -> None:

@@ -23,6 +23,7 @@ EFFECT = Effect(
     },
     need=Need("motion_both_ways", 3, "Record {axis} at 30, 60 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
+    proportional=True,
     surrogate_test=0.9,
 )
 

@@ -36,8 +36,7 @@ class Parameter:
         starts: start values of a fit.
         negligible: a negligible change, from which steps and tolerances of fits derive.
         scale: unit of ``starts`` and ``negligible``: the typical force in the data, or one over the typical gravity load; ""
-        for
-            SI values.
+            for SI values.
         stepwise: a small change may have no effect (a threshold between two samples of a command): a fit uses a grid.
         secondary: it determines how the effect acts, not how much, and has no meaning without the others.
         sets: for each component, the slots that take its value; by default the slot of the same name.
@@ -52,7 +51,7 @@ class Parameter:
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
     secondary: bool = False
-    scale: Literal["", "force", "1/load"] = ""
+    scale: Literal["", "force", "1/load", "response"] = ""
 
     @property
     def components(self) -> tuple[tuple[str, ...], ...]:
@@ -121,9 +120,11 @@ class Effect:
         example: values of the picture on its page; by default start values.
         exempt: checked properties that it cannot have: stamps may lie before the motion, warm-up depends on time.
         rate_independent: the output depends on the path of the input only, not on its speed.
+        proportional: it changes every speed by one share, whatever the command and the load.
         fitted: whether a fit estimates its values; the resolution of a sensor is estimated from its readings.
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
+        of_links: it acts by the torque of links with masses; without them it is absent, and an axis of an arm has no free run.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -152,8 +153,10 @@ class Effect:
     example: Mapping[str, float | list[float]] = field(default_factory=dict, hash=False)
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
+    proportional: bool = False
     fitted: bool = True
     described_only: bool = False
+    of_links: bool = False
     surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:

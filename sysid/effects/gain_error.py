@@ -23,6 +23,7 @@ EFFECT = Effect(
     confused_with={"gain_curve": "a gain error changes all speeds by one ratio, a curve the low ones most"},
     need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
+    proportional=True,
     surrogate_test=0.8,
 )
 

@@ -49,4 +49,5 @@ EFFECT = Effect(
     need=Need("any_motion", 5, "Record {axis} and all other joints over their ranges, 30 s."),
     actuations=("force",),
     fitted=False,
+    of_links=True,
 )

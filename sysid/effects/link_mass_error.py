@@ -19,4 +19,5 @@ EFFECT = Effect(
     confused_with={"load_bias": "the torque of a mass changes with the posture, a constant load does not"},
     need=Need("load_change", 20, "Record {axis} and the joints before it over their ranges, 30 s."),
     actuations=("force",),
+    of_links=True,
 )

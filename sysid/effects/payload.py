@@ -38,4 +38,5 @@ EFFECT = Effect(
     confused_with={"link_mass_error": "a payload acts on every joint with the lever of the tip, a link with its own"},
     example={"mass": 2.0, "centre": [0.0, 0.0, 0.05]},
     need=Need("any_motion", 5, "Record joints that lift the arm over their ranges, 30 s."),
+    of_links=True,
 )

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+from sysid.effects.oscillator import transition
 
 #: Time constants below this are absent [s].
 ABSENT = 1e-6
 #: State: position and its rate, the coefficients of a step, and from ``LOAD`` on the deflecting load and its rate.
 MEMORY, LOAD = 8, 6
-#: Nearer to critical damping than this, in (ω·dt)², the roots are equal.
-EQUAL_ROOTS = 1e-12
 
 EFFECT = Effect(
     name="second_order_lag",
@@ -60,7 +57,7 @@ def step(u, p, i, s, j, dt):
     if p[i] < ABSENT:
         return u
     if np.isnan(s[j + 2]):
-        _coefficients(p[i], p[i + 1], s, j + 2, dt)
+        transition(1.0 / p[i], p[i + 1], s, j + 2, dt)
     return _advance(u, s, j, j + 2)
 
 
@@ -70,7 +67,7 @@ def follow_load(load, p, i, s, j, dt):
     if p[i] < ABSENT or np.isnan(load):
         return
     if np.isnan(s[j + 2]):
-        _coefficients(p[i], p[i + 1], s, j + 2, dt)
+        transition(1.0 / p[i], p[i + 1], s, j + 2, dt)
     _advance(load, s, j + LOAD, j + 2)
 
 
@@ -93,26 +90,3 @@ def _advance(u, s, at, c):
     s[at] = u + s[c] * x + s[c + 1] * v
     s[at + 1] = s[c + 2] * x + s[c + 3] * v
     return s[at]
-
-
-@inlined
-def _coefficients(time_constant, damping_ratio, s, c, dt):
-    """Transition matrix of a step, row by row, into ``s[c:c + 4]``."""
-    omega = 1.0 / time_constant
-    fade = damping_ratio * omega
-    square = omega * omega * (1.0 - damping_ratio * damping_ratio)
-    if square * dt * dt > EQUAL_ROOTS:
-        root = math.sqrt(square)
-        decay = math.exp(-fade * dt)
-        sine, cosine = decay * math.sin(root * dt) / root, decay * math.cos(root * dt)
-    elif square * dt * dt < -EQUAL_ROOTS:
-        root = math.sqrt(-square)
-        slow, fast = math.exp((root - fade) * dt), math.exp(-(root + fade) * dt)
-        sine, cosine = 0.5 * (slow - fast) / root, 0.5 * (slow + fast)
-    else:
-        cosine = math.exp(-fade * dt)
-        sine = dt * cosine
-    s[c] = cosine + fade * sine
-    s[c + 1] = sine
-    s[c + 2] = -omega * omega * sine
-    s[c + 3] = cosine - fade * sine

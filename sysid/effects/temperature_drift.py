@@ -49,6 +49,7 @@ EFFECT = Effect(
     exempt=("time_invariant",),
     need=Need("longest_motion", 60, "Record {axis} moving evenly to and fro for ten minutes from a cold start."),
     actuations=("velocity",),
+    proportional=True,
     memory=lambda dt: 2,
 )
 

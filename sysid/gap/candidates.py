@@ -90,18 +90,29 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical magnitudes in the data: force [N or N·m], gravity load on each axis [N·m or N], zero for no load."""
+    """What the data show before any fit.
+
+    Args:
+        force: typical force [N or N·m].
+        loads: typical gravity load on each axis [N·m or N], zero for no load.
+        responses: axis → parameters that its frequency response shows, by name; axes that respond like rigid ones are absent.
+    """
 
     force: float = 1.0
     loads: Mapping[str, float] = field(default_factory=dict)
+    responses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def known_for(self, effect: Effect, target: str) -> bool:
-        """Whether the data contain the unit of the effect's parameters (a load)."""
-        parameters = [parameter for form in effect.forms for parameter in form.parameters]
-        return bool(self.loads.get(target)) or not any(p.scale == "1/load" for p in parameters)
+        """Whether the data contain the unit of the effect's parameters (a load), or their start values (a response)."""
+        needed = {parameter.scale for form in effect.forms for parameter in form.parameters}
+        return ("1/load" not in needed or bool(self.loads.get(target))) and (
+            "response" not in needed or target in self.responses
+        )
 
     def starts(self, parameter: Parameter, target: str) -> tuple[float, ...]:
         """Values from which a fit of the parameter starts."""
+        if parameter.scale == "response" and target in self.responses:
+            return (self.responses[target][parameter.name],)
         return tuple(start * self.unit(parameter, target) for start in parameter.starts)
 
     def unit(self, parameter: Parameter, target: str) -> float:

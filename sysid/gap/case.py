@@ -11,13 +11,14 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
-from sysid.effects import inertia_error, link_mass_error
+from sysid.effects import flexible_drive, inertia_error, link_mass_error
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
+from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
@@ -27,7 +28,9 @@ from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.stage_result import StageResult
+from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
+from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
 
@@ -74,6 +77,7 @@ class Stage:
         sigma: noise floor by signal, (d,).
         theta: vector of the plant under test, with the sensor scales that other stages found.
         result: of the search.
+        resonance: of the drive of a force axis, where its force responds to its motion like that of a load behind a spring.
     """
 
     problem: Problem
@@ -81,6 +85,7 @@ class Stage:
     sigma: Array
     theta: Array
     result: StageResult | None = None
+    resonance: DriveResonance | None = None
 
     @property
     def label(self) -> str:
@@ -121,8 +126,26 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 
 def _stage(case: Case, problem: Problem) -> Stage:
     split = stage_split(case, problem)
-    sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
-    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta)
+    resonance = _resonance(case, problem, split)
+    theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
+    sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
+    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta, resonance=resonance)
+
+
+def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | None:
+    """The resonance of the drive of a force axis; of an arm, other axes move the force as well."""
+    if problem.force_filter is None or compile_plant(case.plant).rigid is not None:
+        return None
+    return drive_resonance(split.seen, case.plant.machine.axis(problem.target), problem.force_filter)
+
+
+def _with_resonance(case: Case, axis: str, resonance: DriveResonance) -> Array:
+    """The vector of the plant with a flexible drive: near its antiresonance, noise of the motion causes most of the noise."""
+    theta = case.theta.copy()
+    for name, value in resonance.parameters.items():
+        (places,) = parameter_indices(case.plant.machine.axis_names, flexible_drive.EFFECT.name, axis, None, name)
+        theta[places] = value
+    return theta
 
 
 def stage_split(case: Case, problem: Problem) -> Split:
@@ -171,7 +194,9 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
-    """Whether the plant has what the effect changes: gravity on a link about its own joint, a stated inertia of an axis."""
+    """Whether the plant has what the effect acts by: links with masses, gravity on a link about its own joint, an inertia."""
+    if candidate.effect.of_links and not moves_masses(plant.machine):
+        return False
     if candidate.effect is link_mass_error.EFFECT:
         return bool(scales.loads.get(candidate.target))
     return candidate.effect is not inertia_error.EFFECT or plant.machine.axis(candidate.target).inertia is not None
@@ -194,7 +219,16 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
     typical = np.median(np.abs(loads), axis=0)
     typical[typical < 1e-3 * typical.max()] = 0.0
-    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)))
+    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), _responses(plant, stage))
+
+
+def _responses(plant: Plant, stage: Stage) -> dict[str, Mapping[str, float]]:
+    """Start values of a flexible drive, by axis: those that the data show, else those of the plant."""
+    axis = stage.problem.target
+    known = plant.effect(flexible_drive.EFFECT.name, axis) if axis in plant.machine.axis_names else None
+    if stage.resonance is not None:
+        return {axis: stage.resonance.parameters}
+    return {axis: {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}} if known else {}
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

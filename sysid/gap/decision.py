@@ -23,7 +23,8 @@ Given models of one stage (sets of effects) under shared variances:
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place.
-   Where they accumulate, an effect confused with a larger one of its axis is not named.
+   Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
+   one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`).
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
    where errors accumulate, each name beside the others, and with twice the price where it moves the output by less than the
@@ -70,6 +71,7 @@ LITTLE = "it reduces the error by too little compared with what remains"
 REPLACED = "another model without it predicts as well"
 WITHOUT = "a model without it predicts as well"
 REPAIRS = "it may compensate for the formula of a similar effect"
+PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
@@ -144,6 +146,10 @@ class FreeRun:
         """Change of the output by one of its effects."""
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
+
+    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+        """Whether slow or fast motion shows that one of its effects is absent there."""
+        return False
 
 
 def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
@@ -250,6 +256,8 @@ def decide(
             lacks = LITTLE
         elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
             lacks = REPAIRS
+        elif not lacks and accumulates and _contradicted(candidate, acceptable[0], free):
+            lacks = PARTIAL
         elif not lacks:
             named.append(candidate)
             continue
@@ -455,6 +463,11 @@ def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
         return False
     alike = [c for c in model.candidates if c.target == candidate.target and _confused(c, candidate)]
     return any(free.moved(model, candidate) < free.moved(model, other) for other in alike)
+
+
+def _contradicted(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
+    """Whether an effect that changes all speeds by one share is certainly absent from some of them."""
+    return candidate.effect.proportional and free.absent_at_some_speed(model, candidate)
 
 
 def _confused(one: Candidate, other: Candidate) -> bool:

@@ -246,7 +246,17 @@ def together(recordings: Sequence[Recording], machine: Machine, target: str) -> 
 def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
     i = machine.axis_names.index(axis)
-    values = np.concatenate([gravity_load(machine, r)[:, i] for r in recordings])
+    return _change(np.concatenate([gravity_load(machine, r)[:, i] for r in recordings]))
+
+
+def weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+    """Change of the magnitude of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
+    i = machine.axis_names.index(axis)
+    return _change(np.concatenate([np.abs(gravity_load(machine, r)[:, i]) for r in recordings]))
+
+
+def _change(values: Array) -> float:
+    """5th to 95th percentile of measured values, in percent of the largest magnitude; zero where all are zero."""
     values = values[~np.isnan(values)]
     largest = float(np.max(np.abs(values), initial=0.0))
     if largest == 0.0:
@@ -318,6 +328,7 @@ COUNTS: dict[str, tuple[Count, str]] = {
     "rest": (rest, "s at rest"),
     "reversals": (reversals, "reversals"),
     "load_change": (load_change, "% change of the gravity load"),
+    "weight_change": (weight_change, "% change of the magnitude of the gravity load"),
     "joint_coverage": (joint_coverage, "% of the joint range"),
     "signal_travel": (signal_travel, "s of motion while it is measured"),
     "tip_stops": (tip_stops, "s of tip motion"),

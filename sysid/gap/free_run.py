@@ -20,6 +20,7 @@ from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.proposals import Proposals
+from sysid.gap.speed_classes import speed_classes
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +69,17 @@ class LeastSquares(FreeRun):
         """Error without one of the effects, the others refitted, less the error with it (in quadrature)."""
         less = self.proposals.without(self.nearest(model), candidate)
         return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))
+
+    def extended(self, model: ModelFit) -> ModelFit | None:
+        """The set with the further effect that leaves least, if this is a tenth less."""
+        size = len(model.candidates) + 1
+        larger = [f for f in self.proposals.fits.values() if len(f.candidates) == size and model.labels < f.labels]
+        best = min(larger, key=lambda f: f.left, default=None)
+        return best if best is not None and best.left * EXPLAINED < model.left else None
+
+    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+        fitted = self.least_squares(model)
+        return speed_classes(self.proposals.likelihood, fitted, candidate).absent
 
     def _squares(self, model: ModelFit) -> Array:
         """Sum of the squared errors of each block, in noise floors, (blocks,)."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from sysid.extras import versions_of
 from sysid.files import plain
 from sysid.gap.case import Case
 from sysid.gap.proof import ProofOutcome
@@ -46,7 +46,7 @@ def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, sett
             "software": {
                 "sysid": __version__,
                 "python": platform.python_version(),
-                **{name: importlib.metadata.version(name) for name in SOFTWARE},
+                **versions_of(SOFTWARE),
             },
         }
     )

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
+from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
@@ -37,7 +38,6 @@ from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, Resi
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.unnamed.drive_resonance import drive_resonance
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
 from sysid.machine import KnownEffect
@@ -71,7 +71,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
-    for stage in _without_cheap_names(known):
+    for stage in without_cheap_names(known):
         result = stage.found
         proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
@@ -100,14 +100,19 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
 
 
 def _with_proven_model(case: Case, searched: Stage) -> Stage:
-    """The stage with its intervals; with its named effects alone, if these pass on held-out recordings and all do not."""
+    """The stage with its intervals; with its named effects alone, if these pass on held-out recordings and all do not.
+
+    Where errors accumulate, effects that are adjusted beside the names compensate for the formulas: they also fail if they
+    leave a tenth more than the names alone.
+    """
     stage = _with_intervals(case, searched)
     names = searched.found.names_alone
     passes = _better(stage)
     if names is None or (passes and not _accumulates(searched.found)):
         return stage
     alone = _with_intervals(case, replace(searched, result=names))
-    if not passes and _better(alone):
+    whole, least = (held_out_score(each, each.found.fit.theta) for each in (stage, alone))
+    if _better(alone) and not (passes and whole <= EXPLAINED * least):
         return alone
     return with_intervals_of(stage, alone) if _accumulates(searched.found) else stage
 
@@ -125,7 +130,7 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     return replace(stage, result=replace(result, limits=limits))
 
 
-def _without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
+def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
 
     The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
@@ -148,28 +153,56 @@ def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
         return stage
     lost = dict[str, str]()
     for kept in result.named:
-        less = fitted.dropped[kept.candidate.label].theta if fitted.decision.accumulates else stage.theta
-        excited = _excited(stage, less)
-        if not excited and not fitted.decision.accumulates:
-            continue
-        recordings = stage.split.held_out if excited else stage.split.seen
-        before, after = (_score(stage, theta, recordings) for theta in (less, result.fit.theta))
-        alike = typical * _distance(stage, recordings) if fitted.decision.accumulates else 0.0
-        if excited and not pays(before, after):
-            lost[kept.candidate.label] = LOST
-        elif not pays_beside(before, after, alike):
-            lost[kept.candidate.label] = ORDINARY
+        lacks = [_too_cheap(stage, less, theta, typical) for less, theta in comparisons_without(stage, kept.candidate.label)]
+        if all(lacks):
+            lost[kept.candidate.label] = lacks[0]
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
     if fitted.decision.accumulates and rest:
-        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *(fitted.dropped[k].theta for k in lost)))
+        others = (comparisons_without(stage, label)[0][0] for label in lost)
+        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
             lost |= dict.fromkeys(rest, BESIDE)
     named = tuple(kept for kept in result.named if kept.candidate.label not in lost)
     adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
     unsure = replace(fitted, decision=fitted.decision.without_names(lost))
     return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
+
+
+def _too_cheap(stage: Stage, without: Array, theta: Array, typical: float) -> str:
+    """Condition that a name fails by a comparison of parameter vectors without and with its effect; empty if it fails none."""
+    accumulates = _accumulates(stage.found)
+    excited = _excited(stage, without, theta)
+    if not excited and not accumulates:
+        return ""
+    recordings = stage.split.held_out if excited else stage.split.seen
+    before, after = (_score(stage, each, recordings) for each in (without, theta))
+    if excited and not pays(before, after):
+        return LOST
+    return "" if pays_beside(before, after, typical * _distance(stage, recordings) if accumulates else 0.0) else ORDINARY
+
+
+def comparisons_without(stage: Stage, label: str) -> list[tuple[Array, Array]]:
+    """Pairs of parameter vectors without and with the effect ``label``; one of them has to prove its name.
+
+    Where errors accumulate, sets of effects were compared by what they leave alone, and the names are tested alone. Effects
+    that are adjusted beside them compensate for the formulas in the fitted recordings, which makes others worse, and take the
+    place of the effect that is left out. They are also tested beside the one further effect that leaves least: values that the
+    owner's plant has not exactly may hide it on the few held-out recordings.
+    """
+    result = stage.found
+    if not _accumulates(result):
+        return [(stage.theta, result.fit.theta)]
+    pairs = []
+    for found in (result.names_alone, result):
+        if found is not None and found.stage_fit is not None and label in found.stage_fit.dropped:
+            pairs.append((found.stage_fit.dropped[label].theta, found.fit.theta))
+            break
+    beside = result.stage_fit.beside if result.stage_fit is not None else None
+    if beside is not None and label in beside[1]:
+        pairs.append((beside[1][label].theta, beside[0].theta))
+    return pairs
 
 
 def _formula_error(stage: Stage) -> float:
@@ -235,9 +268,7 @@ def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome:
     depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
     depends = "earlier motion" if depends == "past" else depends
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
-    outcome.unnamed.append(
-        _with_resonance(stage, case, Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
-    )
+    outcome.unnamed.append(_with_resonance(stage, Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form)))
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
@@ -257,16 +288,13 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
         theta = stage.theta
     outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")
     found = describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
-    outcome.unnamed += [_with_resonance(stage, case, item) for item in found]
+    outcome.unnamed += [_with_resonance(stage, item) for item in found]
 
 
-def _with_resonance(stage: Stage, case: Case, item: Unnamed) -> Unnamed:
-    """The residual of a force with the resonance of its drive, where there is one."""
-    settings = stage.problem.force_filter
-    if settings is None or compile_plant(case.plant).rigid is not None:  # of an arm, other axes move the force as well
-        return item
-    found = drive_resonance(stage.split.seen, case.plant.machine.axis(stage.problem.target), settings)
-    if found is None:
+def _with_resonance(stage: Stage, item: Unnamed) -> Unnamed:
+    """The residual of a force with the resonance of its drive, where there is one without a name."""
+    found = stage.resonance
+    if found is None or any(kept.candidate.effect is flexible_drive.EFFECT for kept in stage.found.named):
         return item
     form = f"{item.form}; {found}"
     return replace(item, form=form, antiresonance_hz=found.antiresonance_hz, resonance_hz=found.resonance_hz)
@@ -279,7 +307,8 @@ def _better(stage: Stage) -> bool:
     there = ~np.isnan(before) & ~np.isnan(after)
     limit = EXPLAINED * np.maximum(before, stage.sigma)[there]
     whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
-    return bool(there.any() and (after[there] <= limit).all() and (whole or not _excited(stage, stage.theta)))
+    excited = _excited(stage, stage.theta, stage.found.fit.theta)
+    return bool(there.any() and (after[there] <= limit).all() and (whole or not excited))
 
 
 def _add_sensor_steps(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
@@ -477,7 +506,8 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     fitted = stage.found.stage_fit
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
-    recordings = stage.split.held_out if _excited(stage, dropped.theta) else stage.split.seen
+    excited = _excited(stage, dropped.theta, stage.found.fit.theta)
+    recordings = stage.split.held_out if excited else stage.split.seen
     first, framed = stage.theta, fitted.framed
     if (
         framed is not None
@@ -489,15 +519,13 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 
-def _excited(stage: Stage, without: Array) -> bool:
-    """Whether held-out recordings excite the difference between the chosen model and ``without``.
+def _excited(stage: Stage, without: Array, theta: Array) -> bool:
+    """Whether held-out recordings excite the difference between a model ``theta`` and ``without`` an effect.
 
     The output has to change by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
     """
-    score = held_out_score(stage, stage.found.fit.theta)
-    moved = [
-        np.diff(stage.problem.predict(np.array([without, stage.found.fit.theta]), r), axis=0)[0] for r in stage.split.held_out
-    ]
+    score = held_out_score(stage, theta)
+    moved = [np.diff(stage.problem.predict(np.array([without, theta]), r), axis=0)[0] for r in stage.split.held_out]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
     return held_out_score(stage, stage.theta) > EXPLAINED and size > equivalent_change(score)
 

@@ -104,7 +104,7 @@ class Proposals:
         return best
 
     def around(self, rounds: int = 2) -> None:
-        """Drops, additions and swaps around the likeliest model until it stays the likeliest."""
+        """Drops, simpler forms, additions and swaps around the likeliest model until it stays the likeliest."""
         for _ in range(rounds):
             best = self.best
             for candidate in best.candidates:
@@ -114,10 +114,23 @@ class Proposals:
                     # A candidate whose expected gain is far below the loss cannot replace the effect.
                     if promise.candidate.key != candidate.key and promise.gain > 0.3 * lost - MAX_LOSS:
                         self._added(smaller, promise)
+                self._with_simpler_forms(best, candidate)
             for promise in self.promises(best)[:SWAPPED]:
                 self._added(best, promise)
             if self.best is best:
                 break
+
+    def _with_simpler_forms(self, model: ModelFit, candidate: Candidate) -> None:
+        """Fits of a model with each simpler form of one of its effects, from the means of the values that become one.
+
+        A forward step may take a richer form that compensates for an effect added after it.
+        """
+        rest = [c for c in model.candidates if c is not candidate]
+        known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
+        for form in self.candidates:
+            if form.key == candidate.key and len(form.unknowns) < len(candidate.unknowns):
+                means = np.array([float(np.mean(model.theta[list(u.places)])) for u in form.unknowns])
+                self.fit((*rest, form), np.concatenate([known, means])[None])
 
     def grown(self, model: ModelFit, most: int | None = None) -> list[ModelFit]:
         """A model with each of the candidates that are not in it yet, or with the ``most`` most promising."""

@@ -46,6 +46,8 @@ class StageFit:
     ``names_alone``: the same with the named effects alone, where the chosen model has others. ``combinations``: sentences on
     combinations of parameters that static poses do not determine. ``framed``: of static poses, the model of the frame alone,
     against which the other effects are compared. ``cause``: of an error that no effect explains, where it is known.
+    ``beside``: where errors accumulate, the smallest set with the further effect that leaves least of the free run, and
+    that set without each effect of the smallest one, by label.
     """
 
     models: tuple[ModelFit, ...]
@@ -57,6 +59,7 @@ class StageFit:
     combinations: tuple[str, ...] = ()
     framed: ModelFit | None = None
     cause: str = ""
+    beside: tuple[ModelFit, Mapping[str, ModelFit]] | None = None
 
 
 def fit_stage(
@@ -159,7 +162,10 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
     dropped = {c.label: _valued(proposals.without(model, c), decision, free) for c in model.candidates}
     remainder = explained(proposals.likelihood, model)
     squares = free.proposals.warm(smallest.candidates, smallest)
-    return StageFit(tuple(proposals.near()), decision, dropped, remainder, squares)
+    beside = None
+    if decision.accumulates and (extended := free.extended(squares)) is not None:
+        beside = extended, {c.label: free.proposals.without(extended, c) for c in squares.candidates}
+    return StageFit(tuple(proposals.near()), decision, dropped, remainder, squares, beside=beside)
 
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:

@@ -27,6 +27,7 @@ from sysid.gap.data import Data
 from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
+from sysid.gap.force_floor import shown_floor
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
 from sysid.gap.poses.stage import fit_pose_stage
@@ -86,6 +87,7 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
             first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
         rest = [replace(s, theta=_with_links(s, first)) for s in stages if s.problem.stage != LINKS]
         return (first, *_in_parallel(case, rest, forms, part(progress, 0.1, 1.0)))
+    stages = [_with_shown_floor(case, stage) for stage in stages]
     done = [0.0] * len(stages)
     stopped = threading.Event()
 
@@ -110,6 +112,14 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
             raise
         pool.shutdown()
         return _with_sensor_scales(case, found, forms, progress)
+
+
+def _with_shown_floor(case: Case, stage: Stage) -> Stage:
+    """A force stage with the noise floor that its recordings show, where that of the sensors is larger."""
+    if stage.problem.stage != "force":
+        return stage
+    model = compile_plant(case.plant)
+    return replace(stage, sigma=shown_floor(model, stage.problem, stage.split.seen, stage.theta, stage.sigma))
 
 
 def _with_links(stage: Stage, links: Stage) -> Array:

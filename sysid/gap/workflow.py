@@ -56,8 +56,7 @@ def find_gap(
         world: prove it in the PyBullet world as well; by default if it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` if a stage is above its noise floor.
         carry: fit bounded residual networks to unnamed residuals, accepted where they lower held-out errors. They are trained
-        on
-            the recordings, are not physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
+            on the recordings, are not physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
         forms: "simple" tests every effect in its simplest form only, e.g. one friction for both directions.
         planning: plan recordings that would resolve open hypotheses (not for a user's simulator); by default they are only
             described.

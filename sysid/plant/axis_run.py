@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.effects.compiled import kernel
+from sysid.effects import flexible_drive
+from sysid.effects.compiled import inlined, kernel
 from sysid.plant import chain, residual
 from sysid.plant.axis_loop import begin, run
 from sysid.plant.axis_start import find_start
@@ -116,12 +117,32 @@ def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, net):
             residual.update_stage(net, k, cylinder[k], weight, dt)
 
 
+@inlined
+def _sharpened(a, k):
+    """Sample ``k`` of values (n,) from which linear interpolation gives those of a smooth curve to fourth order.
+
+    Linear interpolation multiplies the spectrum by sinc² = 1 − (ω·dt)²/12 + …, which second differences compensate.
+    """
+    if k == 0 or k == len(a) - 1:
+        return a[k]
+    return a[k] - (a[k + 1] - 2.0 * a[k] + a[k - 1]) / 12.0
+
+
 @kernel
-def force_axis(p, arrays, i, x, v, a, dt, out, net):
-    """Force that the model needs for a measured motion: positions ``x``, speeds ``v``, accelerations ``a``, each (n,)."""
+def force_axis(p, arrays, i, x, v, a, torque, dt, out, net):
+    """Force that the model needs for a measured motion under a torque of links ``torque``, which it does not contain.
+
+    Positions ``x``, speeds ``v``, accelerations ``a``, each (n,).
+    """
+    b, s = i * AXIS_WIDTH, np.full(flexible_drive.INVERSE_MEMORY, np.nan)
+    flexible = p[b + AT.flexible_drive] < flexible_drive.ABSENT
     if net is not None:
         residual.reset_memory(net.memory)
     for k in range(len(v)):
-        out[k] = chain.force_at_motion(v[k], a[k], p, i * AXIS_WIDTH, arrays.axes[i, GAIN])
+        mean = a[k]
+        if flexible:
+            load = flexible_drive.load_acceleration(_sharpened(a, k), p, b + AT.flexible_drive, s, 0, dt)
+            mean = flexible_drive.mean(a[k], load, p, b + AT.flexible_drive)
+        out[k] = chain.force_at_motion(v[k], mean, torque[k], p, b, arrays.axes[i, GAIN])
         if net is not None:
             out[k] += residual.update_stage(net, k, x[k], 0.0, dt)

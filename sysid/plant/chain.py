@@ -15,6 +15,7 @@ from sysid.effects import (
     command_rate_limit,
     coulomb_friction,
     first_order_lag,
+    flexible_drive,
     flow_saturation,
     gain_curve,
     gain_error,
@@ -22,6 +23,7 @@ from sysid.effects import (
     internal_leakage,
     joint_compliance,
     load_dependent_flow,
+    load_dependent_friction,
     oil_compressibility,
     second_order_lag,
     smooth_coulomb_friction,
@@ -82,34 +84,59 @@ def position_stage(u, p, b, s, m, size, load, dt):
 
 
 @inlined
-def force_stage(u, v, p, b, inertia, dt):
-    """Force [N or N·m] → speed after the step.
+def force_stage(u, p, b, s, m, inertia, dt):
+    """Force [N or N·m] held over a step → mean speed of the drive; the state takes the speed after it."""
+    mass, v = inertia * p[b + AT.inertia_error], s[m + STATE.speed]
+    if p[b + AT.flexible_drive] >= flexible_drive.ABSENT:
+        s[m + STATE.speed] = _against_friction(v, u, v, dt / mass, p, b)
+        return 0.5 * (v + s[m + STATE.speed])
+    i, j, moved = b + AT.flexible_drive, m + STATE.flexible_drive, 0.0
+    count = flexible_drive.substeps(p, i, dt)
+    short = dt / count
+    flexible_drive.begin(v, p, i, s, j, short)
+    for _ in range(count):
+        free, mobility = flexible_drive.free_speed(v, p, i, s, j), flexible_drive.mobility(mass, p, i, s, j, short)
+        after = _against_friction(free, u, v, mobility, p, b)
+        moved += flexible_drive.advance((after - free) / mobility, v, mass, p, i, s, j, short)
+        v = after
+    s[m + STATE.speed] = v
+    return moved / dt
+
+
+@inlined
+def _against_friction(free, u, v, mobility, p, b):
+    """Speed after a step under a force ``u`` held over it, which changes it from ``free`` by ``mobility`` times the force.
 
     Dry friction is applied last and may stop the motion but not reverse it (implicit step), so the axis sticks without
-    chattering.
+    chattering. ``v``: speed before the step, which decides the direction of viscous friction.
     """
-    mass = inertia * p[b + AT.inertia_error]
     slope = p[b + AT.viscous_friction] if v > 0.0 else p[b + AT.viscous_friction + 1]
     slope += smooth_coulomb_friction.slope(v, p, b + AT.smooth_coulomb_friction)
-    free = (v + dt / mass * (u - p[b + AT.load_bias])) / (1.0 + dt / mass * slope)
-    dry = coulomb_friction.limit(free, p, b + AT.coulomb_friction) + stribeck_friction.magnitude(v, p, b + AT.stribeck_friction)
-    hold = dt / mass * dry / (1.0 + dt / mass * slope)
-    if free > hold:
-        return free - hold
-    if free < -hold:
-        return free + hold
+    moved = (free + mobility * (u - p[b + AT.load_bias])) / (1.0 + mobility * slope)
+    dry = coulomb_friction.limit(moved, p, b + AT.coulomb_friction)
+    dry += stribeck_friction.magnitude(v, p, b + AT.stribeck_friction)
+    hold = mobility * dry / (1.0 + mobility * slope)
+    if moved > hold:
+        return moved - hold
+    if moved < -hold:
+        return moved + hold
     return 0.0
 
 
 @inlined
-def force_at_motion(v, a, p, b, inertia):
-    """Force that the model needs for a measured motion: speed ``v`` and acceleration ``a``."""
+def force_at_motion(v, a, load, p, b, inertia):
+    """Force that the model needs for a measured motion of the motor: speed ``v`` and acceleration ``a``.
+
+    ``a`` is that of the centre of mass of motor and load, where a spring is between them. ``load``: torque of the links, which
+    the transmission carries; it causes friction here and is not contained.
+    """
     return (
         inertia * p[b + AT.inertia_error] * a
         + coulomb_friction.force(v, p, b + AT.coulomb_friction)
         + viscous_friction.force(v, p, b + AT.viscous_friction)
         + stribeck_friction.force(v, p, b + AT.stribeck_friction)
         + smooth_coulomb_friction.force(v, p, b + AT.smooth_coulomb_friction)
+        + load_dependent_friction.force(v, load, p, b + AT.load_dependent_friction, b + AT.smooth_coulomb_friction)
         + p[b + AT.load_bias]
     )
 
@@ -125,9 +152,7 @@ def demand(u, p, s, m, size, axes, i, load, dt):
         return command_stage(u, p, b, s, m, size, gain, axes[i, SENSE] * load, dt)
     if kind == POSITION:
         return min(max(position_stage(u, p, b, s, m, size, load, dt), axes[i, LOW]), axes[i, HIGH])
-    before = s[m + STATE.speed]
-    s[m + STATE.speed] = force_stage(u, before, p, b, gain, dt)
-    return 0.5 * (before + s[m + STATE.speed])
+    return force_stage(u, p, b, s, m, gain, dt)
 
 
 @inlined

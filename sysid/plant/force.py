@@ -121,8 +121,9 @@ class ForceInputs:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
         out = np.empty((len(thetas), len(self.rows)))
         for lane, theta in enumerate(thetas):
-            full = model.inverse(theta, axis, self.position, self.speed, self.acceleration, 1.0 / self.rate_hz)
-            full += link_torque(model, theta, self.recording, axis)
+            links = link_torque(model, theta, self.recording, axis)
+            motion = self.position, self.speed, self.acceleration
+            full = model.inverse(theta, axis, *motion, 1.0 / self.rate_hz, links.carried) + links.whole
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]

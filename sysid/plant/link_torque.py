@@ -6,6 +6,7 @@ The inertial parameters of the bodies are those of the URDF, changed by the effe
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,22 +40,38 @@ def link_motion(model: Model, recording: Recording) -> tuple[Array, Array, Array
     return motion
 
 
-def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> Array:
-    """Torque of the links on an axis at measured motion, (n,) [N·m or N]; zero without masses or an unmeasured joint."""
+@dataclass(frozen=True)
+class LinkTorque:
+    """Torques on an axis at measured motion, (n,) each [N·m or N].
+
+    Args:
+        carried: of the links, by the transmission.
+        rotor: of an inertia of the rotor beside that of machine.toml, which is ahead of the transmission.
+    """
+
+    carried: Array
+    rotor: Array
+
+    @property
+    def whole(self) -> Array:
+        return self.carried + self.rotor
+
+
+def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> LinkTorque:
+    """Torques of the links and of the rotor on an axis; zero without masses, or where a joint is not measured."""
     if model.rigid is None:
-        return np.zeros(len(recording))
+        return LinkTorque(*np.zeros((2, len(recording))))
     i = model.axis_index(axis)
     parameters, (rotors, scales) = inertial_parameters(model, theta), rotors_and_scales(model, theta)
     key = (parameters.tobytes(), rotors.tobytes(), scales.tobytes())
-    known: tuple[tuple[bytes, ...], Array] | None = recording.derived.get(_TORQUE)
+    known: tuple[tuple[bytes, ...], Array, Array] | None = recording.derived.get(_TORQUE)
     if known is None or known[0] != key:
         motion = link_motion(model, recording)
-        torque = np.zeros((len(recording), model.axes))
+        carried, rotor = np.zeros((2, len(recording), model.axes))
         if motion is not None:
-            torque = model.rigid.torque(*motion, parameters) * scales + motion[2] * rotors
-        known = recording.derived[_TORQUE] = (key, np.ascontiguousarray(torque.T))
-    torques: Array = known[1]
-    return np.asarray(torques[i])
+            carried, rotor = model.rigid.torque(*motion, parameters) * scales, motion[2] * rotors
+        known = recording.derived[_TORQUE] = (key, np.ascontiguousarray(carried.T), np.ascontiguousarray(rotor.T))
+    return LinkTorque(known[1][i], known[2][i])
 
 
 def static_torque(model: Model, theta: Array, joints: Array) -> Array:

@@ -167,12 +167,17 @@ class Model:
         in_parallel(lane, len(thetas), pivot.shape[1])
         return out
 
-    def inverse(self, theta: Array, axis: str, x: Array, v: Array, a: Array, dt: float) -> Array:
-        """Force that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m]."""
+    def inverse(self, theta: Array, axis: str, x: Array, v: Array, a: Array, dt: float, load: Array | None = None) -> Array:
+        """Force that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m].
+
+        ``load``: torque of the links on it (n,), which is not contained but causes friction; zero by default.
+        """
         out = np.empty(len(v))
+        carried = frozen(np.zeros(len(v)) if load is None else load)
         commands = np.zeros((len(v), self.axes)) if self.has_residual("force", axis, dt) else None
         stage_net = self.stage_net("force", axis, commands)
-        axis_run.force_axis(theta, self.arrays, self.axis_index(axis), frozen(x), frozen(v), frozen(a), dt, out, stage_net)
+        motion = (frozen(x), frozen(v), frozen(a))
+        axis_run.force_axis(theta, self.arrays, self.axis_index(axis), *motion, carried, dt, out, stage_net)
         return out
 
     # -- residual networks ---------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -11,13 +12,13 @@ from markupsafe import Markup, escape
 
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.decision import decision_row
+from sysid.registry.figures import held_out_figures
 from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import SiteBar, page
 from sysid.reports.words import signal_name
 from sysid.validate import ErrorMap
 from sysid.versions import Card
-from sysid.versions.outputs import shown
 
 STYLES = ("page.css", "models.css")
 #: Style classes of the lines of a chart.
@@ -98,7 +99,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
         "dataset": dataset,
         "parents": [parent.reference for parent in ancestors(versions, version)],
         "children": children,
-        "figures": held_out_figures(version),
+        "figures": _figures(version),
         "decisions": [
             {
                 "when": when,
@@ -114,17 +115,8 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
     }
 
 
-def held_out_figures(version: ModelVersion) -> list[dict[str, str]]:
-    """RMSE, 95 % and maximum of every output, from the stored metrics."""
-    rows: dict[str, dict[str, str]] = {}
-    for key, value in version.metrics.items():
-        output, _, figure = key.rpartition(".")
-        signal, _, kind = output.rpartition(".")
-        if figure not in ("rmse", "p95", "max") or not signal:
-            continue
-        row = rows.setdefault(output, {"output": signal_name(signal), "rows": "poses" if kind == "poses" else "motion"})
-        row[figure] = shown(value, _unit(signal))
-    return [{"rmse": "–", "p95": "–", "max": "–", **row} for row in rows.values()]
+def _figures(version: ModelVersion) -> list[dict[str, str]]:
+    return [{**asdict(row), "output": signal_name(row.signal)} for row in held_out_figures(version)]
 
 
 def _charts(versions: Sequence[ModelVersion]) -> list[str]:

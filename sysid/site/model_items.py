@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sysid.registry import DamagedModel, ModelVersion
+from sysid.registry.figures import held_out_figures
 from sysid.registry.lineage import sources
-from sysid.reports.model_pages import held_out_figures
-from sysid.reports.words import effect_title
+from sysid.reports.words import effect_title, signal_name
 from sysid.site.item import Fact, Item
 
 #: Lineage entries that are shown otherwise, or are digests of what another entry names.
@@ -46,15 +46,15 @@ def _summary(version: ModelVersion) -> str:
     effects = [f"{effect_title(item['name'])} ({item['target']})" for item in version.lineage.get("effects", ())]
     if version.kind == "plant":
         return ", ".join(effects) or "as machine.toml describes it"
-    worst = [row for row in held_out_figures(version) if row["rows"] == "motion"] or held_out_figures(version)
-    return f"held-out RMSE {worst[0]['output']} {worst[0]['rmse']}" if worst else ""
+    rows = [row for row in held_out_figures(version) if row.rows == "motion"] or held_out_figures(version)
+    return f"held-out RMSE {signal_name(rows[0].signal)} {rows[0].rmse}" if rows else ""
 
 
 def _facts(version: ModelVersion) -> Iterator[Fact]:
     yield Fact("Content", "kind", version.kind)
     yield Fact("Content", "aliases", ", ".join(version.aliases) or "none")
     for row in held_out_figures(version):
-        yield Fact("Held-out RMSE", f"{row['output']}, {row['rows']}", row["rmse"])
+        yield Fact("Held-out RMSE", f"{signal_name(row.signal)}, {row.rows}", row.rmse)
     if not held_out_figures(version):
         for name, value in version.metrics.items():
             yield Fact("Figures", name, f"{value:.4g}")

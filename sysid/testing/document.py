@@ -49,7 +49,7 @@ def write_documents(folder: Path) -> None:
 
 
 def _index() -> str:
-    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{e.equation}` | {e.excited_by} |" for e in CATALOGUE]
+    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{_cell(e.equation)}` | {e.excited_by} |" for e in CATALOGUE]
     return "\n".join(
         [
             _NOTICE,
@@ -64,6 +64,11 @@ def _index() -> str:
             "",
         ]
     )
+
+
+def _cell(text: str) -> str:
+    """Text for a cell of a Markdown table: a bar would end the cell, in code too."""
+    return text.replace("|", "\\|")
 
 
 def page(effect: Effect) -> str:
@@ -135,7 +140,7 @@ def _picture(effect: Effect) -> str:
     form = effect.forms[0]
     values = dict(effect.example) or typical_values(effect, form)
     title = f"{effect.name} with {', '.join(f'{key} = {value}' for key, value in values.items())}"
-    if effect.stage == "links":
+    if effect.of_links:
         return _links_picture(effect, place, values, title)
     if effect.stage == "end_effector":
         return _tip_picture(effect, place, values, title)
@@ -175,8 +180,10 @@ def _joint_picture(effect: Effect, values: Values, title: str) -> str:
 
 
 def _links_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
-    """Torque of the lifting joint at rest over its angle, the elbow straight."""
+    """Torque of the lifting joint over its angle, the elbow straight: at rest, and of friction in slow motion to and fro."""
     angle = np.linspace(-1.5, 1.5, 200)
+    if place.stage == "friction":
+        angle = -1.5 * np.cos(np.linspace(0.0, 2 * np.pi, 400))
     recording = with_inputs(probe_recording(2.0), place.inputs, np.column_stack([angle, 0.0 * angle]))
     run = plant_run(effect, place)
     named = (("without", None, GREY), ("with", values, BLUE))

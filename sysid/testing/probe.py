@@ -114,7 +114,7 @@ class EffectPlace:
 
     Args:
         stage: with the evaluated output: ``drive``, ``joint``, ``tip`` or ``tool``; ``links``: torques at rest of an arm with
-            masses.
+            masses; ``friction``: forces of that arm in slow motion.
         inputs: the signals that drive this stage.
     """
 
@@ -185,10 +185,12 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
     """Every kind of location of the effect on the probe machine."""
     machine = probe_machine()
     joints = tuple(axis_signal(name, "joint") for name in machine.axis_names)
-    if effect.stage == "links":
+    if effect.of_links:
         inputs = tuple(axis_signal(name, "joint") for name in probe_arm().axis_names)
         targets = probe_arm().axis_names if effect.target == "axis" else (effect.target,)
-        return tuple(EffectPlace(target, None, "links", inputs) for target in targets)
+        return tuple(
+            EffectPlace(target, None, "links" if effect.stage == "links" else "friction", inputs) for target in targets
+        )
     if effect.target == "tool":
         return (EffectPlace("tool", None, "tool", point_signals("ee")),)
     if effect.target in ("base", "ee"):
@@ -239,7 +241,7 @@ def _nominal_arm() -> tuple[Plant, Model]:
 
 def plant_run(effect: Effect, place: EffectPlace) -> Run:
     """The compiled plant with only the effect at ``place``."""
-    plant, model = _nominal_arm() if place.stage == "links" else _nominal()
+    plant, model = _nominal_arm() if effect.of_links else _nominal()
 
     def run(values: Values | None, recording: Recording) -> Array:
         at = plant
@@ -250,6 +252,8 @@ def plant_run(effect: Effect, place: EffectPlace) -> Run:
         if place.stage == "links":
             joints = np.column_stack([recording.values(name) for name in place.inputs])
             return static_torque(model, theta[0], joints)
+        if place.stage == "friction":
+            return _slow_force(model, theta[0], recording, place)
         if place.stage == "drive":
             axis = "slew" if place.target == "machine" else place.target
             return np.asarray(model.drive(theta, _starting(recording, model.machine.axis(axis).driven), axis).T)
@@ -259,6 +263,16 @@ def plant_run(effect: Effect, place: EffectPlace) -> Run:
         return np.asarray((model.tip if place.stage == "tip" else model.tool)(theta, recording)[0])
 
     return run
+
+
+def _slow_force(model: Model, theta: Array, recording: Recording, place: EffectPlace) -> Array:
+    """Force of an axis of the arm without inertial forces, at the speed since the last sample, (n, 1); gaps are rest."""
+    joints = recording.table[list(place.inputs)].ffill().to_numpy()
+    i, dt = model.axis_index(place.target), 1.0 / recording.rate_hz
+    position, carried = joints[:, i].copy(), static_torque(model, theta, joints)[:, i].copy()
+    speed = np.diff(position, prepend=position[:1]) / dt
+    friction = model.inverse(theta, place.target, position, speed, np.zeros_like(speed), dt, carried)
+    return np.asarray(friction + carried)[:, None]
 
 
 def _straight(recording: Recording, model: Model, axis: str) -> Recording:

@@ -17,6 +17,7 @@ from sysid.validate.coverage import Coverage
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
 from sysid.validate.metrics import ErrorMetrics
+from sysid.validate.recommendation import recommendation
 
 Array = npt.NDArray[np.float64]
 
@@ -111,6 +112,15 @@ class ValidationReport:
         """The first entry of one output, and of one kind of recordings if given."""
         return next(entry for entry in self.outputs if entry.output == name and rows in (None, entry.rows))
 
+    @property
+    def recommendation(self) -> str:
+        """Whether to use the network or a simple model; empty if none predicts every output."""
+        errors = {
+            f"{entry.output} ({entry.rows})": (entry.metrics.rmse, {name: m.rmse for name, m in entry.baselines.items()})
+            for entry in self.outputs
+        }
+        return recommendation(errors)
+
     def metrics(self) -> dict[str, float]:
         """Flat metrics for the model registry: ``boom.joint.motion.rmse`` → value in SI."""
         return {
@@ -130,6 +140,7 @@ class ValidationReport:
                 {key: value for key, value in asdict(entry).items() if key != "trace"} | {"unit": entry.unit}
                 for entry in self.outputs
             ],
+            "recommendation": self.recommendation,
             "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},
         }
         cleaned: dict[str, Any] = plain(values)

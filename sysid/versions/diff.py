@@ -15,9 +15,12 @@ from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files
 from sysid.registry import NETWORKS, ModelVersion
+from sysid.registry.effect_changes import EffectChange, effect_changes
 from sysid.versions.outputs import OutputMap, output_maps, points_between, sweep_between
 
 Array = npt.NDArray[np.float64]
+#: Entries of a lineage that are compared by themselves.
+_APART = ("recipe", "effects")
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class ModelDiff:
         same_content: both have the same digest.
         recipe: keys of the recipe.
         lineage: the rest of the lineage, the dataset first.
+        effects: of plants.
         figures: stored metrics.
         files: by name; changed: another sha256.
         geometry: parameters of calibrated forward models.
@@ -75,6 +79,7 @@ class ModelDiff:
     same_content: bool
     recipe: tuple[ValueChange, ...]
     lineage: tuple[ValueChange, ...]
+    effects: tuple[EffectChange, ...]
     figures: tuple[ValueChange, ...]
     files: NameChanges
     geometry: tuple[GeometryChange, ...]
@@ -84,7 +89,7 @@ class ModelDiff:
     @property
     def empty(self) -> bool:
         """Whether nothing differs."""
-        found = (self.recipe, self.lineage, self.figures, self.files, self.geometry, self.outputs)
+        found = (self.recipe, self.lineage, self.effects, self.figures, self.files, self.geometry, self.outputs)
         return not any(map(bool, found)) and not any(entry.largest > 0.0 for entry in self.predictions)
 
     def to_json(self) -> dict[str, Any]:
@@ -105,7 +110,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
     if before.kind != after.kind:
         raise StoreError(f"model {after.reference}", f"is of kind {after.kind!r}", f"{before.kind!r}, as {before.reference}")
     recipes = [dict(version.lineage.get("recipe") or {}) for version in (before, after)]
-    others = [{key: value for key, value in version.lineage.items() if key != "recipe"} for version in (before, after)]
+    others = [{key: value for key, value in version.lineage.items() if key not in _APART} for version in (before, after)]
     models = [from_files(v.files, v.reference) for v in (before, after)] if before.kind in NETWORKS else []
     maps = [{answer.key: answer for answer in output_maps(model)} for model in models] or [{}, {}]
     return ModelDiff(
@@ -115,6 +120,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
         same_content=before.digest == after.digest,
         recipe=_changes(*recipes),
         lineage=tuple(sorted(_changes(*others), key=lambda change: not change.what.startswith("dataset"))),
+        effects=effect_changes(before.lineage, after.lineage),
         figures=_changes(dict(before.metrics), dict(after.metrics)),
         files=_names(before.sha256, after.sha256),
         geometry=_geometry(*models) if models else (),

@@ -164,13 +164,3 @@ def points_between(low: Array, high: Array) -> Array:
     share = qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(CLOUD_POINTS)
     corners = np.array(np.meshgrid(*[[0.0, 1.0]] * len(low))).reshape(len(low), -1).T[:1024]
     return np.asarray(low + np.vstack([share, corners]) * (high - low))
-
-
-def shown(value: float, unit: str, digits: int = 3) -> str:
-    """A figure with a readable unit: ``shown(0.0034, "m") == "3.40 mm"``, angles in mrad."""
-    factor, label = {"m": (1e3, " mm"), "rad": (1e3, " mrad"), "1": (1.0, "")}.get(unit, (1.0, f" {unit}"))
-    scaled = factor * value
-    if scaled == 0.0 or not np.isfinite(scaled):
-        return f"{scaled:g}{label}"
-    decimals = max(0, digits - 1 - int(np.floor(np.log10(abs(scaled)))))
-    return f"{scaled:.{min(decimals, 9)}f}{label}"

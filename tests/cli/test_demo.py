@@ -43,8 +43,11 @@ def test_demo_runs_the_pipeline_of_its_checkout_alone(
         assert json.loads((tmp_path / "copy.json").read_text()) == {"schema": 1, "ran": "own"}
 
 
-def test_an_installed_package_has_no_demo_and_says_so(tmp_path: Path) -> None:
-    (checkout(tmp_path, "other package") / "pyproject.toml").unlink()
-    with pytest.raises(SettingsError, match=r"no pipelines/first_look\.py in .*Clone the repository and type `make demo`"):
-        find_pipeline(tmp_path)
-    assert find_pipeline(CHECKOUT) == Path(__file__).parents[2] / "pipelines" / "first_look.py"
+def test_a_wheel_has_its_own_demo_and_a_broken_one_says_so(tmp_path: Path) -> None:
+    site = checkout(tmp_path / "site", "other package")
+    (site / "pyproject.toml").unlink()
+    with pytest.raises(SettingsError, match=r"no pipelines/first_look\.py in .*Install the wheel again"):
+        find_pipeline(site, tmp_path / "shipped")
+    shipped = checkout(tmp_path / "shipped", "shipped")
+    assert find_pipeline(site, shipped) == shipped / "pipelines/first_look.py"
+    assert find_pipeline(CHECKOUT, shipped) == Path(__file__).parents[2] / "pipelines" / "first_look.py"

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from sysid.extras import DISTRIBUTION, EXTRAS
+
 ROOT = Path(__file__).parents[2]
 CONTENT = ("datasets", "pipelines", "rl", "reports")
 RAW_LOGS = {".mcap", ".csv", ".mat", ".parquet", ".bag", ".c3d", ".db3", ".blf"}
@@ -38,7 +40,7 @@ def test_content_folder_says_what_it_is_and_is_not_importable(folder: str) -> No
 
 def test_one_import_package() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    assert settings["tool"]["setuptools"]["packages"]["find"]["include"] == ["sysid", "sysid.*"]
+    assert settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["sysid"]
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "sysid").rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))
@@ -89,10 +91,21 @@ def sums_text(folder: Path) -> str:
     return path.read_text("utf-8") if path.is_file() else ""
 
 
+def test_no_text_holds_the_marks_of_a_merge() -> None:
+    marks = tuple(sign * 7 + " " for sign in "<>")
+    for pattern in ("*.md", "docs/**/*.md", "*/README.md", "*.toml", "*.txt", "Makefile", "rl/**/*.toml"):
+        for path in ROOT.glob(pattern):
+            found = [line for line in path.read_text("utf-8").splitlines() if line.startswith(marks)]
+            assert not found, f"{path.relative_to(ROOT)}: {found[0]}"
+
+
 def test_every_version_is_pinned() -> None:
     """Each dependency of pyproject.toml has an exact version in constraints.txt, and names no host."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    extras = {name: own for name, own in project["optional-dependencies"].items() if name != "fuzz"}
+    wanted = [
+        text for own in (project["dependencies"], *extras.values()) for text in own if not text.startswith(project["name"])
+    ]
     lines = [line for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines() if line and not line.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9A-Za-z.!_]+", line) for line in lines), (
         "name==version, no hosts, no local versions"
@@ -100,6 +113,21 @@ def test_every_version_is_pinned() -> None:
     pinned = {normal(line.partition("==")[0]) for line in lines}
     missing = {normal(re.split(r"[^A-Za-z0-9._-]", text)[0]) for text in wanted} - pinned
     assert not missing, f"constraints.txt lacks {sorted(missing)}"
+
+
+def test_every_package_of_an_extra_is_known_to_the_message_about_it() -> None:
+    """A missing package is answered by the extra that installs it, under the name of this distribution."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["name"] == DISTRIBUTION
+    extras = project["optional-dependencies"]
+    modules = {"rerun": "rerun-sdk", "can": "python-can", "serial": "pyserial", "pinocchio": "pin"}
+    for module, extra in EXTRAS.items():
+        assert any(text.startswith(modules.get(module, module)) for text in extras[extra]), f"{module}: {extra}"
+    known = {normal(modules.get(module, module)) for module in EXTRAS}
+    used = {name for name in extras if name not in ("all", "dev", "docs", "fuzz")}
+    assert used == set(EXTRAS.values())
+    for name in used:
+        assert {normal(re.split(r"[^A-Za-z0-9._-]", text)[0]) for text in extras[name]} <= known
 
 
 def normal(name: str) -> str:

@@ -159,6 +159,33 @@ def force_axis(
     return out
 
 
+def two_masses(
+    force: Array, dt: float, mass: float, frequency: float, damping_ratio: float, inertia_ratio: float, viscous: float = 0.0
+) -> Array:
+    """Position of a motor from rest, (n,), that moves a load through a spring and a damper, by a stiff solver.
+
+    Args:
+        mass: of both together; ``frequency``, ``damping_ratio``: of the load while the motor is held.
+        viscous: friction of the motor.
+    """
+    motor = mass / (1.0 + inertia_ratio)
+    load = mass - motor
+    spring, damper = load * (2.0 * math.pi * frequency) ** 2, 2.0 * damping_ratio * load * 2.0 * math.pi * frequency
+
+    def rates(t: float, state: Array, u: float) -> list[float]:
+        x, v, y, w = state
+        twist = spring * (x - y) + damper * (v - w)
+        return [v, (u - viscous * v - twist) / motor, w, twist / load]
+
+    state = np.zeros(4)
+    out = np.empty(len(force))
+    for k, u in enumerate(force):
+        out[k] = state[0]
+        done = solve_ivp(rates, (0.0, dt), state, method="DOP853", args=(float(u),), rtol=1e-9, atol=1e-12)
+        state = done.y[:, -1]
+    return out
+
+
 def play(position: Array, width: float, begin: float) -> Array:
     """A follower pushed by two walls that are ``width`` apart."""
     follower = begin

@@ -19,7 +19,7 @@ from weight import slopes
 from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE
 from sysid.machine import KnownEffect, Machine, TriangleLinkage, machine_from_files
-from sysid.plant import compile_plant, nominal_plant, swing
+from sysid.plant import compile_plant, free_run, nominal_plant, swing
 from sysid.plant.model import measured_point
 from sysid.testing import EffectPlace, places_of, plant_run, probe_machine, probe_recording
 
@@ -185,6 +185,24 @@ def test_force_axis(effect: str, values: dict[str, float], physics: dict[str, fl
     # changes within a few steps it is more (tests/plant has the same at higher rates).
     room = 0.08 if effect in ("stribeck_friction", "smooth_coulomb_friction") else 0.02
     assert np.abs((out - out[0]) - expected).max() < room * np.ptp(expected)
+
+
+@pytest.mark.parametrize("frequency", [2.0, 30.0])
+@pytest.mark.parametrize("viscous", [0.0, 3.0])
+def test_flexible_drive(frequency: float, viscous: float) -> None:
+    """Exact for a held force, below the sample rate and near it; friction is held over a substep."""
+    values = {"frequency": frequency, "damping_ratio": 0.1, "inertia_ratio": 1.5}
+    expected = references.two_masses(RECORDING.values("slide.command"), DT, 2.0, viscous=viscous, **values)
+    effects = [KnownEffect("flexible_drive", "slide", dict(values))]
+    effects += [KnownEffect("viscous_friction", "slide", {"coefficient": viscous})] if viscous else []
+    plant = nominal_plant(probe_machine())
+    for item in effects:
+        plant = plant.with_effect(item)
+    resting = np.where(RECORDING.values("time") < 0.5, 0.0, np.nan)
+    out = free_run(plant, replace(RECORDING, table=RECORDING.table.assign(**{"slide.joint": resting})))[
+        "slide.joint"
+    ].to_numpy()
+    assert np.abs((out - out[0]) - expected).max() < (0.02 if viscous else 1e-3) * np.ptp(expected)
 
 
 def test_stribeck_friction_sticks_and_slips_without_chattering() -> None:
@@ -441,7 +459,7 @@ def test_every_effect_has_a_reference() -> None:
     """A new effect brings its own."""
     compared = {name for name, *_ in (*VELOCITY, *FORCE)}
     compared |= {"backlash", "joint_offset", "link_length_error", "tip_offset", "base_misalignment", "gripper_sway"}
-    compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance", "second_order_lag"}
+    compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance", "second_order_lag", "flexible_drive"}
     compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
-    compared |= {"payload", "link_mass_error", "inertial_error"}  # tests/plant/test_link_torque.py
+    compared |= {"payload", "link_mass_error", "inertial_error", "load_dependent_friction"}  # tests/plant/test_link_torque.py
     assert compared == {effect.name for effect in CATALOGUE}

@@ -255,6 +255,21 @@ def test_what_may_repair_the_formula_of_an_effect_that_it_looks_like_has_no_name
     assert set(apart.named) == {BAND, GAIN}
 
 
+def test_an_effect_that_acts_on_some_speeds_only_is_no_gain_error() -> None:
+    """A dead-band is not the same share of every speed anyway."""
+
+    class Partial(FreeRun):
+        def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+            return True
+
+    for candidate, named in ((GAIN, ()), (BAND, (BAND,))):
+        found = decide([NOTHING, model(candidate)], ALL, free=Partial())
+        assert found.named == named
+    assert decide([NOTHING, model(GAIN)], ALL).named == (GAIN,)
+    near = decide([NOTHING, model(GAIN)], ALL, free=Partial()).near_misses[0]
+    assert near.lacks == "it changes only some of the speeds, which it would change alike"
+
+
 # -- where formulas are right, and where nothing adds up ---------------------------------------------------------------------
 
 

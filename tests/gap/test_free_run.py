@@ -47,6 +47,15 @@ def test_what_is_left_is_that_of_the_better_values() -> None:
     assert free.nearest(far).values == pytest.approx([0.6], abs=0.03)
 
 
+def test_a_set_is_extended_by_the_effect_that_leaves_least() -> None:
+    free = fitted((0.6, -0.3, 0.0))
+    one = next(f for f in free.sets() if f.labels == {F.label})
+    extended = free.extended(one)
+    assert extended is not None
+    assert extended.labels == {F.label, G.label}
+    assert free.extended(extended) is None, "nothing is left"
+
+
 def test_one_set_leaves_more_than_another_by_standard_errors_of_the_blocks() -> None:
     free = fitted((0.6, -0.3, 0.0))
     none, one, both = (

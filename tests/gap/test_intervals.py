@@ -117,6 +117,16 @@ def test_play_is_as_wide_as_it_is_although_its_input_is_noisy() -> None:
     )
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_share_of_the_speed_is_as_accurate_as_clocks(seed: int) -> None:
+    """A gain error of 0.08 % on a quiet machine; a dead time depends on the instants of sampling."""
+    low, high = known(KnownEffect("gain_error", "slew", {"ratio": 1.0008}), seed, noise=1.0).limits[0]
+    assert 1.0 < low <= 1.0008 <= high < 1.0016
+    low, high = known(KnownEffect("input_delay", "slew", {"delay": 0.05}), seed, noise=1.0).limits[0]
+    assert low <= 0.05 <= high
+    assert high - low > 1e-4
+
+
 def test_no_unknowns_no_intervals() -> None:
     nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0)
     data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))

@@ -11,10 +11,11 @@ import pytest
 from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
-from sysid.gap import GapResult, find_gap
+from sysid.gap import GapResult, find_gap, proof
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import with_intervals_of
+from sysid.gap.proof import comparisons_without, with_intervals_of, without_cheap_names
+from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
 
@@ -127,3 +128,69 @@ def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone(
     found = with_intervals_of(whole, stage([oil], [3.2], [[3.1, 3.3]]))
     assert found.found.limits is not None
     assert found.found.limits.tolist() == [[0.0, 2.0], [1.0, 3.0], [3.0, 3.3]]
+
+
+@pytest.mark.parametrize("accumulates", [True, False])
+def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_beside_it(accumulates: bool) -> None:
+    """The set that won the comparison against the set without the name, not the chosen model with six effects."""
+
+    def result(theta: float, less: float, alone: Any = None, beside: Any = None) -> Any:
+        decision = SimpleNamespace(accumulates=accumulates)
+        fitted = SimpleNamespace(decision=decision, dropped={"rate": vector(less)}, beside=beside)
+        return SimpleNamespace(fit=vector(theta), stage_fit=fitted, names_alone=alone)
+
+    def vector(value: float) -> Any:
+        return SimpleNamespace(theta=np.array([value]))
+
+    def pairs(found: Any) -> list[tuple[float, float]]:
+        stage: Any = SimpleNamespace(found=found, theta=np.zeros(1))
+        return [(less.item(), theta.item()) for less, theta in comparisons_without(stage, "rate")]
+
+    if not accumulates:
+        assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0))) == [(0.0, 3.0)]
+        return
+    assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0))) == [(2.0, 1.0)]
+    assert pairs(result(3.0, 4.0)) == [(4.0, 3.0)]
+    beside = vector(5.0), {"rate": vector(6.0)}
+    assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0), beside=beside)) == [(2.0, 1.0), (6.0, 5.0)]
+    assert pairs(result(3.0, 4.0, beside=(vector(5.0), {"delay": vector(6.0)}))) == [(4.0, 3.0)]
+
+
+@pytest.mark.parametrize(
+    ("alone", "extended", "kept"),
+    [
+        ((17.0, 12.0), None, False),
+        ((17.0, 5.0), None, True),
+        ((17.0, 12.0), (17.0, 5.0), True),  # what the owner has not fitted hides it
+        ((17.0, 12.0), (14.0, 9.0), False),
+    ],
+)
+def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
+    alone: tuple[float, float], extended: tuple[float, float] | None, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scores of the sets without and with the name, in noise floors; a vector is its own score here."""
+    monkeypatch.setattr(proof, "_score", lambda stage, theta, recordings: float(theta[0]))
+    monkeypatch.setattr(proof, "_excited", lambda stage, without, theta: True)
+    monkeypatch.setattr(proof, "_distance", lambda stage, recordings: 1.0)
+
+    def vector(value: float) -> Any:
+        return SimpleNamespace(theta=np.array([value]))
+
+    class Unnamed(SimpleNamespace):
+        def without_names(self, lost: dict[str, str]) -> Unnamed:
+            return Unnamed(accumulates=True, exact=False, lost=lost)
+
+    beside = (vector(extended[1]), {"oil(boom)": vector(extended[0])}) if extended is not None else None
+    model: Any = Unnamed(accumulates=True, exact=False, lost={})
+    unused: Any = None
+    fitted = StageFit((), model, {"oil(boom)": vector(alone[0])}, unused, unused, beside=beside)
+    name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)"))
+    result = StageResult(unused, (name,), (), vector(alone[1]), 1.0, 1.0, stage_fit=fitted)
+    stage = Stage(unused, SimpleNamespace(held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
+    (found,) = without_cheap_names([stage])
+    assert bool(found.found.named) is kept
+    assert found.found.stage_fit is not None
+    lacks = (
+        {} if kept else {"oil(boom)": "on held-out recordings it reduces the error by too little compared with what remains"}
+    )
+    assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]

@@ -99,15 +99,29 @@ def test_a_better_start_replaces_a_fit_and_a_worse_one_does_not() -> None:
     assert search.fits[names(F)] is again
 
 
-def test_a_richer_form_is_offered_where_its_simpler_one_is_there() -> None:
-    """And not beside it: an effect is in a model in one form."""
+def two_forms() -> tuple[Candidate, Candidate]:
+    """An effect with one parameter, and in a richer form with a second one."""
     second = replace(F.form, parameters=(replace(F.form.parameters[0], name="other"), *F.form.parameters))
     effect = replace(F.effect, forms=(F.form, second))
-    simple = replace(F, effect=effect)
     rich = replace(F, effect=effect, form=second, unknowns=(F.unknowns[0], G.unknowns[0]), starts=((-1.0, -1.0), (1.0, 1.0)))
+    return replace(F, effect=effect), rich
+
+
+def test_a_richer_form_is_offered_where_its_simpler_one_is_there() -> None:
+    """And not beside it: an effect is in a model in one form."""
+    simple, rich = two_forms()
     search = proposals((0.6, -0.3, 0.0), simple, rich)
     empty = search.fit(())
     assert [p.candidate for p in search.promises(empty)] == [simple]
     one = search.fit([simple], np.array([[0.5]]))
     assert [p.candidate for p in search.promises(one)] == [rich]
     assert search.forward(empty).labels == names(rich)
+
+
+def test_a_simpler_form_is_compared_with_a_richer_one_that_is_not_needed() -> None:
+    simple, rich = two_forms()
+    search = proposals((0.6, 0.0, 0.0), simple, rich)
+    search.fit([rich], np.array([[0.5, 0.0]]))
+    search.around()
+    assert search.best.labels == names(simple)
+    assert search.best.values == pytest.approx([0.6], abs=0.05)

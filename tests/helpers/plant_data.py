@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -158,12 +158,17 @@ def arm_inputs(name: str, seconds: float, seed: int) -> Recording:
     return Recording(name, pd.DataFrame(table), 100.0)
 
 
-def slide_inputs(name: str, seconds: float, seed: int) -> Recording:
+#: Frequencies and amplitudes of the forces on the slide [Hz, N]; the second set reaches the resonance of a flexible drive.
+WAVES = ((0.4, 30.0), (0.9, 45.0), (2.1, 40.0))
+FAST_WAVES = (*WAVES, *((f, 25.0) for f in np.geomspace(3.0, 25.0, 24)))
+
+
+def slide_inputs(name: str, seconds: float, seed: int, shape: Sequence[tuple[float, float]] = WAVES) -> Recording:
     """Forces that push the slide to and fro. The force is continuous: each step holds what it is in the step's middle."""
     rng = np.random.default_rng(seed)
     count = round(seconds * 500.0)
     time = np.arange(count) / 500.0
-    waves = [(f * rng.uniform(0.9, 1.1), size) for f, size in ((0.4, 30.0), (0.9, 45.0), (2.1, 40.0))]
+    waves = [(f * rng.uniform(0.9, 1.1), size) for f, size in shape]
 
     def force(t: Array) -> Array:
         return sum((size * np.cos(2 * np.pi * f * t) for f, size in waves), np.zeros(len(t))) * (1.0 - np.exp(-t))
@@ -175,6 +180,11 @@ def slide_inputs(name: str, seconds: float, seed: int) -> Recording:
         "at_samples": force(time),
     }
     return Recording(name, pd.DataFrame(table), 500.0)
+
+
+def shaking_inputs(name: str, seconds: float, seed: int) -> Recording:
+    """Forces up to 25 Hz, which twist a spring between motor and load."""
+    return slide_inputs(name, seconds, seed, FAST_WAVES)
 
 
 def creeping_inputs(name: str, seconds: float, seed: int) -> Recording:
@@ -211,10 +221,11 @@ def measured(truth: Plant, inputs: Recording, seed: int, noise: float = 1.0) -> 
 def dataset_of(truth: Plant, seconds: float = 25.0, seed: int = 0, noise: float = 1.0) -> Dataset:
     """Two recordings to fit, one to select, one held out, of the machine that ``truth`` is.
 
-    A slide with a film of oil creeps, which shows it.
+    A slide with a film of oil creeps, and one with a spring is shaken, which shows them.
     """
     force = truth.machine.name == "slide"
-    push = creeping_inputs if any(effect.name == "stribeck_friction" for effect in truth.effects) else slide_inputs
+    names = {effect.name for effect in truth.effects}
+    push = creeping_inputs if "stribeck_friction" in names else shaking_inputs if "flexible_drive" in names else slide_inputs
     recordings = []
     for k in range(len(ROLES)):
         name = f"run-{k + 1}"

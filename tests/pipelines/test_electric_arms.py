@@ -87,7 +87,7 @@ def test_a_force_axis_has_the_stated_friction(arms: dict[str, ModuleType], kind:
     # Each row's torque is held until the next: the second difference at a row has half of it and half of the one before.
     force = 0.5 * (force + np.r_[force[0], force[:-1]])
     left = force - friction.moving_inertia(axis) * a1 - axis.weight * np.sin(q1) - axis.viscous * v1
-    load = axis.load * np.abs(axis.weight * np.sin(q1))
+    load = axis.load * np.abs(axis.weight * np.sin(q1) + (friction.moving_inertia(axis) - friction.ROTOR) * a1)
     stated = {
         "sharp": axis.force * np.sign(v1),
         "tanh": axis.force * np.tanh(v1 / axis.speed),

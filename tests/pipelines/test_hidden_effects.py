@@ -65,8 +65,8 @@ def test_full_tier_holds_what_was_asked_for(hidden: dict[str, ModuleType], seed:
         if case.group == "single" and case.hidden[0].factor >= 3.0:
             due[by_key[case.hidden[0].kind].named[0][0]] += 1
     # Offset and skew of a clock are found at ingest: they are no gap any more. pipelines/electric_arms.py has the others.
-    elsewhere = {effect.name for effect in CATALOGUE if effect.stage == "links" or effect.described_only}
-    elsewhere |= {"clock_offset", "clock_skew", "smooth_coulomb_friction", "second_order_lag"}
+    elsewhere = {effect.name for effect in CATALOGUE if effect.of_links or effect.described_only}
+    elsewhere |= {"clock_offset", "clock_skew", "smooth_coulomb_friction", "flexible_drive", "second_order_lag"}
     assert set(due) == {effect.name for effect in CATALOGUE} - elsewhere
     assert min(due.values()) >= 5
     for group in ("none", "single"):

@@ -31,26 +31,22 @@ def test_logs_that_name_the_viscous_friction_give_the_published_one(result: dict
     assert viscous(found) == pytest.approx([published] * len(found["named"]), rel=0.25)
 
 
-@pytest.mark.xfail(strict=True, reason="the plant has no friction that grows with the load: few logs prove one of its formulas")
+@pytest.mark.xfail(strict=True, reason="the two logs of the largest gain have no name: their force error depends on the time")
 def test_every_log_gives_the_published_viscous_friction(result: dict[str, Any]) -> None:
     found = repeats(result["views"]["motor"])["viscous_friction"]
     assert found["verdict"] == "consistent"
     assert len(found["named"]) == 8
     published = result["published"]["viscous_friction"]["coefficient"]
-    assert found["parameters"]["coefficient"] == pytest.approx([published] * 8, rel=0.15)
+    assert viscous(found) == pytest.approx([published] * 8, rel=0.15)
 
 
-@pytest.mark.xfail(strict=True, reason="the plant has no friction that grows with the load: few logs prove one of its formulas")
-def test_dry_friction_is_named_and_said_to_grow_with_the_gain(result: dict[str, Any]) -> None:
-    """The authors' richer models let it grow with the load; a higher gain means more torque."""
-    found = repeats(result["views"]["motor"])["coulomb_friction"]
-    assert found["verdict"] == "moves"
-    by_gain: dict[int, list[float]] = {}
-    for run, value in zip(found["named"], found["parameters"]["force"], strict=True):
-        by_gain.setdefault(int(run.rsplit("-", 1)[1]), []).append(value)
-    means = [sum(values) / len(values) for _, values in sorted(by_gain.items())]
-    assert means == sorted(means)
-    assert means[-1] > 2.0 * means[0]
+def test_the_friction_of_all_logs_grows_with_the_load(result: dict[str, Any]) -> None:
+    """The authors' model with it has 0.12 of the difference between the torques of motor and load, about twice the load."""
+    together = result["views"]["motor"]["together"]
+    written = {item["name"]: item["parameters"] for item in together["written"]}
+    assert 0.2 < written["load_dependent_friction"]["coefficient"] < 0.6
+    assert "coulomb_friction" not in written
+    assert together["gap"]["after"]["arm.command"] < 0.05  # without it 0.057 N·m are left
 
 
 def test_the_inertia_of_the_rotor_is_adjusted_to_the_published_one(result: dict[str, Any]) -> None:
@@ -70,9 +66,10 @@ def test_the_servo_from_outside_gets_no_name_from_all_logs(result: dict[str, Any
     assert all(item["verdict"] != "consistent" for item in view["stability"])
 
 
-@pytest.mark.xfail(strict=True, reason="in one log of a pendulum near its rest the sag is proportional to the reading")
-def test_the_servo_from_outside_gets_no_name_from_any_log(result: dict[str, Any]) -> None:
-    """A weak proportional controller under a weight is a spring; no effect of a position axis is that."""
+def test_the_servo_from_outside_gets_no_name_of_its_sensor_from_any_log(result: dict[str, Any]) -> None:
+    """Near its rest the sag of a pendulum is proportional to the reading, as an error of its scale is: a tie."""
     view = result["views"]["servo"]
-    assert view["stability"] == []
+    assert not [item["name"] for item in view["stability"] if item["name"].startswith("sensor_")]
     assert all(run["unnamed"] for run in view["runs"].values())
+    ties = [{item["name"] for item in tie} for run in view["runs"].values() for tie in run["ambiguous"]]
+    assert ties.count({"sensor_scale", "joint_compliance"}) == 4

@@ -36,7 +36,7 @@ def torques(*effects: KnownEffect) -> Array:
     for effect in effects:
         plant = plant.with_effect(effect)
     model, (recording, *_) = compile_plant(plant), motion()
-    return np.column_stack([link_torque(model, model.theta, recording, name) for name in ("lift", "elbow")])
+    return np.column_stack([link_torque(model, model.theta, recording, name).whole for name in ("lift", "elbow")])
 
 
 def assert_close(found: Array, wanted: Array) -> None:
@@ -79,11 +79,29 @@ def test_adjusted_parameters_add_to_those_of_the_urdf() -> None:
     assert_close(scaled, torques() * [1.0, 0.9])
 
 
+@pytest.mark.parametrize("width", [0.0, 0.8])
+def test_friction_grows_with_the_torque_of_the_links(width: float) -> None:
+    """Against the motion, without the inertia of the rotor; with the direction of smooth friction where that acts too."""
+    recording, q, v, a = motion()
+    coefficient, force = 0.15, 2.0
+    plant = nominal_plant(probe_arm()).with_effect(KnownEffect("load_dependent_friction", "lift", {"coefficient": coefficient}))
+    zero = {"mass": 0.0, "first_moment": [0.0] * 3, "inertia": [0.0] * 6, "scale": 1.0}
+    plant = plant.with_effect(KnownEffect("inertial_error", "lift", {"rotor": 0.4, **zero}))
+    if width:
+        plant = plant.with_effect(KnownEffect("smooth_coulomb_friction", "lift", {"force": force, "width": width}))
+    model, carried = compile_plant(plant), planar(q, v, a, M1, M2, C2, I2)[:, 0]
+    found = link_torque(model, model.theta, recording, "lift")
+    out = model.inverse(model.theta, "lift", q[:, 0], v[:, 0], a[:, 0], 1.0 / RATE, found.carried)
+    direction = np.tanh(v[:, 0] / width) if width else np.sign(v[:, 0])
+    assert_close(found.rotor, 0.4 * a[:, 0])
+    assert_close(out, (coefficient * np.abs(carried) + (force if width else 0.0)) * direction)
+
+
 def test_a_joint_that_is_not_measured_leaves_no_torque() -> None:
     recording = motion()[0]
     model = compile_plant(nominal_plant(probe_arm()))
     table = recording.table.assign(**{"elbow.joint": np.nan})
-    assert not link_torque(model, model.theta, Recording("m", table, RATE), "lift").any()
+    assert not link_torque(model, model.theta, Recording("m", table, RATE), "lift").whole.any()
 
 
 def test_an_arm_is_not_stepped() -> None:

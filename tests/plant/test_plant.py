@@ -78,7 +78,7 @@ def test_neutral_values_stand_in_their_places() -> None:
 def plants(draw: st.DrawFn) -> Plant:
     """Plants of the probe machine with any set of effects."""
     plant = nominal_plant(probe_machine(), streams=STREAMS)
-    for effect in draw(st.lists(st.sampled_from([e for e in CATALOGUE if e.stage != "links"]), max_size=8)):
+    for effect in draw(st.lists(st.sampled_from([e for e in CATALOGUE if not e.of_links]), max_size=8)):
         plant = plant.with_effect(draw(instances(effect)))
     return plant
 

@@ -34,7 +34,7 @@ def placed(effect: Effect) -> list[tuple[str, KnownEffect]]:
 
 
 #: What acts in a run of a plant; forces of an arm are compared at measured motion only.
-RUNNING = [effect for effect in CATALOGUE if effect.stage != "links"]
+RUNNING = [effect for effect in CATALOGUE if not effect.of_links]
 PLACED = [entry for effect in RUNNING for entry in placed(effect)]
 
 
@@ -117,6 +117,7 @@ ALL = {
     "stribeck_friction": {"static_force": 0.5, "coulomb_force": 0.2, "stribeck_velocity": 0.02},
     "smooth_coulomb_friction": {"force": 0.3, "width": 0.05},
     "inertia_error": {"ratio": 1.2},
+    "flexible_drive": {"frequency": 5.0, "damping_ratio": 0.1, "inertia_ratio": 1.5},
     "load_bias": {"force": -0.2},
     "backlash": {"width": 0.01},
     "joint_compliance": {"compliance": 1e-3},

@@ -82,5 +82,5 @@ def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> N
 
 
 def test_every_effect_has_a_case() -> None:
-    elsewhere = {e.name for e in CATALOGUE if e.stage == "links" or e.described_only}  # tests/gap/arm, tests/gap/poses
+    elsewhere = {e.name for e in CATALOGUE if e.of_links or e.described_only}  # tests/gap/arm, tests/gap/poses
     assert {case.name for case in CASES} == {effect.name for effect in CATALOGUE} - elsewhere

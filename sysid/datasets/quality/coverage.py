@@ -29,7 +29,8 @@ class Span:
         signal: its joint, or the driven quantity where no recording has the joint.
         low, high: the range [SI]; ``source``: from the machine description (``limits``) or, where it has none, from the
             recordings (``recorded``: then coverage is not related to the machine).
-        lowest, highest: measured values.
+        lowest, highest: measured values, static poses included.
+        moving: lowest and highest value in motion; None if no recording of motion measures it.
     """
 
     axis: str
@@ -39,12 +40,20 @@ class Span:
     source: Literal["limits", "recorded"]
     lowest: float
     highest: float
+    moving: tuple[float, float] | None = None
 
     @property
     def covered(self) -> float:
-        """Share of the range between the lowest and the highest measured value."""
-        ends = max(self.lowest, self.low), min(self.highest, self.high)
-        return max(ends[1] - ends[0], 0.0) / (self.high - self.low)
+        """Share of the range between the lowest and the highest measured value, static poses included."""
+        return self._share(self.lowest, self.highest)
+
+    @property
+    def covered_moving(self) -> float:
+        """The same without the poses."""
+        return self._share(*self.moving) if self.moving is not None else 0.0
+
+    def _share(self, lowest: float, highest: float) -> float:
+        return max(min(highest, self.high) - max(lowest, self.low), 0.0) / (self.high - self.low)
 
     def cells(self, values: Array) -> Array:
         """Cell of each value, 0 … GRID − 1; NaN where it is missing. Values outside count to the last cell."""
@@ -88,14 +97,22 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
             if not len(values):
                 continue
             lowest, highest = float(values.min()), float(values.max())
+            moving = _ends([recording.values(signal) for recording in recordings if recording.kind == "motion"])
             ends = axis.range if signal == axis.driven else axis.limits
             if ends is not None and np.isfinite(ends).all() and ends[1] > ends[0]:
-                spans.append(Span(axis.name, signal, float(ends[0]), float(ends[1]), "limits", lowest, highest))
+                spans.append(Span(axis.name, signal, float(ends[0]), float(ends[1]), "limits", lowest, highest, moving))
             else:
                 high = highest if highest > lowest else lowest + 1.0
-                spans.append(Span(axis.name, signal, lowest, high, "recorded", lowest, highest))
+                spans.append(Span(axis.name, signal, lowest, high, "recorded", lowest, highest, moving))
             break
     return tuple(spans)
+
+
+def _ends(parts: Sequence[Array]) -> tuple[float, float] | None:
+    """The lowest and the highest value; None without one."""
+    values = np.concatenate(parts) if parts else np.empty(0)
+    values = values[~np.isnan(values)]
+    return (float(values.min()), float(values.max())) if len(values) else None
 
 
 def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:

@@ -85,7 +85,7 @@ class DatasetEvidence:
             "recordings": {r.name: _recording_json(r) for r in self.recordings},
             "axes": {name: {**asdict(use), **asdict(self.scales[name])} for name, use in self.axes.items()},
             "together_s": _pairs(self.together_s),
-            "ranges": {span.axis: {**asdict(span), "covered": span.covered} for span in self.spans},
+            "ranges": {span.axis: _span_json(span) for span in self.spans},
             "coverage": {
                 f"{m.first.axis}+{m.second.axis}": {
                     "covered": m.covered,
@@ -184,6 +184,10 @@ def _moving_noise(dataset: Dataset, signal: str) -> float | None:
         known = [noise_of(r.values(signal), r.rate_hz) for r in dataset.of_kind("motion")]
         known = [level for level in known if np.isfinite(level)]
     return float(np.median(known)) if known else None
+
+
+def _span_json(span: Span) -> dict[str, Any]:
+    return {**asdict(span), "covered": span.covered, "covered_moving": span.covered_moving}
 
 
 def _recording_json(recording: RecordingEvidence) -> dict[str, Any]:

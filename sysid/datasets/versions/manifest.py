@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 import platform
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sysid.datasets.clock_record import ClockRecord
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
+from sysid.extras import versions_of
 from sysid.files import plain
 from sysid.foreign import MAX_NAME, shown, visible
 from sysid.parse import parse_json
@@ -92,7 +92,7 @@ def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any
             "created": _now(),
             "sysid": __version__,
             "python": platform.python_version(),
-            "software": {name: importlib.metadata.version(name) for name in SOFTWARE},
+            "software": versions_of(SOFTWARE),
             **plain(dataclasses.asdict(made)),
         },
     }

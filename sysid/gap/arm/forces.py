@@ -69,7 +69,7 @@ class ArmForces:
             original, inputs = self._known[recording.name]
             found = []
             for own, axis in zip(inputs, self.axes, strict=True):
-                load = link_torque(self.model, self.model.theta, original, axis.name)
+                load = link_torque(self.model, self.model.theta, original, axis.name).carried
                 columns = friction_columns(own.speed, own.acceleration, load, axis.inertia is not None)
                 found.append(own.compared(columns))
             self._friction[recording.name] = found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,8 +70,8 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             nominal = link_torque(model, theta, recording, name)
             inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
             rotor = (inertia or 0.0) * theta[at] * own.acceleration
-            friction = friction_columns(own.speed, own.acceleration, nominal, inertia is not None)
-            table = np.column_stack([own.raw - nominal - rotor, own.raw, rotor, friction, slopes[j]])
+            friction = friction_columns(own.speed, own.acceleration, nominal.carried, inertia is not None)
+            table = np.column_stack([own.raw - nominal.whole - rotor, own.raw, rotor, friction, slopes[j]])
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))
@@ -85,6 +85,23 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
         target, force, rotor, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
         axes.append(AxisRows(name, target, force, rotor, links, friction, (time * count / whole).astype(np.int64)))
     return axes
+
+
+def with_carried(
+    rows: Sequence[AxisRows], model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array
+) -> list[AxisRows]:
+    """The rows with the friction that grows with the torques of the links of ``theta``."""
+    found = list[AxisRows]()
+    for j, own in enumerate(rows):
+        axis, parts = model.machine.axis(own.axis), list[Array]()
+        for recording in recordings:
+            there = ~np.isnan(problem.measured(recording)[:, j])
+            inputs = force_inputs(recording, axis, rows=problem.rows(recording))
+            carried = link_torque(model, theta, recording, own.axis).carried
+            columns = friction_columns(inputs.speed, inputs.acceleration, carried, axis.inertia is not None)
+            parts.append(inputs.compared(columns)[there])
+        found.append(replace(own, friction=np.concatenate(parts)))
+    return found
 
 
 def inefficiency(residual: Array, columns: Array, block: npt.NDArray[np.int64]) -> float:

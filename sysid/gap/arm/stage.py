@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
 from sysid.gap.arm.friction import FRICTION, without
-from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency
+from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency, with_carried
 from sysid.gap.arm.unknowns import (
     FORCE_CONSTANT,
     ROTOR,
@@ -53,6 +53,8 @@ Array = npt.NDArray[np.float64]
 #: about five percent; inertias are often those of a simpler solid, and the constant between current and torque includes the
 #: efficiency of a gear.
 EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1, 0.1, 0.1]), np.array([0.7, 0.7, 0.7, 0.7, 0.7, 2.3])
+#: Searches at most with the friction of the torques found.
+ROUNDS = 3
 #: Least gain in evidence of an exchange [nats].
 GAIN = 1e-6
 #: Condition that a near miss fails.
@@ -72,8 +74,16 @@ def fit_links_stage(
 ) -> StageFit:
     """Search and decide the links; arguments as of :func:`sysid.gap.stage_model.fit_stage`."""
     there = [c for c in candidates if c.label in nameable]
-    whole = _Whole(model, axis_rows(model, problem, recordings, theta), theta, sigma, there)
-    return _decided(whole, _likeliest(whole, on_fit))
+    rows = axis_rows(model, problem, recordings, theta)
+    whole = _Whole(model, rows, theta, sigma, there)
+    best = _likeliest(whole, on_fit)
+    for _ in range(ROUNDS if best else 0):  # a payload that is found loads the joints, and with them their friction
+        rows = with_carried(rows, model, problem, recordings, whole.model_of(best).theta)
+        before, whole = best, _Whole(model, rows, theta, sigma, there)
+        best = _likeliest(whole, on_fit)
+        if best == before:
+            break
+    return _decided(whole, best)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import unmet_need
-from sysid.effects import CATALOGUE, Effect, effect_named, inertia_error, link_mass_error, sensor_quantisation
+from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
@@ -183,7 +183,7 @@ def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
     """Places at which the machine admits the effect, observable or not."""
-    if effect.stage == "links" and not (effect.fitted and moves_masses(machine)):
+    if effect.of_links and not (effect.fitted and moves_masses(machine)):
         return
     if effect.target == "axis":
         for axis in machine.axes:
@@ -260,6 +260,8 @@ class _Reasons:
             return "a force axis is compared by its force at measured motion, independent of compliance ahead of the sensor"
         if effect is inertia_error.EFFECT and self.machine.axis(target).inertia is None:
             return "machine.toml states no inertia of its rotor, which is adjusted without a name"
+        if effect is flexible_drive.EFFECT:
+            return "its force responds to its motion like that of a rigid drive, up to the frequencies that the motion contains"
         if effect is link_mass_error.EFFECT:
             return "gravity puts no load on it"
         if any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters):

@@ -7,14 +7,14 @@ is subtracted from the values; possible errors of zeros and mounts widen the int
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from sysid.gap.candidates import Unknown
+from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, place
 from sysid.gap.intervals.criterion import criterion_at
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 #: Relative uncertainty of the noise of an input.
 NOISE_UNCERTAINTY = 0.15
 #: Minimum half-width: the first share of the value (accuracy of the plant), plus the second share of the negligible change
-#: (clocks, sampling, integration); the latter at most the third share of a value whose range excludes zero.
+#: (sampling); the latter at most the third share of a value whose range excludes zero.
 OF_VALUE, OF_NEGLIGIBLE, OF_NONZERO = 2e-4, 0.1, 0.05
 #: 97.5 % quantile of the normal distribution.
 Z = float(stats.norm.ppf(0.975))
@@ -68,18 +68,27 @@ def known_of(data: Data, theta: Array, fit: Fit, noise: Mapping[str, float], see
         values = np.clip(values - added.shift, criterion.low, criterion.high)
         fit = replace(fit, values=values, theta=place(theta, fit.unknowns, values[None])[0])
     reach = np.hypot(reach, Z * shared_offsets(criterion, curvature, values, noise)[:, None])
-    least = _least(fit.unknowns, values)
+    least = np.array([least_half_width(c, u, v) for (c, u), v in zip(_owners(fit), values, strict=True)])
     ends = values[:, None] + np.maximum(reach, least[:, None]) * [-1.0, 1.0]
     return Known(fit, np.clip(ends, criterion.low[:, None], criterion.high[:, None]))
 
 
-def _least(unknowns: Sequence[Unknown], values: Array) -> Array:
-    """Minimum half-widths of the intervals, (k,)."""
-    least = OF_VALUE * np.abs(values)
-    for k, unknown in enumerate(unknowns):
-        most = OF_NONZERO * abs(values[k]) if unknown.bounds[0] > 0.0 else np.inf
-        least[k] += min(OF_NEGLIGIBLE * unknown.negligible, most)
-    return np.asarray(least)
+def _owners(fit: Fit) -> list[tuple[Candidate, Unknown]]:
+    """The unknowns of a fit, each with its effect."""
+    return [(candidate, unknown) for candidate in fit.candidates for unknown in candidate.unknowns]
+
+
+def least_half_width(candidate: Candidate, unknown: Unknown, value: float) -> float:
+    """Minimum half-width of the interval of a value.
+
+    Clocks and integration limit the accuracy of a share of the speed, and both are relative: the instants of sampling do not
+    matter to it.
+    """
+    relative = {p.name for p in candidate.form.parameters if candidate.effect.proportional and p.unit == "1"}
+    if unknown.key in relative:
+        return OF_VALUE * max(abs(value), 1.0)
+    most = OF_NONZERO * abs(value) if unknown.bounds[0] > 0.0 else np.inf
+    return float(OF_VALUE * abs(value) + min(OF_NEGLIGIBLE * unknown.negligible, most))
 
 
 def _with(curvature: Curvature, added: InputNoise) -> Curvature:

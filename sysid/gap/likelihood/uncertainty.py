@@ -21,16 +21,29 @@ def posterior_covariance(columns: Array, parameters: int, residual: Array, block
         block: of each row, (rows,); rows without a measurement are zero.
     """
     k = parameters
-    bread = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
+    bread = np.asarray(np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1])), dtype=np.float64)
     left = residual - columns @ (bread @ (columns.T @ residual))
-    order = np.argsort(block, kind="stable")
-    first = np.flatnonzero(np.diff(block[order], prepend=-1))
-    pulls = np.add.reduceat((columns * left[:, None])[order], first, axis=0)
-    count = len(pulls)
-    within = np.asarray(bread[-k:, -k:])
+    within = bread[-k:, -k:]
+    scatter, count = scatter_of_clusters(columns, left, bread[:, -k:], block)
     if count < 2:
         return within
-    moved = pulls @ bread[:, -k:]  # change of the parameters by each block
-    seen = count / (count - 1.0) * (moved**2).sum(axis=0)
-    wider = np.sqrt(np.maximum(1.0, seen / np.diag(within)))
-    return within * np.outer(wider, wider)
+    wider = np.sqrt(np.maximum(1.0, np.diag(scatter) / np.diag(within)))
+    return np.asarray(within * np.outer(wider, wider))
+
+
+def scatter_of_clusters(columns: Array, left: Array, bread: Array, cluster: npt.NDArray[np.int64]) -> tuple[Array, int]:
+    """Sandwich covariance of coefficients, (k, k), and the number of clusters; zero with fewer than two.
+
+    Args:
+        columns: (rows, p). left: residual at the optimum, (rows,).
+        bread: columns of the inverse information that belong to the coefficients, (p, k).
+        cluster: of each row, (rows,).
+    """
+    order = np.argsort(cluster, kind="stable")
+    first = np.flatnonzero(np.diff(cluster[order], prepend=-1))
+    pulls = np.add.reduceat((columns * left[:, None])[order], first, axis=0)
+    count = len(pulls)
+    if count < 2:
+        return np.zeros((bread.shape[1],) * 2), count
+    moved = pulls @ bread  # change of the coefficients by each cluster
+    return np.asarray(count / (count - 1.0) * (moved.T @ moved)), count

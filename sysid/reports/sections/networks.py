@@ -41,6 +41,7 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "title": TITLES[report.kind],
         "model": report.model,
         "about": ABOUT[report.kind],
+        "recommendation": report.recommendation,
         "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
         "paper": report.kind == "forward" and any(output.output in PAPER_MAX for output in report.outputs),
         "rows": [_row(output, _decimals(report, output.unit)) for output in report.outputs],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -50,7 +49,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "reference": dataset.reference,
         "implausible": check_plausibility(dataset),
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
-        "ranges": _ranges(dataset),
+        "ranges": _ranges(evidence, dataset),
         "clocks": [_clock(clock) for clock in dataset.clocks],
         "sources": [
             {
@@ -82,27 +81,21 @@ def _recording(recording: Recording, dataset: Dataset) -> dict[str, Any]:
     }
 
 
-def _ranges(dataset: Dataset) -> list[dict[str, Any]]:
-    """The part of each axis' range that the motion recordings cover [%]."""
+def _ranges(evidence: DatasetEvidence, dataset: Dataset) -> list[dict[str, Any]]:
+    """The part of each axis' range that the motion recordings cover [%]: the console's figure."""
     rows = []
-    for axis in dataset.machine.axes:
-        ends = axis.range
-        if not math.isfinite(ends[0] + ends[1]):
+    for span in evidence.spans:
+        if span.source != "limits" or span.moving is None:
             continue
-        values = np.concatenate([recording.values(axis.driven) for recording in dataset.of_kind("motion")] or [np.empty(0)])
-        values = values[np.isfinite(values)]
-        if not len(values):
-            continue
-        span = ends[1] - ends[0]
-        low, high = float(values.min()), float(values.max())
-        unit = dataset.units.get(axis.driven, "1")
+        unit, left = dataset.units.get(span.signal, "1"), (span.moving[0] - span.low) / (span.high - span.low)
         rows.append(
             {
-                "name": words.signal_name(axis.driven),
-                "left": round(100 * min(max((low - ends[0]) / span, 0.0), 1.0), 1),
-                "width": round(100 * min(max((high - low) / span, 0.0), 1.0), 1),
-                "seen": display.interval(low, high, unit),
-                "range": display.interval(ends[0], ends[1], unit),
+                "name": words.signal_name(span.signal),
+                "left": round(100 * min(max(left, 0.0), 1.0), 1),
+                "width": round(100 * span.covered_moving, 1),
+                "share": display.percent(span.covered_moving),
+                "seen": display.interval(*span.moving, unit),
+                "range": display.interval(span.low, span.high, unit),
             }
         )
     return rows

@@ -80,7 +80,7 @@ def test_sufficient_recordings_are_ready_for_every_effect() -> None:
     assert [v.text for v in found.of("lacking")] == []
     assert found.requests == ()
     names = {v.name for v in found.of("ready")}
-    force_only = {effect.name for effect in CATALOGUE if effect.actuations == ("force",) or effect.stage == "links"}
+    force_only = {effect.name for effect in CATALOGUE if effect.actuations == ("force",) or effect.of_links}
     described = {effect.name for effect in CATALOGUE if effect.described_only}
     assert names == {effect.name for effect in CATALOGUE} - force_only - described
 

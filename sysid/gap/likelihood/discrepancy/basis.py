@@ -67,7 +67,7 @@ def _maker(model: Model, rows: StageRows, theta: Array) -> Callable[[Recording],
         make = velocity_columns if axis.actuation == "velocity" else servo_columns
         return make(model, axis, rows.recordings, theta)
     if problem.stage == "force":
-        return force_columns(model, model.machine.axis(problem.target), rows.recordings, problem)
+        return force_columns(model, model.machine.axis(problem.target), rows.recordings, problem, theta)
     if problem.stage == "joint":
         return joint_columns(model, model.machine.axis(problem.target), rows.recordings)
     if problem.stage == "end_effector":

@@ -29,6 +29,7 @@ from sysid.gap.likelihood.discrepancy.shapes import (
 from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
+from sysid.plant.link_torque import link_torque
 
 if TYPE_CHECKING:
     from sysid.gap.problem import Problem
@@ -132,8 +133,8 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
     return columns
 
 
-def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], problem: Problem) -> Make:
-    """Motion → force: as a function of speed, position, acceleration, distance since a reversal, and time.
+def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], problem: Problem, theta: Array) -> Make:
+    """Motion → force: as a function of speed, position, acceleration, distance since a reversal, time and load.
 
     Every column passes the low-pass filter of the force and is taken on the same rows.
     """
@@ -143,6 +144,14 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
     fastest = _fastest(recordings, axis.driven)
     force = np.concatenate([problem.measured(r)[:, 0] for r in recordings])
     scale = float(np.nanmedian(np.abs(force))) if len(force) else 1.0
+
+    def carried(recording: Recording) -> Array:
+        """Torque of the links that the transmission carries; of one kilogram at the tip where masses are not known, (n,)."""
+        if model.rigid is None:
+            return _load(model, recording, model.axis_index(axis.name))
+        return link_torque(model, theta, recording, axis.name).carried
+
+    largest = max((float(np.abs(carried(r)).max(initial=0.0)) for r in recordings), default=0.0)
 
     def columns(recording: Recording) -> dict[str, Array]:
         inputs = force_inputs(recording, axis, problem.force_filter, problem.rows(recording))
@@ -169,8 +178,18 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
             "distance since a reversal": [sign * np.exp(-since / d) for d in (0.003, 0.01, 0.03, 0.1)],
             "time": [*slow_cosines(time).T, *(slow_cosines(time, 2) * sign[:, None]).T],
         }  # fmt: skip
-        if (load := _load(model, recording, model.axis_index(axis.name))).any():
-            parts["load"] = [load / np.abs(load).max(), np.abs(load) / np.abs(load).max() * sign]
+        load = carried(recording) / max(largest, 1e-12)
+        if load.any():
+            size = np.abs(load)
+            # Friction of every curve over the load, in steps at a tenth and at half of it or saturated, and rising with speed.
+            parts["load"] = [
+                load,
+                size * sign,
+                load**2 * sign,
+                load * size,
+                *(np.minimum(size, k) * sign for k in (0.1, 0.5)),
+                size * v,
+            ]
         found = {}
         for name, values in parts.items():
             table = signal.sosfiltfilt(inputs.low_pass, np.column_stack(values), axis=0)[inputs.rows]

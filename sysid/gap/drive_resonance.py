@@ -1,4 +1,4 @@
-"""Resonance of a drive in the response of force to acceleration: a load behind a spring, described without a name.
+"""Resonance of a drive in the response of force to acceleration: a load behind a spring.
 
 At measured motion of the motor, a motor with inertia Jm and a load Jl behind a spring and damper need the force
 
@@ -34,8 +34,8 @@ SEGMENT, SEGMENTS = 4.0, 4
 FROM, LOWEST = 1.0, 2.0
 #: Start values: number of frequencies, and damping ratios.
 FREQUENCIES, DAMPINGS = 120, (0.01, 0.03, 0.1)
-#: Largest damping ratio of a resonance.
-DAMPED = 0.4
+#: Least and largest damping ratio of a resonance.
+LEAST_DAMPED, DAMPED = 1e-3, 0.4
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,15 @@ class DriveResonance:
     resonance_hz: float
     damping_ratio: float
     inertia_ratio: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """As parameters of the effect ``flexible_drive``."""
+        return {
+            "frequency": self.antiresonance_hz,
+            "damping_ratio": self.damping_ratio,
+            "inertia_ratio": self.inertia_ratio,
+        }
 
     def __str__(self) -> str:
         return (
@@ -98,7 +107,7 @@ def drive_resonance(recordings: Sequence[Recording], axis: Axis, settings: Force
         return response.fit(response.flexible(float(np.exp(x[0])), float(np.exp(x[1]))))[1]
 
     found = minimize(left_at, np.log(start), method="Nelder-Mead", options={"xatol": 1e-4})
-    frequency, damping = (float(value) for value in np.exp(found.x))
+    frequency, damping = float(np.exp(found.x[0])), max(float(np.exp(found.x[1])), LEAST_DAMPED)
     (motor, _, _, load), left = response.fit(response.flexible(frequency, damping))
     if not (motor > 0.0 and load > 0.0 and damping < DAMPED and LOWEST < frequency < settings.force_hz):
         return None

@@ -1,0 +1,113 @@
+"""Pages and links of the documentation site (``mkdocs.yml``).
+
+The Markdown files are written to be read in the repository. Here those outside of ``docs/`` become pages, links between them
+are mapped, other files that they name are copied, and the reference is made from the docstrings of the public packages.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[2]
+#: Packages of the reference: module → what it is for.
+PACKAGES = {
+    "sysid.workspace": "datasets, models and results of one folder",
+    "sysid.datasets": "ingest logs, store and load dataset versions",
+    "sysid.machine": "the description of a machine",
+    "sysid.networks": "fit networks",
+    "sysid.validate": "evaluate networks on held-out recordings",
+    "sysid.plant": "the simulation of a machine",
+    "sysid.effects": "named effects",
+    "sysid.gap": "find and name what the simulation lacks",
+    "sysid.registry": "model versions, aliases, decisions",
+    "sysid.model_versions": "promote, compare, export and document model versions",
+    "sysid.reports": "the report of a dataset version",
+    "sysid.site": "a workspace as linked pages",
+    "sysid.view": "Rerun recordings",
+    "sysid.rl": "train and track policies",
+    "sysid.control": "controllers of cylinders and of hanging tools",
+    "sysid.testing": "check an effect of your own",
+}
+#: A link or picture: the target without spaces or title, an anchor apart.
+LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
+#: A role of a docstring in HTML.
+ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
+#: Blocks and spans of code, in which brackets are no links.
+CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages outside of ``docs/``, and the reference."""
+    for path, page in pages().items():
+        if not path.startswith("docs/"):
+            files.append(File.generated(config, page, content=(ROOT / path).read_text("utf-8")))
+    for path in sorted(linked() - pages().keys()):
+        files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+    rows = [f"| [`{name}`]({name}.md) | {what} |" for name, what in PACKAGES.items()]
+    index = ["# Python", "", "This page lists the public packages.", "", "| package | for |", "| --- | --- |", *rows, ""]
+    files.append(File.generated(config, "reference/index.md", content="\n".join(index)))
+    for name in PACKAGES:
+        files.append(File.generated(config, f"reference/{name}.md", content=f"# {name}\n\n::: {name}\n"))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Map the links of a page to the places in the site."""
+    source = next((path for path, name in pages().items() if name == page.file.src_uri), "")
+    if not source:
+        return markdown
+    place = page.file.src_uri
+    parts = CODE.split(markdown)
+    parts[::2] = [LINK.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Roles of docstrings (``:class:`~sysid.gap.GapResult```) as plain code."""
+    return ROLE.sub(r"\1", html) if page.file.src_uri.startswith("reference/") else html
+
+
+def mapped(target: str, source: str, page: str) -> str:
+    """The target of a link in ``source`` (path in the repository), relative to ``page`` (path in the site)."""
+    path = resolved(target, source)
+    if path is None:
+        return target
+    place = pages().get(path, path.removeprefix("docs/") if path.startswith("docs/") else f"files/{path}")
+    return posixpath.relpath(place, posixpath.dirname(page) or ".")
+
+
+def resolved(target: str, source: str) -> str | None:
+    """The file of the repository that a link means; None for an address or a missing file."""
+    if ":" in target:
+        return None
+    path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
+    if (ROOT / path).is_dir():
+        path = posixpath.join(path, "README.md")
+    return path if (ROOT / path).is_file() else None
+
+
+def pages() -> dict[str, str]:
+    """Path of a page in the repository → its place in the site."""
+    found = {"README.md": "index.md", "CHANGELOG.md": "changelog.md", "pipelines/README.md": "pipelines.md"}
+    found |= {"reports/README.md": "reports.md", "rl/README.md": "rl.md", "datasets/README.md": "machines/index.md"}
+    for path in sorted((ROOT / "datasets").glob("*/README.md")):
+        found[path.relative_to(ROOT).as_posix()] = f"machines/{path.parent.name}.md"
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        found[path.relative_to(ROOT).as_posix()] = path.relative_to(ROOT / "docs").as_posix()
+    return found
+
+
+def linked() -> set[str]:
+    """Files outside of ``docs/`` that a page links."""
+    found = set()
+    for source in pages():
+        for part in CODE.split((ROOT / source).read_text("utf-8"))[::2]:
+            targets = (resolved(match[2], source) for match in LINK.finditer(part))
+            found |= {path for path in targets if path is not None and not path.startswith("docs/")}
+    return found
