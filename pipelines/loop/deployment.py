@@ -26,12 +26,14 @@ class Deployment:
 
     Args:
         without: disabled checks of the supervisor, with their reasons.
+        checks: changed thresholds, as in ``[checks]`` of a runner recipe.
     """
 
     plant: str
     forward: str
     policy: str = "ik-lookahead"
     without: Mapping[str, str] = field(default_factory=lambda: WITHOUT)
+    checks: Mapping[str, Any] = field(default_factory=dict)
 
     def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:
         """The runner for a task.
@@ -48,7 +50,7 @@ class Deployment:
             "machine": str((site / "machine.toml").resolve()),
             "versions": versions | {"unpromoted": _unpromoted(registry, models)},
             "transport": {"kind": "can"},
-            "checks": {"without": dict(self.without)},
+            "checks": {**self.checks, "without": dict(self.without)},
             "loop": {"settle_s": REST_S, "priority": 0, "lock_memory": False},
             **task,
         }

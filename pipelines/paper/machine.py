@@ -19,6 +19,10 @@ WITHOUT = {
 }
 
 
+#: A policy of a redundant machine begins in another posture than inverse kinematics, and approaches it at limited speed.
+CHECKS = {"policy": {"share": 1.0}}
+
+
 def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, policy: str, seed: int) -> dict[str, Flight]:
     """Helix and circle under a policy and the controller of a plant.
 
@@ -26,7 +30,7 @@ def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, p
         site: folder of the machine's description and of its bench recipe.
         policy: a version, or ``ik``.
     """
-    machine, deployment = load_recipe(site / "bench.toml"), Deployment(plant, forward, policy, WITHOUT)
+    machine, deployment = load_recipe(site / "bench.toml"), Deployment(plant, forward, policy, WITHOUT, CHECKS)
     flights = {}
     for number, path in enumerate(("helix", "circle")):
         task = path_task(path)
