@@ -10,7 +10,10 @@ import click
 from sysid.cli.output import Printer, json_option, progress_bar, rerun_command, write_json
 
 if TYPE_CHECKING:
+    from sysid.networks.policy import PolicyNetwork
+    from sysid.rl.environment import Policy
     from sysid.rl.tracking import TrackingResult
+    from sysid.rl.tracking_task import TrackingTask
     from sysid.workspace import Workspace
 
 
@@ -69,7 +72,7 @@ def track(
     from sysid.names import check_file_name
     from sysid.rl.policy import CandidateSearchPolicy, load_policy
     from sysid.rl.record import write_results
-    from sysid.rl.tracking_task import BASELINES, TrackingTask, TruncatedObservationPolicy, plan_tracking
+    from sysid.rl.tracking_task import BASELINES, TruncatedObservationPolicy, plan_tracking
     from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
@@ -84,18 +87,18 @@ def track(
     simulation, model = load_versions(workspace.models, plant, forward)
     if candidates is not None and network is None:
         raise SettingsError("--candidates", f"with {policy}", "a policy version: candidates cannot improve inverse kinematics")
+    if candidates is not None and network is not None and network.residual is not None:
+        raise SettingsError("--candidates", f"with {policy}", "a policy that sets joints: this one offsets inverse kinematics")
     if untuned and not full:
         raise SettingsError("--untuned", "without --full", "--full, which uses a controller")
     with progress_bar("track") as progress:
         progress(0.0, f"placing {path}")
-        course: TrackingTask = plan_tracking(
+        course = plan_tracking(
             simulation, model, path, full=full, centre=centre, tuning=proportional_tuning(simulation) if untuned else None
         )
         progress(0.3, policy)
         runs = [
-            course.baseline(policy)
-            if network is None
-            else course.run(policy, TruncatedObservationPolicy(network), lookahead or 0.0)
+            course.baseline(policy) if network is None else course.run(policy, _on_machine(network, course), lookahead or 0.0)
         ]
         if candidates is not None and network is not None:
             progress(0.4, f"{candidates} candidates")
@@ -140,6 +143,16 @@ def track(
     }
     write_json(json_file, values)
     write_json(folder / "result.json", values)
+
+
+def _on_machine(network: PolicyNetwork, course: TrackingTask) -> Policy:
+    """The policy of a network on this machine."""
+    from sysid.rl.residual_policy import ResidualPolicy
+    from sysid.rl.tracking_task import TruncatedObservationPolicy
+
+    if network.residual is not None:
+        return ResidualPolicy(network, course.plant, course.inverse)
+    return TruncatedObservationPolicy(network)
 
 
 def _show(out: Printer, runs: list[TrackingResult]) -> None:

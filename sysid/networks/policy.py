@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 
 #: Training curves, for reports only.
 CURVES = "curves.json"
+#: Settings of an offset.
+RESIDUAL = ("share", "full_swing", "repeat")
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class PolicyNetwork:
         mlp: with the normalisation of observations.
         low, high: limits of each setpoint, (A,) [rad or m].
         full: whether it was trained on the full path (valves and plant); else joints follow at once.
+        residual: where its outputs are shares of an offset of inverse kinematics (:mod:`sysid.rl.residual_policy`): ``share``,
+            ``full_swing`` and ``repeat``, the samples for which an offset is held; None: its outputs are setpoints.
     """
 
     inputs: tuple[str, ...]
@@ -38,6 +42,7 @@ class PolicyNetwork:
     low: Array
     high: Array
     full: bool = False
+    residual: Mapping[str, float] | None = None
 
     def act(self, observations: npt.ArrayLike) -> Array:
         """Setpoints (n, A) [rad or m], within their limits, for observations (n, O) [SI].
@@ -66,7 +71,7 @@ def policy_to_files(policy: PolicyNetwork, curves: Mapping[str, object]) -> dict
 
     tensors: Tensors = {"low": policy.low, "high": policy.high}
     put_mlp(tensors, "actor", policy.mlp)
-    structure = {
+    structure: dict[str, object] = {
         "schema": 1,
         "kind": "policy",
         "inputs": list(policy.inputs),
@@ -74,6 +79,8 @@ def policy_to_files(policy: PolicyNetwork, curves: Mapping[str, object]) -> dict
         "layers": len(policy.mlp.weights),
         "full": policy.full,
     }
+    if policy.residual is not None:
+        structure["residual"] = dict(policy.residual)
     texts = {STRUCTURE: structure, CURVES: {"schema": 1, **curves}}
     return {
         WEIGHTS: save(tensors),
@@ -91,6 +98,7 @@ def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwor
         if structure["schema"] != 1 or structure["kind"] != "policy":
             found = f"{structure['kind']} of schema {structure['schema']!r}"
             raise StoreError(f"{where}: {STRUCTURE}", found, "a policy of schema 1", "Update the toolkit.")
+        residual = structure.get("residual")
         policy = PolicyNetwork(
             inputs=tuple(structure["inputs"]),
             outputs=tuple(structure["outputs"]),
@@ -98,6 +106,7 @@ def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwor
             low=tensors["low"],
             high=tensors["high"],
             full=bool(structure["full"]),
+            residual=None if residual is None else {key: float(residual[key]) for key in RESIDUAL},
         )
     widths = (len(policy.mlp.weights[0]), policy.mlp.weights[-1].shape[1])
     if widths != (len(policy.inputs), len(policy.outputs)) or not policy.low.shape == policy.high.shape == (widths[1],):

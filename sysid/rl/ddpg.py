@@ -77,6 +77,7 @@ class Trainer:
         self.episodes: list[dict[str, float]] = []
         self.evaluations: list[dict[str, float]] = []
         self._returns, self._distance = np.zeros(environment.size), np.zeros(environment.size)
+        evaluation.spread = recipe.setting.spread
         self._begin = evaluation.reset()
         self._task = evaluation.state()
         environment.spread = self._target_spread()
@@ -118,7 +119,8 @@ class Trainer:
         evaluation.restore(self._task)
         observations, wanted = self._begin, evaluation.targets(self._begin)
         found: dict[str, float] = {}
-        settle = SETTLE_STEPS if self.recipe.setting.full else 1
+        setting = self.recipe.setting
+        settle = SETTLE_STEPS // (setting.repeat if setting.residual is not None else 1) if setting.full else 1
         for phase in ("reach", "hold"):
             for _ in range(settle):
                 observations, _, _ = evaluation.step(self.greedy(observations))
@@ -247,8 +249,9 @@ class Trainer:
 
     def _target_spread(self) -> float:
         """Distance of new targets, as a share of that of targets anywhere within reach."""
-        part = self.recipe.setting.curriculum * self.recipe.total_steps
-        return min(1.0, CURRICULUM_START + (1.0 - CURRICULUM_START) * self.step_count / part) if part else 1.0
+        part, whole = self.recipe.setting.curriculum * self.recipe.total_steps, self.recipe.setting.spread
+        grown = CURRICULUM_START + (1.0 - CURRICULUM_START) * self.step_count / part if part else 1.0
+        return whole * min(1.0, grown)
 
     def _rate(self) -> float:
         if self.recipe.learning.schedule == "constant":

@@ -21,7 +21,7 @@ from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
 from sysid.rl.environment import Environment
 from sysid.rl.observation import DrivenObservation
-from sysid.rl.reach import Reach
+from sysid.rl.reach import Reach, tips
 from sysid.rl.task import Flags, Task
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ class DrivenEnvironment(Environment):
             present state while a candidate is held for the longest dead time, or for ``repeat``.
         mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
         noise: the controller reads its sensors with the noise of the machine's description.
+        start_swing: greatest horizontal distance [m] of the tool from its rest at the beginning of an episode; the distance is
+            uniform up to it, in a random direction, without speed (``compiled`` only).
 
     Raises:
         SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` or ``repeat`` below one.
@@ -68,6 +70,7 @@ class DrivenEnvironment(Environment):
         feedback: Feedback = "static",
         mover: Mover = "compiled",
         noise: bool = False,
+        start_swing: float = 0.0,
     ) -> None:
         for name, value, valid in (("feedback", feedback, get_args(Feedback)), ("mover", mover, get_args(Mover))):
             if value not in valid:
@@ -76,7 +79,10 @@ class DrivenEnvironment(Environment):
             raise SettingsError("environment", f"repeat = {repeat}", "one sample or more")
         if mover == "pybullet" and feedback == "plant":
             raise SettingsError("environment", "feedback = 'plant' with PyBullet", "mover = 'compiled', or feedback = 'static'")
+        if start_swing and mover == "pybullet":
+            raise SettingsError("environment", "start_swing with PyBullet", "mover = 'compiled'")
         super().__init__(plant, forward, size, seed, task, reach)
+        self.start_swing = start_swing
         self.feedback, self.preview, self.repeat = feedback, preview, repeat
         sampled, self.rate_hz = self.rate_hz, self.rate_hz / repeat
         self._stepper: Stepper | Worlds
@@ -109,6 +115,14 @@ class DrivenEnvironment(Environment):
         """The last commands, (n, A)."""
         return self._controller.last
 
+    def look(self) -> Array:
+        """Present observations (n, O)."""
+        return self._observe()
+
+    def put(self, which: Flags, joints: Array, targets: Array) -> None:
+        """Begin an episode in the copies of a mask, at rest at joints and with targets, a row for each of them."""
+        self._put(which, joints, targets)
+
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
         wanted = self._checked(actions)
         self._require_finite(bool(np.isfinite(wanted).all()))
@@ -128,8 +142,14 @@ class DrivenEnvironment(Environment):
         copies, and the candidates of a copy follow each other.
         """
         wanted = np.clip(actions, self.reach.low, self.reach.high)
-        if self.feedback == "static":
-            return self.forward.predict(wanted)
+        return self.forward.predict(wanted) if self.feedback == "static" else self._simulated(wanted).ee
+
+    def predicted_tool(self, actions: Array) -> Array:
+        """Tools (m, 3) to which candidate ``actions`` (m, A) lead, by simulating the plant."""
+        return self._simulated(np.clip(actions, self.reach.low, self.reach.high)).tool
+
+    def _simulated(self, wanted: Array) -> LaneState:
+        """The plant after setpoints (m, A) were held from the present state, candidates of a copy in succession."""
         each, rest = divmod(len(wanted), self.size)
         if rest or not each:
             raise InputError("environment", f"{len(wanted)} candidates", f"as many for each of {self.size} copies")
@@ -140,7 +160,7 @@ class DrivenEnvironment(Environment):
         lane = LaneState(*(np.repeat(getattr(present, name), each, axis=0) for name in names))
         for _ in range(max(self.horizon, self.repeat)):
             lane = stepper.step(controller.commands(wanted, self._measured(lane)))
-        return lane.ee
+        return lane
 
     def state(self) -> dict[str, Any]:
         view = {"commands": self._view.commands, "speed": self._view.speed}
@@ -194,11 +214,21 @@ class DrivenEnvironment(Environment):
         return self._candidates
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
-        self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)
+        starts = np.clip(joints, self.reach.low, self.reach.high)
+        if self.start_swing and isinstance(self._stepper, Stepper):
+            self._lane = lane = self._stepper.reset(starts, which=which, swing=self._random_swing(starts))
+        else:
+            self._lane = lane = self._stepper.reset(starts, which=which)
         self._controller.reset(self._measured(lane)[which], which)
         self._target[which] = targets
         self._view.rest(which)
         self._count[which] = 0
+
+    def _random_swing(self, joints: Array) -> Array:
+        """Place [m] and speed [m/s] of the tools, (n, 4), at the beginning of episodes at ``joints`` (n, A)."""
+        angle = self._rng.uniform(-math.pi, math.pi, len(joints))
+        way = self._rng.uniform(0.0, self.start_swing, len(joints))[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.concatenate([tips(self.model, joints)[:, :2] + way, np.zeros((len(joints), 2))], axis=1)
 
     def _bounds(self, sign: float) -> Array:
         """Lower or upper bounds of an observation, to scale networks; speeds and sway are typical values, not limits."""

@@ -12,6 +12,8 @@ from sysid.rl.driven import DrivenEnvironment
 from sysid.rl.environment import Environment
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.reach import Reach
+from sysid.rl.residual import ResidualEnvironment
+from sysid.rl.residual_observation import Residual
 from sysid.rl.task import Task
 from sysid.rl.versions import load_versions
 
@@ -25,6 +27,7 @@ def make_environment(
     seed: int = 0,
     task: Task | None = None,
     reach: Reach | None = None,
+    residual: Residual | None = None,
     **settings: Any,
 ) -> Environment:
     """An environment of ``size`` copies.
@@ -32,11 +35,14 @@ def make_environment(
     Args:
         full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
         reach: limits, starts and targets; by default those of plant and forward model.
+        residual: actions are offsets of inverse kinematics that bring a hanging tool to rest (``full`` only).
         settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
 
     Raises:
         SettingsError: plant and forward model do not fit each other, or settings of the full path without ``full``.
     """
+    if full and residual is not None:
+        return ResidualEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach, residual=residual, **settings)
     if full:
         return DrivenEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach, **settings)
     if settings:

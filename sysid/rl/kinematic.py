@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError
+from sysid.errors import InputError, SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.rl.environment import Environment
@@ -36,6 +36,9 @@ class KinematicEnvironment(Environment):
         reach: Reach | None = None,
     ) -> None:
         super().__init__(plant, forward, size, seed, task, reach)
+        if self.task.saturation > 0.0:
+            found = f"task.saturation = {self.task.saturation:g} where joints follow at once"
+            raise SettingsError("environment", found, "0, or the full path")
         self.observations, self.names = self.slices.width, self.slices.names(plant.machine.axis_names)
         self.observation_low = np.concatenate([self.reach.low, self.reach.ee_low, self.reach.ee_low])
         self.observation_high = np.concatenate([self.reach.high, self.reach.ee_high, self.reach.ee_high])

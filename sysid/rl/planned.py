@@ -1,4 +1,4 @@
-"""Classical policies on top of inverse kinematics: coordinated motion to a new target, and input shaping of the setpoints."""
+"""Classical policies on inverse kinematics: coordinated motion to a new target, shaped setpoints, damping of the swing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import numpy.typing as npt
 from sysid.control import CylinderController
 from sysid.control.coordinated_motion import CoordinatedMotion, MotionLimits, coordinated_motion
 from sysid.control.input_shaper import InputShaper, ShapedSetpoints
+from sysid.control.swing_damper import SwingDamper
 from sysid.plant import Plant
 from sysid.rl.environment import Policy
-from sysid.rl.inverse_kinematics import InverseKinematics
+from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain
+from sysid.rl.least_time_goal import least_time_goal
+from sysid.rl.residual_observation import ResidualObservation
 from sysid.rl.task import ObservationSlices
+from sysid.rl.tracking import StatefulPolicy
 
 Array = npt.NDArray[np.float64]
 
@@ -26,10 +30,12 @@ class CoordinatedPolicy:
         plant: its linkages map joints to driven coordinates.
         inverse: target → joints.
         limits: of the motion.
+        least_time: of all joints for the target, move to those that are reached first; else to the nearest by inverse
+            kinematics.
     """
 
-    def __init__(self, plant: Plant, inverse: InverseKinematics, limits: MotionLimits) -> None:
-        self.inverse, self.limits = inverse, limits
+    def __init__(self, plant: Plant, inverse: InverseKinematics, limits: MotionLimits, least_time: bool = False) -> None:
+        self.inverse, self.limits, self.least_time = inverse, limits, least_time
         self._controller = CylinderController(plant)
         self._linkages = [plant.linkages[axis.name] if axis.drives == "cylinder" else None for axis in plant.machine.axes]
         self._slices, self._dt = ObservationSlices.of(len(inverse.low)), 1.0 / plant.machine.rate_hz
@@ -48,12 +54,17 @@ class CoordinatedPolicy:
         target = observations[0, self._slices.target]
         if self._motion is None or not np.array_equal(target, self._target):
             self._target, self._steps = target.copy(), 0
-            goal, _ = self.inverse.solve(target[None], self._last[None])
-            begin, end = self._controller.drive(np.concatenate([self._last[None], goal]))
+            begin, end = self._controller.drive(np.array([self._last, self._goal(target)]))
             self._motion = coordinated_motion(begin, end, self.limits)
         self._steps += 1
         self._last = self._joints(self._motion.at(self._steps * self._dt))
         return self._last[None].copy()
+
+    def _goal(self, target: Array) -> Array:
+        if self.least_time:
+            return least_time_goal(self.inverse, self._controller, self.limits, self._last, target)
+        joints, _ = self.inverse.solve(target[None], self._last[None])
+        return np.asarray(joints[0])
 
     def _joints(self, drive: Array) -> Array:
         return np.array(
@@ -78,11 +89,33 @@ class ShapedPolicy:
 
     def reset(self, observations: Array) -> None:
         """Rest at the measured joints."""
-        from sysid.rl.tracking import StatefulPolicy
-
         if isinstance(self.policy, StatefulPolicy):
             self.policy.reset(observations)
         self._shaped.reset(observations[:, self._slices.joints])
 
     def act(self, observations: Array) -> Array:
         return self._shaped.step(self.policy.act(observations))
+
+
+class DampedPolicy:
+    """The setpoints of another policy, offset by the damping of a measured swing.
+
+    Args:
+        policy: joint setpoints of one machine.
+        inverse: on the kinematics ``chain``; an offset of the tip is solved from the setpoints of ``policy``.
+        damper: from the swing to the offset of the tip.
+    """
+
+    def __init__(self, policy: Policy, inverse: InverseKinematics, chain: KinematicChain, damper: SwingDamper) -> None:
+        self.policy, self.inverse, self.chain, self.damper = policy, inverse, chain, damper
+
+    def reset(self, observations: Array) -> None:
+        """Rest at the measured joints."""
+        if isinstance(self.policy, StatefulPolicy):
+            self.policy.reset(observations)
+
+    def act(self, observations: Array) -> Array:
+        planned = self.policy.act(observations)
+        tips = self.chain.predict(planned) + self.damper.offset(*ResidualObservation.swing(observations))
+        joints, _ = self.inverse.solve(tips, planned)
+        return joints

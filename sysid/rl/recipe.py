@@ -9,6 +9,7 @@ from typing import Any, Literal
 from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError
 from sysid.names import check_name
+from sysid.rl.residual_observation import Residual
 from sysid.rl.task import Task
 
 
@@ -22,6 +23,10 @@ class Setting(Strict):
         feedback, repeat: of :class:`sysid.rl.driven.DrivenEnvironment`, on the full path only; a trained policy acts at every
             sample.
         task: steps of an episode and its rewards.
+        residual: the policy offsets the setpoints of inverse kinematics to bring a hanging tool to rest, on the full path only
+            (:mod:`sysid.rl.residual`); each offset is held for ``repeat`` samples, also after the training.
+        start_swing: greatest distance of the tool from its rest at the beginning of an episode [m], on the full path only.
+        spread: distance of targets, as a share of the way from the start to a random pose.
         curriculum: share of the training in which the distance of targets grows, from a tenth of the way to anywhere within
             reach; 0: they are anywhere from the start, as in the paper.
     """
@@ -31,6 +36,9 @@ class Setting(Strict):
     feedback: Literal["static", "plant"] = "static"
     repeat: int = 1
     task: Task = field(default_factory=Task)
+    residual: Residual | None = None
+    spread: float = 1.0
+    start_swing: float = 0.0
     curriculum: float = 0.0
 
 
@@ -163,6 +171,8 @@ def parse_training(values: dict[str, Any], where: object) -> TrainingRecipe:
         ("setting.copies", recipe.setting.copies, 1, None),
         ("setting.repeat", recipe.setting.repeat, 1, None),
         ("setting.curriculum", recipe.setting.curriculum, 0, 1),
+        ("setting.spread", recipe.setting.spread, 0, 1),
+        ("setting.start_swing", recipe.setting.start_swing, 0, 1),
         ("exploration.candidates", exploration.candidates, 1, None),
         ("exploration.sigma", exploration.sigma, 0, None),
         ("exploration.sigma_end", exploration.sigma_end, 0, exploration.sigma),
@@ -187,6 +197,7 @@ def parse_training(values: dict[str, Any], where: object) -> TrainingRecipe:
     if recipe.setting.repeat > 1 and not recipe.setting.full:
         alone = f"{recipe.setting.repeat} where joints follow at once"
         raise SettingsError(f"{where}: setting.repeat", alone, "the full path", "Set setting.full, or repeat = 1.")
+    _check_task(recipe, where)
     for key, found in (
         ("learning.actor_rate", learning.actor_rate),
         ("learning.critic_rate", learning.critic_rate),
@@ -198,3 +209,31 @@ def parse_training(values: dict[str, Any], where: object) -> TrainingRecipe:
     if exploration.sigma_end is not None and not exploration.sigma_end > 0:
         raise SettingsError(f"{where}: exploration.sigma_end", f"{exploration.sigma_end:g}", "above zero")
     return recipe
+
+
+def _check_task(recipe: TrainingRecipe, where: object) -> None:
+    """Refuse settings of the task that exclude each other."""
+    setting, residual = recipe.setting, recipe.setting.residual
+    if residual is not None:
+        if not setting.full:
+            raise SettingsError(
+                f"{where}: setting.residual", "where joints follow at once", "the full path", "Set setting.full."
+            )
+        if recipe.exploration.candidates > 1 and setting.feedback != "plant":
+            found = f"{recipe.exploration.candidates} candidates with feedback = 'static'"
+            raise SettingsError(
+                f"{where}: setting.residual", found, "feedback = 'plant': a forward model does not know the tool"
+            )
+        for key, value in (("share", residual.share), ("full_swing", residual.full_swing)):
+            if not 0.0 < value <= 1.0:
+                raise SettingsError(f"{where}: setting.residual.{key}", f"{value:g}", "above 0, to 1")
+    if setting.start_swing > 0.0 and not setting.full:
+        raise SettingsError(
+            f"{where}: setting.start_swing", "where nothing hangs at the tip", "the full path", "Set setting.full."
+        )
+    if setting.task.saturation > 0.0:
+        if not setting.full:
+            raise SettingsError(f"{where}: setting.task.saturation", "where joints follow at once", "the full path")
+        if recipe.learning.hindsight > 0.0:
+            found = "with hindsight, which recomputes the distance without it"
+            raise SettingsError(f"{where}: setting.task.saturation", found, "learning.hindsight = 0")

@@ -29,6 +29,7 @@ class Task(Strict):
         step_reward: for every step.
         near_reward: the distance [m] at which the distance term is zero.
         outside_reward: penalty of a step in which any setpoint leaves its limits (below zero).
+        saturation: s [m] where the distance term levels off: a distance d counts as ``d/(1 + d/s)``; 0: as d, as in the paper.
     """
 
     steps: int = 1000
@@ -36,6 +37,7 @@ class Task(Strict):
     step_reward: float = 0.001
     near_reward: float = 0.002
     outside_reward: float = -0.0005
+    saturation: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.targets <= self.steps:
@@ -49,6 +51,8 @@ class Task(Strict):
     def reward(self, ee: npt.ArrayLike, target: npt.ArrayLike, outside: npt.ArrayLike) -> Array:
         """Rewards (n,) of end effectors and targets (n, 3) [m], ``outside`` (n,): whether a setpoint left its limits."""
         distance = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
+        if self.saturation > 0.0:
+            distance = distance / (1.0 + distance / self.saturation)
         return np.asarray(
             self.step_reward + self.near_reward - distance + self.outside_reward * np.asarray(outside, dtype=float)
         )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -133,12 +134,16 @@ def environments(
     setting = recipe.setting
 
     def environment(size: int, seed: int, task: Task, repeat: int) -> Environment:
-        settings = {"tuning": tuning, "repeat": repeat, "feedback": setting.feedback} if setting.full else {}
+        settings: dict[str, Any] = {}
+        if setting.full:
+            settings = {"tuning": tuning, "repeat": repeat, "feedback": setting.feedback, "residual": setting.residual}
+            settings["start_swing"] = setting.start_swing
         return make_environment(plant, forward, full=setting.full, size=size, seed=seed, task=task, reach=reach, **settings)
 
+    held = setting.repeat if setting.residual is not None else 1
     return (
         environment(setting.copies, recipe.seed, setting.task, setting.repeat),
-        environment(evaluation_copies, EVALUATION_SEED, evaluation_task(setting.task), 1),
+        environment(evaluation_copies, EVALUATION_SEED, evaluation_task(setting.task), held),
     )
 
 
@@ -153,15 +158,17 @@ def policy_of(trainer: Trainer) -> PolicyNetwork:
     weights, biases = trainer.agent.layers()
     acts = len(space.action_low)
     same = Normalisation(np.zeros(acts), np.ones(acts))
-    names = (*forward.joints, *(f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz"))
-    more = tuple(f"further.{number}" for number in range(len(space.low) - len(names)))
+    setting, residual = trainer.recipe.setting, None
+    if setting.residual is not None:
+        residual = {**asdict(setting.residual), "repeat": float(setting.repeat)}
     return PolicyNetwork(
-        inputs=(*names, *more),
+        inputs=trainer.environment.names,
         outputs=forward.joints,
         mlp=Mlp(weights, biases, Normalisation(space.centre, space.half), same),
         low=space.action_low,
         high=space.action_high,
-        full=trainer.recipe.setting.full,
+        full=setting.full,
+        residual=residual,
     )
 
 

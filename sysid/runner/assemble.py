@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.control import response_time, tune
+from sysid.control.input_shaper import InputShaper, input_shaper
+from sysid.control.pendulum import pendulum_of
 from sysid.errors import SettingsError
 from sysid.gap.experiment.file import read_experiment
 from sysid.machine import Machine, load_machine
@@ -71,6 +73,15 @@ class Assembly:
             return np.clip(self.tracking.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
+    @property
+    def shaper(self) -> InputShaper | None:
+        """Of the path, if the recipe has one."""
+        kind = self.recipe.track.shaper
+        if kind == "none":
+            return None
+        pendulum = pendulum_of(self.loaded.plant)
+        return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
+
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
         """A new loop, warmed up.
 
@@ -102,8 +113,9 @@ class Assembly:
                 return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
             assert self.tracking is not None
             return TrackPath(
-                self.tracking.path, self.tracking.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
-            )
+                self.tracking.path, self.tracking.start, limits, dt,
+                ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps, shaper=self.shaper,
+            )  # fmt: skip
         if name == "commission":
             return Commission(self.machine, command_filter, recipe.commission)
         if name == "hold":

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.control import CylinderController
+from sysid.control.pendulum import pendulum_of
+from sysid.control.swing_estimator import SwingEstimator
 from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
@@ -71,9 +73,13 @@ class ControlChain:
             self.thread = PolicyThread(policy, len(self.axes))
         self._joints: Array | None = None
         self._solved: Array | None = None
-        hang = plant.effect(gripper_sway.EFFECT.name, "tool")
-        length = float(np.atleast_1d(hang.parameters["length"])[0]) if hang is not None else 0.0
-        self._below = np.array([[0.0, 0.0, -length]])
+        self._swing: SwingEstimator | None = None
+        self._below = np.zeros((1, 3))
+        if plant.effect(gripper_sway.EFFECT.name, "tool") is not None:
+            pendulum = pendulum_of(plant)
+            self._below = np.array([[0.0, 0.0, -pendulum.length]])
+            if policy is not None and any(name.startswith("tool.") for name in policy.inputs):
+                self._swing = SwingEstimator(pendulum, plant.machine.rate_hz)
 
     @property
     def ahead(self) -> int:
@@ -89,13 +95,22 @@ class ControlChain:
         self.controller.reset(drive)
         self.view.rest()
         self._joints, self._solved = joints[None].copy(), None
+        if self._swing is not None:
+            self._swing.reset(self.tip(joints[None]))
+            self._below = np.array([[0.0, 0.0, -self._swing.pendulum.length]])
 
     def moved(self, joints: Array, commands: Array) -> None:
-        """Record a step with ``commands`` (A,), zero if neutral, that led to ``joints`` (A,)."""
+        """Record a step with ``commands`` (A,), zero if neutral, that led to ``joints`` (A,).
+
+        A policy that observes the tool gets the swing of the identified pendulum below the tip: no sensor measures it.
+        """
         now = joints[None]
         before = now if self._joints is None else self._joints
         self.view.sent(commands[None])
-        self.view.moved(now, before, self._below, self._below)
+        below = self._below
+        if self._swing is not None:
+            self._below, _ = self._swing.step(self.tip(now))
+        self.view.moved(now, before, self._below, below)
         self._joints = now.copy()
 
     def ask(self, joints: Array, ee: Array, target: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:

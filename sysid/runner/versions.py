@@ -51,6 +51,9 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
     if wanted.policy not in KINEMATIC:
         version = registry.load(wanted.policy)
         policy = load_policy(version)
+        if policy.residual is not None:
+            offset = f"{version.reference} offsets inverse kinematics by the swing of the tool, which a run does not measure"
+            raise SettingsError(f"{where}: versions.policy", offset, "a policy that sets joints, or ik-lookahead")
         found.append(version)
         remarks += _policy_lineage(registry, version, found, machine, where)
     actuators: Mapping[str, ActuatorNetwork] = {}

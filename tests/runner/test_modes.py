@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 from pathlib import Path
 
@@ -11,6 +12,9 @@ import pytest
 from runner_case import DT, MIDDLE, PLANT, Quick, case
 
 from sysid.control import tune
+from sysid.control.input_shaper import ShaperKind, input_shaper
+from sysid.control.pendulum import Pendulum
+from sysid.control.swing_estimator import SwingEstimator
 from sysid.errors import InputError
 from sysid.gap.experiment.experiment import Experiment
 from sysid.rl.paths import Path as Course
@@ -20,7 +24,7 @@ from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
 from sysid.runner.modes.collect import Collect, SafeMoves, draw_poses
 from sysid.runner.modes.mode import Move
 from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
-from sysid.runner.modes.track import TrackLive
+from sysid.runner.modes.track import TrackLive, TrackPath
 from sysid.runner.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)
@@ -55,6 +59,31 @@ def test_an_eased_path_has_the_same_points_and_starts_from_rest() -> None:
     assert steps[0] < 0.01 * steps.max()
     assert steps.max() * 100.0 == pytest.approx(path.speed, rel=1e-3)
     assert eased(Course("dot", 100.0, points[:3]), 1.0).shape == (3, 3)
+
+
+@pytest.mark.parametrize("kind", ["zv", "zvd"])
+def test_a_shaped_path_ends_without_swing_and_is_not_late(kind: ShaperKind) -> None:
+    path = circle(np.array([0.8, 0.0, 0.3]))
+    pendulum = Pendulum(0.22, 0.04)
+    shaper = input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
+    modes = [TrackPath(path, MIDDLE, LIMITS, DT, ahead=3, ease_s=0.0, shaper=each) for each in (None, shaper)]
+    swing = []
+    for mode in modes:
+        mode.begin(MIDDLE, path.points[0])
+        first = mode._approach.steps
+        estimator = SwingEstimator(pendulum, 100.0)
+        estimator.reset(path.points[:1])
+        goals = list(
+            itertools.takewhile(lambda goal: not goal.done, (mode.goal(k, MIDDLE, EE) for k in itertools.count(first)))
+        )
+        aims = np.array([goal.aim for goal in goals])
+        below = np.array([estimator.step(aim[None])[0][0] for aim in aims])
+        np.testing.assert_allclose(aims[-1], path.points[-1], atol=1e-9)
+        late = np.linalg.norm(aims[:-3] - np.array([goal.target for goal in goals])[3:], axis=1)
+        assert late.mean() < 0.01, "the look-ahead of three cycles, and no more"
+        swing.append(np.hypot(*below[-1, :2]) + np.hypot(*below[-25, :2]))
+    assert swing[0] > 0.015
+    assert swing[1] < 0.1 * swing[0]
 
 
 def test_collect_draws_inside_and_stays_at_each_pose() -> None:

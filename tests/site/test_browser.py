@@ -130,6 +130,33 @@ def test_the_report_draws_its_figures_and_saves_them(site: Path, page: Page) -> 
     assert page.locator("nav a[aria-current]").inner_text() == "Before and after"
 
 
+def test_the_replay_moves_stops_and_turns(site: Path, page: Page) -> None:
+    page.goto((site / "reports/autolog@1.html").as_uri())
+    canvas, label = page.locator("#replay"), page.locator("#replay-label")
+    canvas.scroll_into_view_if_needed()
+    first = label.inner_text()
+    page.wait_for_function("text => document.getElementById('replay-label').textContent !== text", arg=first)
+    page.get_by_role("button", name="Stop").click()
+    still = page.evaluate("document.getElementById('replay').toDataURL()")
+    canvas.focus()
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate("document.getElementById('replay').toDataURL()") != still
+    page.locator("#replay-time").fill("0")
+    assert label.inner_text() != first or first.startswith("0.0")
+    assert "tool before" in label.inner_text()
+
+
+def test_a_reader_who_wants_no_motion_gets_a_still_picture(browser: Browser, site: Path) -> None:
+    context = browser.new_context(reduced_motion="reduce")
+    page = context.new_page()
+    page.goto((site / "reports/autolog@1.html").as_uri())
+    page.locator("#replay").scroll_into_view_if_needed()
+    page.wait_for_timeout(300)
+    assert page.locator("#replay-time").input_value() == "0"
+    assert page.get_by_role("button", name="Play").is_visible()
+    context.close()
+
+
 @pytest.mark.parametrize("path", PAGES)
 def test_no_page_is_wider_than_a_phone(browser: Browser, site: Path, path: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 800})

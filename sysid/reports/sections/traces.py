@@ -12,6 +12,7 @@ from sysid.reports import display, words
 from sysid.reports.figures import embed, packed, thin
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.moments import error_chart, largest_error_signals, moment_chart, worst_moment
+from sysid.reports.replay import replay
 
 #: Largest number of recordings on the page.
 MAX_RECORDINGS = 3
@@ -38,8 +39,15 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "signals": [{"name": name, "label": words.signal_name(name)} for name in signals],
         "selected": worst,
         "repaired": repaired,
+        "replay": _replay(inputs, repaired),
         "moments": _moments(inputs, repaired),
     }
+
+
+def _replay(inputs: ReportInputs, repaired: bool) -> dict[str, Any] | None:
+    assert inputs.gap is not None
+    found = replay(inputs.gap, inputs.dataset.machine, repaired)
+    return {**found, "data": embed("replay-data", found)} if found is not None else None
 
 
 def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:

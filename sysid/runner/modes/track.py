@@ -8,6 +8,7 @@ import socket
 import numpy as np
 import numpy.typing as npt
 
+from sysid.control.input_shaper import InputShaper
 from sysid.errors import SettingsError
 from sysid.rl.paths import Path, eased
 from sysid.runner.limits import Limits
@@ -29,19 +30,31 @@ class TrackPath:
         ahead: look-ahead of the policy in cycles.
         ease_s: duration of the speed ramps.
         laps: number of rounds; an open path is followed forth and back.
+        shaper: of the targets that the policy observes, against the swing of a hanging tool; its mean delay is compensated.
     """
 
     name, moves, writes, computes = "track", True, True, True
 
     def __init__(
-        self, path: Path, start: Array, limits: Limits, dt: float, *, ahead: int = 0, ease_s: float = 1.0, laps: int = 1
+        self,
+        path: Path,
+        start: Array,
+        limits: Limits,
+        dt: float,
+        *,
+        ahead: int = 0,
+        ease_s: float = 1.0,
+        laps: int = 1,
+        shaper: InputShaper | None = None,
     ) -> None:
         once = eased(path, ease_s)
         closed = float(np.linalg.norm(path.points[-1] - path.points[0])) < 1e-3
         rounds = [once if closed or k % 2 == 0 else once[::-1] for k in range(laps)]
+        late = 0 if shaper is None else round(shaper.delay / dt)
         # The target rests during the look-ahead.
-        self.points = np.concatenate([np.tile(once[0], (ahead, 1)), *rounds])
-        self.ahead, self._linger = ahead, round(LINGER_S / dt)
+        self.points = np.concatenate([np.tile(once[0], (ahead + late, 1)), *rounds])
+        self.aims = self.points if shaper is None else shaper.shaped(self.points, path.rate_hz)
+        self.ahead, self._linger = ahead + late, round(LINGER_S / dt) + len(self.aims) - len(self.points)
         self._approach = Approach(start, limits, dt)
 
     def begin(self, joints: Array, ee: Array) -> None:
@@ -55,7 +68,8 @@ class TrackPath:
         last = len(self.points) - 1
         if here > last + self._linger:
             return done("track")
-        return Goal("track", target=self.points[min(here + 1, last)], aim=self.points[min(here + 1 + self.ahead, last)])
+        aim = self.aims[min(here + 1 + self.ahead, len(self.aims) - 1)]
+        return Goal("track", target=self.points[min(here + 1, last)], aim=aim)
 
 
 class TrackLive:

@@ -1,0 +1,59 @@
+"""The controllers of a run: a policy that was trained on the full path observes in a run what it observed in training."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from crane_model import Perfect, crane_plant
+
+from sysid.machine import KnownEffect
+from sysid.rl.driven import DrivenEnvironment
+from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
+from sysid.rl.task import Task
+from sysid.runner.chain import ControlChain
+
+Array = npt.NDArray[np.float64]
+PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
+FORWARD = Perfect(PLANT)
+
+
+class Still:
+    """A policy that observes everything."""
+
+    def __init__(self, inputs: tuple[str, ...]) -> None:
+        self.inputs, self.outputs = inputs, FORWARD.joints
+
+    def act(self, observations: Array) -> Array:
+        return observations[:, :4]
+
+
+@pytest.fixture
+def environment() -> DrivenEnvironment:
+    return DrivenEnvironment(PLANT, FORWARD, task=Task(steps=1000))
+
+
+def chain_for(inputs: tuple[str, ...]) -> ControlChain:
+    inverse = InverseKinematics.of(chain_of_plant(PLANT), FORWARD.low, FORWARD.high)
+    return ControlChain(PLANT, FORWARD, inverse, policy=Still(inputs))
+
+
+def test_observations_of_a_run_are_those_of_the_training(environment: DrivenEnvironment) -> None:
+    begin, target = np.array([0.0, 0.4, -1.2, 0.1]), np.array([0.8, 0.0, 0.3])
+    seen = environment.begin(begin, target)
+    chain = chain_for(environment.names)
+    chain.rest(chain.controller.drive(begin)[0], begin)
+    for k in range(200):
+        seen, _, _ = environment.step(np.array([[0.3 if k < 60 else 0.0, 0.5, -1.2, 0.1]]))
+        joints = seen[0, :4]
+        chain.moved(joints, environment.commands[0])
+        own = chain.view.seen(joints[None], seen[:, 4:7], target[None], chain._below)
+        np.testing.assert_allclose(own, seen, atol=1e-6)
+    assert np.abs(seen[0, -6:-4]).max() > 0.003, "the tool swings"
+    chain.rest(chain.controller.drive(begin)[0], begin)
+    np.testing.assert_allclose(chain._below, [[0.0, 0.0, -0.22]])
+
+
+def test_a_policy_that_does_not_observe_the_tool_needs_no_estimate(environment: DrivenEnvironment) -> None:
+    assert chain_for(environment.names[:10])._swing is None
+    assert chain_for(environment.names)._swing is not None
