@@ -71,8 +71,10 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS, parts: Se
         result["trained"] = {"recipe": f"rl/autolog/{RECIPE.name}", "seeds": seeds, "cpu_seconds": cpu_s}
         sac = peer.trained(load_training(RECIPE), plant, forward, networks[0], cpu_s) if published else None
         trained = Trained(networks, sac)
-    elif "trained" in old:
-        result["trained"] = old["trained"]
+        if sac is not None:
+            result["peer"] = {"algorithm": "SAC of Stable-Baselines3", "steps": sac.steps, "cpu_seconds": cpu_s}
+    else:
+        result |= {key: old[key] for key in ("trained", "peer") if key in old}
     for part in parts:
         print(part, flush=True)
         match part:

@@ -35,6 +35,11 @@ class PeerNetwork:
     model: Any
 
     @property
+    def steps(self) -> int:
+        """Steps of the environment that it was trained for."""
+        return int(self.model.num_timesteps)
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         return self.like.inputs
 

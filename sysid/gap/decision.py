@@ -147,8 +147,8 @@ class FreeRun:
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
-    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
-        """Whether slow or fast motion shows that one of its effects is absent there."""
+    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
+        """Whether slow or fast motion shows that one of its effects is absent there; without its effects ``repairs``."""
         return False
 
 
@@ -466,8 +466,14 @@ def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
 
 
 def _contradicted(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
-    """Whether an effect that changes all speeds by one share is certainly absent from some of them."""
-    return candidate.effect.proportional and free.absent_at_some_speed(model, candidate)
+    """Whether an effect that changes all speeds by one share is certainly absent from some of them.
+
+    Effects that may compensate for the formula of a similar one are left out: a curve of the gain would hide it.
+    """
+    if not candidate.effect.proportional:
+        return False
+    others = (c for c in model.candidates if c.key != candidate.key)
+    return free.absent_at_some_speed(model, candidate, [c for c in others if _repairs(c, model, free)])
 
 
 def _confused(one: Candidate, other: Candidate) -> bool:

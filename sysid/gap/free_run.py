@@ -77,8 +77,10 @@ class LeastSquares(FreeRun):
         best = min(larger, key=lambda f: f.left, default=None)
         return best if best is not None and best.left * EXPLAINED < model.left else None
 
-    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
         fitted = self.least_squares(model)
+        for other in repairs:
+            fitted = self.proposals.without(fitted, other)
         return speed_classes(self.proposals.likelihood, fitted, candidate).absent
 
     def _squares(self, model: ModelFit) -> Array:

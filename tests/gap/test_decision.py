@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,8 @@ OFFERED = {
         *candidates_at(SLIDE, SLIDE.vector(), "force", ("slide",)),
     )
 }
-BAND, LAG, DELAY, GAIN = (
-    OFFERED[f"{name}(boom)"] for name in ("valve_deadband", "first_order_lag", "input_delay", "gain_error")
+BAND, LAG, DELAY, GAIN, CURVE = (
+    OFFERED[f"{name}(boom)"] for name in ("valve_deadband", "first_order_lag", "input_delay", "gain_error", "gain_curve")
 )
 BLOCKS = 20
 #: An output that a unit of any parameter moves by so many noise floors.
@@ -259,7 +260,7 @@ def test_an_effect_that_acts_on_some_speeds_only_is_no_gain_error() -> None:
     """A dead-band is not the same share of every speed anyway."""
 
     class Partial(FreeRun):
-        def absent_at_some_speed(self, model: ModelFit, candidate: Candidate) -> bool:
+        def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
             return True
 
     for candidate, named in ((GAIN, ()), (BAND, (BAND,))):
@@ -268,6 +269,17 @@ def test_an_effect_that_acts_on_some_speeds_only_is_no_gain_error() -> None:
     assert decide([NOTHING, model(GAIN)], ALL).named == (GAIN,)
     near = decide([NOTHING, model(GAIN)], ALL, free=Partial()).near_misses[0]
     assert near.lacks == "it changes only some of the speeds, which it would change alike"
+
+
+def test_a_curve_that_compensates_is_left_out_where_the_speeds_of_a_gain_error_are_compared() -> None:
+    class Hidden(Compared):
+        def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
+            return tuple(repairs) == (CURVE,)
+
+    models = [model(worse=9.0, left=30.0), model(GAIN, CURVE)]
+    small, large = Hidden(moved={GAIN: 10.0, CURVE: 9.0}), Hidden(moved={GAIN: 9.0, CURVE: 10.0})
+    assert decide(models, ALL, free=small).named == ()
+    assert decide(models, ALL, free=large).named == (CURVE,)
 
 
 # -- where formulas are right, and where nothing adds up ---------------------------------------------------------------------

@@ -17,6 +17,8 @@ from crane_store import learned
 from sysid.cli.app import app, run_command
 from sysid.errors import SettingsError, StorageError
 from sysid.networks import to_files
+from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.policy import PolicyNetwork, policy_to_files
 from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.registry import Registry
 from sysid.rl.reach import joint_limits
@@ -170,6 +172,28 @@ def test_a_log_that_cannot_be_ended_is_told_after_how_the_run_ended(workspace: P
     assert isinstance(done.exception, StorageError)
     assert "ended: done; state ready" in done.output
     assert json.loads((workspace / "full.json").read_text("utf-8"))["ended"] == "done"
+
+
+def test_a_shaper_needs_a_plant_with_a_hanging_tool(workspace: Path) -> None:
+    centre = "centre = [0.85, 0.0, 0.3]"
+    path = write(workspace, f'[track]\npath = "circle"\n{centre}\nshaper = "zv"\n', mode='"track"')
+    error = invoke(workspace, path, "--dry-run").exception
+    assert isinstance(error, SettingsError)
+    assert "no gripper_sway: the frequency of the tool is not known" in str(error)
+
+
+def test_a_policy_that_offsets_inverse_kinematics_does_not_run(workspace: Path) -> None:
+    same = Normalisation(np.zeros(10), np.ones(10))
+    mlp = Mlp((np.zeros((10, 4)),), (np.zeros(4),), same, Normalisation(np.zeros(4), np.ones(4)))
+    setting = {"share": 0.05, "full_swing": 0.05, "repeat": 10.0}
+    names = tuple("abcdefghij")
+    network = PolicyNetwork(names, names[:4], mlp, -np.ones(4), np.ones(4), full=True, residual=setting)
+    open_workspace(workspace / "ws").models.register("crane-tool", "policy", policy_to_files(network, {}), {"plant": "crane@1"})
+    path = write(workspace, "")
+    path.write_text(path.read_text("utf-8").replace("unpromoted", 'policy = "crane-tool"\nunpromoted'), "utf-8")
+    error = invoke(workspace, path, "--dry-run").exception
+    assert isinstance(error, SettingsError)
+    assert "crane-tool@1 offsets inverse kinematics by the swing of the tool" in str(error)
 
 
 def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Path) -> None:
