@@ -95,24 +95,23 @@ class Scales:
     Args:
         force: typical force [N or N·m].
         loads: typical gravity load on each axis [N·m or N], zero for no load.
-        responses: axis → parameters that its frequency response shows, by name; axes that respond like rigid ones are absent.
+        responses: (effect, axis) → its parameters that the frequency response of the axis shows, by name; axes that respond
+            like rigid ones are absent.
     """
 
     force: float = 1.0
     loads: Mapping[str, float] = field(default_factory=dict)
-    responses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    responses: Mapping[tuple[str, str], Mapping[str, float]] = field(default_factory=dict)
 
     def known_for(self, effect: Effect, target: str) -> bool:
         """Whether the data contain the unit of the effect's parameters (a load), or their start values (a response)."""
         needed = {parameter.scale for form in effect.forms for parameter in form.parameters}
         return ("1/load" not in needed or bool(self.loads.get(target))) and (
-            "response" not in needed or target in self.responses
+            "response" not in needed or (effect.name, target) in self.responses
         )
 
     def starts(self, parameter: Parameter, target: str) -> tuple[float, ...]:
         """Values from which a fit of the parameter starts."""
-        if parameter.scale == "response" and target in self.responses:
-            return (self.responses[target][parameter.name],)
         return tuple(start * self.unit(parameter, target) for start in parameter.starts)
 
     def unit(self, parameter: Parameter, target: str) -> float:
@@ -211,5 +210,9 @@ def _candidate(
             starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))
+    shown = scales.responses.get((effect.name, target))
+    if shown is not None:
+        row = tuple(shown[parameter.name] for parameter in form.parameters)
+        rows = (row,) if any(p.scale == "response" for p in form.parameters) else (*rows, row)
     known = plant.effect(effect.name, target, side) is not None
     return Candidate(effect, form, target, side, tuple(unknowns), rows, known=known)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
-from sysid.effects import flexible_drive, inertia_error, link_mass_error
+from sysid.effects import flexible_drive, inertia_error, link_mass_error, oil_compressibility
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -27,6 +27,7 @@ from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
+from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.gap.stage_result import StageResult
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
@@ -78,6 +79,7 @@ class Stage:
         theta: vector of the plant under test, with the sensor scales that other stages found.
         result: of the search.
         resonance: of the drive of a force axis, where its force responds to its motion like that of a load behind a spring.
+        oscillation: of a speed-commanded axis, where its speed responds like that of a load behind a spring.
     """
 
     problem: Problem
@@ -86,6 +88,7 @@ class Stage:
     theta: Array
     result: StageResult | None = None
     resonance: DriveResonance | None = None
+    oscillation: SpeedResonance | None = None
 
     @property
     def label(self) -> str:
@@ -129,7 +132,14 @@ def _stage(case: Case, problem: Problem) -> Stage:
     resonance = _resonance(case, problem, split)
     theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
     sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
-    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta, resonance=resonance)
+    return Stage(
+        problem,
+        split,
+        np.maximum(sigma, 1e-12),
+        case.theta,
+        resonance=resonance,
+        oscillation=_oscillation(case, problem, split),
+    )
 
 
 def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | None:
@@ -137,6 +147,14 @@ def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | N
     if problem.force_filter is None or compile_plant(case.plant).rigid is not None:
         return None
     return drive_resonance(split.seen, case.plant.machine.axis(problem.target), problem.force_filter)
+
+
+def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:
+    """The resonance of a speed-commanded axis above the start values of its effect, which reach the lower ones."""
+    if problem.stage != "command" or not problem.integrates or case.adapter is not None:
+        return None
+    frequency = oil_compressibility.EFFECT.forms[0].parameters[0]
+    return speed_resonance(problem, split.seen, case.theta, max(frequency.starts))
 
 
 def _with_resonance(case: Case, axis: str, resonance: DriveResonance) -> Array:
@@ -222,13 +240,17 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
     return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), _responses(plant, stage))
 
 
-def _responses(plant: Plant, stage: Stage) -> dict[str, Mapping[str, float]]:
-    """Start values of a flexible drive, by axis: those that the data show, else those of the plant."""
+def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str, float]]:
+    """Start values of drives with a spring: those that the response shows, else those of the plant."""
     axis = stage.problem.target
-    known = plant.effect(flexible_drive.EFFECT.name, axis) if axis in plant.machine.axis_names else None
+    if stage.oscillation is not None:
+        return {(oil_compressibility.EFFECT.name, axis): stage.oscillation.parameters}
     if stage.resonance is not None:
-        return {axis: stage.resonance.parameters}
-    return {axis: {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}} if known else {}
+        return {(flexible_drive.EFFECT.name, axis): stage.resonance.parameters}
+    known = plant.effect(flexible_drive.EFFECT.name, axis) if axis in plant.machine.axis_names else None
+    if known is None:
+        return {}
+    return {(known.name, axis): {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}}
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
