@@ -5,8 +5,9 @@
 For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
 cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
 ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
-The truth is read after the last round. A machine whose result is in the work folder is not run again. With ``--publish`` the
-result goes to reports/loop/ and the tables to docs/closing-the-gap.md.
+The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). A
+machine whose result is in the work folder is not run again. With ``--publish`` the result goes to reports/loop/ and the tables
+to docs/closing-the-gap.md and README.md.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from loop.alternatives import deployed, fixed_structure, true_plant
-from loop.page import tables
+from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, true_plant
+from loop.page import summary, tables
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
 from loop.sealed import draw_machine, write_site, write_truth
+from loop.story import write_story
 from sysid.bench.recipe import AXES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,6 +52,7 @@ def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
     write_result(report, result)
     if publish:
         write_tables(PAGE, tables(result), PIPELINE)
+        write_tables(ROOT / "README.md", summary(result), PIPELINE)
     else:
         print(tables(result))
     return report
@@ -66,10 +69,12 @@ def run_machine(seed: int, folder: Path) -> dict[str, Any]:
     rounds = close_gap(site, lambda text: print(f"seed {seed}, {text}", flush=True))
     seconds = time.perf_counter() - begin
     hidden, nominal = read_truth(truth), site.nominal()
+    print(write_story(folder / "story.rrd", nominal.machine, rounds, f"closing the gap, seed {seed}"))
     parked = {name: machine.visible.axis(name).park for name in AXES}
     first = site.workspace.dataset(rounds[0].gap.dataset) if rounds[0].gap is not None else site.dataset()
     compared = {
-        "fixed_structure": deployed(site, fixed_structure(nominal, first), "fixed-structure"),
+        "lag_delay_gain": deployed(site, fixed_structure(nominal, first, LAG_DELAY_GAIN), "lag-delay-gain"),
+        "with_deadband": deployed(site, fixed_structure(nominal, first, WITH_DEADBAND), "with-deadband"),
         "truth": deployed(site, true_plant(nominal, hidden, parked), "truth"),
     }
     return {**machine_result(f"seed {seed}", hidden, rounds), "compared": compared, "seconds": seconds}

@@ -55,7 +55,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         with step("view"):
             recording = gap.held_out_recordings[0]
             simulated = place.predictions(dataset, recording)
-            film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
+            film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap)
 
     out.block(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
     if reports:

@@ -3,65 +3,82 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from loop.models import register_plant
-from loop.rounds import PATHS, Site, deploy
-from loop.score import flown
-from sysid.datasets import Dataset
+from loop.rounds import PATHS, Site, fly_paths
+from loop.score import figures_of
+from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.machine import KnownEffect
+from sysid.machine import Axis, KnownEffect
 from sysid.plant import Plant, free_run
 
 Array = npt.NDArray[np.float64]
 
-#: The fixed structure of every axis: effect, parameter, and the bounds of the fit.
-STRUCTURE = (
-    ("input_delay", "delay", (0.0, 0.3)),
-    ("first_order_lag", "time_constant", (1e-3, 0.3)),
-    ("gain_error", "ratio", (0.05, 2.0)),
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter of the fixed structure; ``step``: finite difference of the fit, above the kinks of a sampled delay."""
+
+    effect: str
+    names: tuple[str, ...]
+    low: float
+    high: float
+    step: float
+    neutral: float = 0.0
+
+
+LAG_DELAY_GAIN = (
+    FreeParameter("input_delay", ("delay",), 0.0, 0.3, 2e-3),
+    FreeParameter("first_order_lag", ("time_constant",), 1e-3, 0.3, 2e-3),
+    FreeParameter("gain_error", ("ratio",), 0.05, 2.0, 5e-3, 1.0),
 )
-#: Finite differences of the fit [s, s, 1]: above the kinks of a sampled delay.
-DIFFERENCES = np.array([2e-3, 2e-3, 5e-3])
+#: The same with one dead-band for both sides.
+WITH_DEADBAND = (*LAG_DELAY_GAIN, FreeParameter("valve_deadband", ("positive", "negative"), 0.0, 0.7, 5e-3))
+#: Displacements over this time are compared [s]: over whole runs the errors of a wrong structure add up to a drift.
+SPAN_S = 1.0
 
 
-def fixed_structure(plant: Plant, dataset: Dataset) -> Plant:
-    """Dead time, lag and gain of every axis by least squares on the free runs of the recordings, everything else nominal.
+def fixed_structure(plant: Plant, dataset: Dataset, structure: tuple[FreeParameter, ...]) -> Plant:
+    """The plant with the parameters of a structure on every axis by least squares, everything else as it is.
 
     The held-out recordings are left out, as in the gap workflow.
     """
     recordings = [each for each in dataset.recordings if dataset.splits[each.name] != "held_out"]
     for axis in plant.machine.axes:
-
-        def fitted(values: Array, axis: Any = axis, base: Plant = plant) -> Plant:
-            for (name, parameter, _), value in zip(STRUCTURE, values, strict=True):
-                base = base.with_effect(KnownEffect(name, axis.name, {parameter: float(value)}))
-            return base
-
-        def residuals(values: Array, axis: Any = axis) -> Array:
-            parts = []
-            for recording in recordings:
-                error = free_run(fitted(values), recording)[axis.driven].to_numpy() - recording.values(axis.driven)
-                parts.append(error[np.isfinite(error)])
-            return np.concatenate(parts)
-
-        low, high = (np.array(ends) for ends in zip(*(bounds for *_, bounds in STRUCTURE), strict=True))
-        start = np.clip([_value(plant, name, axis.name, parameter) for name, parameter, _ in STRUCTURE], low, high)
-        steps = DIFFERENCES / np.maximum(start, DIFFERENCES)
-        found = least_squares(residuals, start, bounds=(low, high), diff_step=steps, x_scale=high - low, max_nfev=20)
-        plant = fitted(found.x)
+        plant = _fitted(plant, axis, recordings, structure)
     return plant
 
 
-def _value(plant: Plant, name: str, target: str, parameter: str) -> float:
-    known = plant.effect(name, target)
-    neutral = 1.0 if parameter == "ratio" else 0.0
-    return float(np.atleast_1d(known.parameters[parameter])[0]) if known is not None else neutral
+def _fitted(plant: Plant, axis: Axis, recordings: Sequence[Recording], structure: tuple[FreeParameter, ...]) -> Plant:
+    def with_values(values: Array) -> Plant:
+        changed = plant
+        for free, value in zip(structure, values, strict=True):
+            changed = changed.with_effect(KnownEffect(free.effect, axis.name, dict.fromkeys(free.names, float(value))))
+        return changed
+
+    def residuals(values: Array) -> Array:
+        changed, parts = with_values(values), []
+        for recording in recordings:
+            error = free_run(changed, recording)[axis.driven].to_numpy() - recording.values(axis.driven)
+            span = round(SPAN_S * recording.rate_hz)
+            moved = error[span:] - error[:-span]
+            parts.append(moved[np.isfinite(moved)])
+        return np.concatenate(parts)
+
+    low, high, step = (np.array([getattr(free, key) for free in structure]) for key in ("low", "high", "step"))
+    start = np.clip([_value(plant, free, axis.name) for free in structure], low + step, high - step)
+    found = least_squares(residuals, start, bounds=(low, high), diff_step=step / start, x_scale=high - low, max_nfev=20)
+    return with_values(found.x)
+
+
+def _value(plant: Plant, free: FreeParameter, target: str) -> float:
+    known = plant.effect(free.effect, target)
+    return free.neutral if known is None else float(np.mean([np.mean(known.parameters[name]) for name in free.names]))
 
 
 def true_plant(nominal: Plant, hidden: Sequence[Mapping[str, Any]], parked: Mapping[str, float]) -> Plant:
@@ -88,9 +105,8 @@ def deployed(site: Site, plant: Plant, name: str) -> dict[str, Any]:
 
     A path that the runner refuses has no figures, and the reason in ``why``.
     """
-    plant = replace(plant, reference=register_plant(site.workspace.models, plant))
+    paths = tuple(dict.fromkeys(PATHS))
     try:
-        return flown(*deploy(site, plant, site.folder / f"flights-{name}"))
+        return figures_of(fly_paths(site, site.registered(plant), paths, site.folder / f"flights-{name}"))
     except SettingsError as error:
-        refused = {path: {"ended": "refused", "why": error.found} for path in dict.fromkeys(PATHS)}
-        return {**refused, "simulation": refused}
+        return {path: {"ended": "refused", "why": error.found} for path in paths}

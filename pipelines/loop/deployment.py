@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sysid.registry import CHAMPION, Registry
+from sysid.registry import CHAMPION, Registry, ancestors
 from sysid.runner.assemble import Assembly, assemble
 from sysid.runner.recipe import KINEMATIC, parse_runner
 
@@ -22,11 +22,18 @@ REST_S = 3.0
 
 @dataclass(frozen=True)
 class Deployment:
-    """Versions of the registry; ``policy`` is one of them, or inverse kinematics."""
+    """Versions of the registry; ``policy`` is one of them, or inverse kinematics.
+
+    Args:
+        without: disabled checks of the supervisor, with their reasons.
+        checks: changed thresholds, as in ``[checks]`` of a runner recipe.
+    """
 
     plant: str
     forward: str
     policy: str = "ik-lookahead"
+    without: Mapping[str, str] = field(default_factory=lambda: WITHOUT)
+    checks: Mapping[str, Any] = field(default_factory=dict)
 
     def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:
         """The runner for a task.
@@ -43,7 +50,7 @@ class Deployment:
             "machine": str((site / "machine.toml").resolve()),
             "versions": versions | {"unpromoted": _unpromoted(registry, models)},
             "transport": {"kind": "can"},
-            "checks": {"without": WITHOUT},
+            "checks": {**self.checks, "without": dict(self.without)},
             "loop": {"settle_s": REST_S, "priority": 0, "lock_memory": False},
             **task,
         }
@@ -51,4 +58,9 @@ class Deployment:
 
 
 def _unpromoted(registry: Registry, references: list[str]) -> list[str]:
-    return [reference for reference in references if CHAMPION not in registry.find(reference).aliases]
+    """Versions of the run that are not promoted: those named, and the network of the plant's linkages."""
+    versions = [registry.find(reference) for reference in references]
+    networks = [each for each in ancestors(registry.list(), versions[0]) if each.kind in ("actuator", "history")]
+    if networks:
+        versions.append(max(networks, key=lambda version: version.created_ms))
+    return [version.reference for version in versions if CHAMPION not in version.aliases]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,10 @@ class Flight:
         time: of the targets, (n,) [s].
         target, tip, tool: (n, 3) [m]; the tool is raised by its distance below the resting tip, so that it is compared with the
             target of the tip.
+        joints: of the structure, (n, A) [rad or m].
         ended, why: of the run.
         log: folder of the recording; None in simulation.
+        sources: share of the cycles by the source of their setpoints: ``track``, ``fallback``, ``hold``.
     """
 
     path: str
@@ -56,9 +59,11 @@ class Flight:
     target: Array
     tip: Array
     tool: Array
+    joints: Array
     ended: str
     why: str
     log: Path | None = None
+    sources: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def error(self) -> Array:
@@ -103,9 +108,9 @@ def fly(
         outcome = assembly.loop(transport, log, Unattended(line)).run(cycles.append)
     truth = line.truth
     export_take(machine, truth, offset_ns, seed, log.folder)
-    points = {name: np.column_stack([truth[f"{name}.{letter}"] for letter in "xyz"]) for name in ("ee", "tool")}
-    name = _name(task)
-    return _flight(name, assembly.dt, cycles, outcome, truth["at_ns"], points["ee"], points["tool"], log.folder)
+    tip, tool = (np.column_stack([truth[f"{point}.{letter}"] for letter in "xyz"]) for point in ("ee", "tool"))
+    joints = np.column_stack([truth[f"{axis}.joint"] for axis in AXES])
+    return _flight(_name(task), assembly.dt, cycles, outcome, (truth["at_ns"], tip, tool, joints), log.folder)
 
 
 def simulate(plant: Plant, site: Path, registry: Registry, deployment: Deployment, task: Mapping[str, Any]) -> Flight:
@@ -113,15 +118,16 @@ def simulate(plant: Plant, site: Path, registry: Registry, deployment: Deploymen
     assembly = deployment.assembled(registry, site, task)
     transport = SimulatedTransport(plant, assembly.middle, seed=0)
     cycles: list[Cycle] = []
-    rows: list[tuple[int, Array, Array]] = []
+    rows: list[tuple[Array, ...]] = []
 
     def watch(cycle: Cycle) -> None:
         cycles.append(cycle)
-        rows.append((transport.now_ns(), transport.truth.ee[0].copy(), transport.truth.tool[0].copy()))
+        lane = transport.truth
+        rows.append((np.array(transport.now_ns()), lane.ee[0].copy(), lane.tool[0].copy(), lane.structure[0].copy()))
 
     outcome = assembly.loop(transport, _NoLog(), Unattended(transport)).run(watch)
-    at, tip, tool = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
-    return _flight(_name(task), assembly.dt, cycles, outcome, at, tip, tool, None)
+    at, tip, tool, joints = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
+    return _flight(_name(task), assembly.dt, cycles, outcome, (at, tip, tool, joints), None)
 
 
 class _NoLog:
@@ -138,12 +144,20 @@ def _name(task: Mapping[str, Any]) -> str:
 
 
 def _flight(
-    name: str, dt: float, cycles: list[Cycle], outcome: RunOutcome, at: Array, tip: Array, tool: Array, log: Path | None
+    name: str,
+    dt: float,
+    cycles: list[Cycle],
+    outcome: RunOutcome,
+    motion: tuple[Array, Array, Array, Array],
+    log: Path | None,
 ) -> Flight:
-    """The cycles with a target, with tip and tool (m, 3) at the times ``at`` (m,) [ns] of the machine."""
+    """The cycles with a target; ``motion``: times (m,) [ns], tip and tool (m, 3), joints (m, A) of the machine."""
     tracked = [cycle for cycle in cycles if cycle.state == "running" and np.isfinite(cycle.target).all()]
     due = np.array([cycle.at_ns + dt * SECOND for cycle in tracked])  # a target is that of the end of its cycle
     target = np.array([cycle.target for cycle in tracked]).reshape(-1, 3)
+    at, tip, tool, joints = motion
     below = np.array([0.0, 0.0, tip[0, 2] - tool[0, 2]])  # at rest
-    tips, tools = (np.column_stack([np.interp(due, at, column) for column in points.T]) for points in (tip, tool + below))
-    return Flight(name, due / SECOND, target, tips, tools, outcome.ended, outcome.why, log)
+    found = [np.column_stack([np.interp(due, at, column) for column in points.T]) for points in (tip, tool + below, joints)]
+    counts = Counter(cycle.source for cycle in tracked)
+    sources = {source: count / len(tracked) for source, count in counts.items()}
+    return Flight(name, due / SECOND, target, *found, outcome.ended, outcome.why, log, sources)

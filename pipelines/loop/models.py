@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from scipy.stats import qmc
 
+from sysid.gap import GapResult
+from sysid.machine import KnownEffect
 from sysid.networks import Geometry, StructuredForward, calibrate, to_files
 from sysid.plant import Plant
 from sysid.registry import Registry
@@ -41,7 +46,28 @@ def register_forward(registry: Registry, plant: Plant) -> str:
     return registry.register(f"{plant.machine.name}-forward", kind, files, lineage, {}).reference
 
 
-def register_plant(registry: Registry, plant: Plant) -> str:
-    """A plant as a version, e.g. the nominal one before the first run."""
-    lineage = {"machine": plant.machine.name}
-    return registry.register(plant.machine.name, "plant", plant.to_files(), lineage, {}).reference
+def named_part(repaired: Plant, gap: GapResult) -> Plant:
+    """The repaired plant without what the gap workflow adjusted or could not distinguish: named effects only.
+
+    An adjusted effect that stays in the plant cannot be named by a later round, since its error is gone, and one that only
+    compensates for another effect's formula need not hold on another motion.
+    """
+    for item in gap.written:
+        if item.kind == "named":
+            continue
+        if item.before:
+            before = {key: _plain(value) for key, value in item.before.items()}
+            repaired = repaired.with_effect(KnownEffect(item.name, item.target, before, item.side))
+        else:
+            repaired = repaired.without_effect(item.name, item.target, item.side)
+    return repaired
+
+
+def _plain(value: Any) -> float | list[float]:
+    return [float(each) for each in value] if np.ndim(value) else float(value)
+
+
+def register_plant(registry: Registry, plant: Plant, lineage: Mapping[str, str]) -> str:
+    """A plant as a version, with its sources."""
+    sources = {"machine": plant.machine.name, **lineage}
+    return registry.register(plant.machine.name, "plant", plant.to_files(), sources, {}).reference

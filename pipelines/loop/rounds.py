@@ -1,16 +1,19 @@
-"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted."""
+"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted.
+
+The next round has the named effects of the repaired plant only (:func:`loop.models.named_part`).
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from loop.deployment import Deployment
 from loop.flight import SIGNALS, Flight, fly, simulate
-from loop.models import register_forward, register_plant
+from loop.models import named_part, register_forward, register_plant
 from loop.recording import ingest_flights
 from loop.sealed import SealedMachine
 from sysid.datasets import Dataset
@@ -69,8 +72,11 @@ class Site:
 
     def nominal(self) -> Plant:
         """The plant of the owner's description, registered."""
-        plant = nominal_plant(load_machine(self.description / "machine.toml"))
-        return replace(plant, reference=register_plant(self.workspace.models, plant))
+        return self.registered(nominal_plant(load_machine(self.description / "machine.toml")))
+
+    def registered(self, plant: Plant, lineage: Mapping[str, str] | None = None) -> Plant:
+        """The plant as a version of the workspace, with its sources."""
+        return replace(plant, reference=register_plant(self.workspace.models, plant, lineage or {}))
 
     def dataset(self) -> Dataset:
         """A version with all logs so far."""
@@ -95,19 +101,24 @@ def path_task(path: str) -> dict[str, Any]:
     return {"mode": "track", "track": {"path": path}}
 
 
-def deploy(site: Site, plant: Plant, logs: Path | None = None) -> tuple[dict[str, Flight], dict[str, Flight]]:
-    """The paths on the machine and on the plant, both controlled from ``plant``.
+def fly_paths(site: Site, plant: Plant, paths: Sequence[str], logs: Path | None = None) -> dict[str, Flight]:
+    """The first run of each path on the machine, controlled from ``plant``.
 
     Raises:
         SettingsError: the runner refuses a path, e.g. since it exceeds the top speed of the plant.
     """
     deployment = site.deployment(plant)
     flights: dict[str, Flight] = {}
-    for path in PATHS:
+    for path in paths:
         flight = site.fly(deployment, path_task(path), logs)
         flights.setdefault(path, flight)
-    models = site.workspace.models
-    return flights, {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in flights}
+    return flights
+
+
+def simulate_paths(site: Site, plant: Plant) -> dict[str, Flight]:
+    """The same on the plant itself."""
+    deployment, models = site.deployment(plant), site.workspace.models
+    return {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in dict.fromkeys(PATHS)}
 
 
 def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
@@ -115,7 +126,7 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
     plant, rounds = site.nominal(), []
     for number in range(MOST + 1):
         begin = time.perf_counter()
-        flights, simulated = deploy(site, plant)
+        flights, simulated = fly_paths(site, plant, PATHS), simulate_paths(site, plant)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
         if number == MOST:
@@ -131,5 +142,5 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
         show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
         if gap.promotion is None or not gap.promotion.promoted:
             return rounds
-        plant = site.plant(gap.plant_after)
+        plant = site.registered(named_part(site.plant(gap.plant_after), gap), {"plant": gap.plant_after})
     raise AssertionError("the last round returns")

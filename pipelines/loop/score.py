@@ -50,7 +50,12 @@ def _named(gap: GapResult | None, hidden: Sequence[Name]) -> list[Name]:
 
 def _round(each: Round) -> dict[str, Any]:
     gap = each.gap
-    row: dict[str, Any] = {"plant": each.plant, **flown(each.flights, each.simulated), "seconds": dict(each.seconds)}
+    row: dict[str, Any] = {
+        "plant": each.plant,
+        **figures_of(each.flights),
+        "simulation": figures_of(each.simulated),
+        "seconds": dict(each.seconds),
+    }
     if gap is None:
         return {**row, "named": [], "promoted": False}
     return {
@@ -63,9 +68,6 @@ def _round(each: Round) -> dict[str, Any]:
     }
 
 
-def flown(flights: Mapping[str, Flight], simulated: Mapping[str, Flight]) -> dict[str, Any]:
-    """Figures of the machine by path, and of the simulation."""
-    return {
-        **{path: flight.figures() for path, flight in flights.items()},
-        "simulation": {path: flight.figures() for path, flight in simulated.items()},
-    }
+def figures_of(flights: Mapping[str, Flight]) -> dict[str, Any]:
+    """Path → figures."""
+    return {path: flight.figures() for path, flight in flights.items()}

@@ -60,7 +60,7 @@ def view(
     predictions = workspace.predictions(dataset, recording, plant)
     path = path or workspace.output(f"{recording.replace('#', '-')}.rrd", dataset)
     result = workspace.gap(dataset) if plant is None else None
-    write_rerun(path, dataset, recording, predictions, result.maps if result is not None else ())
+    write_rerun(path, dataset, recording, predictions, result)
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
     out.line(f"View: {rerun_command(path)}")

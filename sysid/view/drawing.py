@@ -155,8 +155,15 @@ def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, st
         if not known.any():
             continue
         radius = 0.008 if point == "tool" else 0.005
-        rr.log(f"{root}/{point}", rr.Points3D.from_fields(colors=[style.colour], radii=[radius]), static=True, recording=stream)
+        look = rr.Points3D.from_fields(colors=[style.colour], radii=[radius])
+        rr.log(f"{root}/{point}", look, static=True, recording=stream)
         send_columns(stream, f"{root}/{point}", time[known], rr.Points3D.columns(positions=values[known]))
+        if point == list(found)[-1]:  # the legend in space; the point itself would leave a trail of labels
+            name = rr.Points3D.from_fields(
+                colors=[style.colour], radii=[0.001], labels=[root.rpartition("/")[2]], show_labels=True
+            )
+            rr.log(f"{root}/legend", name, static=True, recording=stream)
+            send_columns(stream, f"{root}/legend", time[known], rr.Points3D.columns(positions=values[known]))
     if set(found) == {"ee", "tool"}:
         known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
         strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)

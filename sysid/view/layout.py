@@ -10,6 +10,8 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.result import Map
 from sysid.signals import split_signal
+from sysid.view.findings import ENTITY as FINDINGS
+from sysid.view.findings import MOMENTS
 from sysid.view.maps import map_views
 
 #: Seconds of the past that the trails of boom tip and tool show.
@@ -17,30 +19,56 @@ TRAIL_S = 3.0
 
 
 def blueprint(
-    dataset: Dataset, recording: Recording, tables: Mapping[str, pd.DataFrame], timeline: str, maps: Sequence[Map] = ()
+    dataset: Dataset,
+    recording: Recording,
+    tables: Mapping[str, pd.DataFrame],
+    timeline: str,
+    maps: Sequence[Map] = (),
+    findings: bool = False,
 ) -> Any:
-    """Rerun blueprint for one recording and its simulations, with maps of the gap in separate tabs."""
+    """Rerun blueprint for one recording and its simulations, with maps of the gap in separate tabs.
+
+    Args:
+        findings: the recording holds the findings as text, and a line at each worst moment.
+    """
     import rerun.blueprint as rrb
 
     signals = [name for name in recording.signals if not name.endswith(".command") and recording.table[name].notna().any()]
     owners = list(dict.fromkeys(split_signal(name)[0] for name in signals))
     tabs = [
         rrb.Vertical(
-            *(rrb.TimeSeriesView(origin=f"signals/{name}", name=name) for name in signals if split_signal(name)[0] == owner),
+            *(view for name in signals if split_signal(name)[0] == owner for view in _views(name, tables)),
             name=owner,
         )
         for owner in owners
     ]
     commands = [f"+ signals/{name}/**" for name in recording.signals if name.endswith(".command")]
+    below: list[Any] = [rrb.TimeSeriesView(origin="signals", contents=commands, name="commands")]
+    if findings:
+        below.append(rrb.TextLogView(origin=MOMENTS, name="worst moments"))
     right = rrb.Vertical(
         rrb.Tabs(*tabs, *map_views(maps), active_tab=_active(tables, signals, owners)),
-        rrb.TimeSeriesView(origin="signals", contents=commands, name="commands"),
+        rrb.Tabs(*below),
         row_shares=[3, 1],
     )
-    if dataset.machine.kinematics() is None:
+    left: list[Any] = [rrb.TextDocumentView(origin=FINDINGS, name="findings")] if findings else []
+    if dataset.machine.kinematics() is not None:
+        points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
+        left = [machine_view(points, timeline), *left]
+    if not left:
         return screen(right, timeline)
-    points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
-    return screen(rrb.Horizontal(machine_view(points, timeline), right, column_shares=[1.1, 1]), timeline)
+    shares = [2, 1] if len(left) > 1 else None
+    return screen(rrb.Horizontal(rrb.Vertical(*left, row_shares=shares), right, column_shares=[1.1, 1]), timeline)
+
+
+def _views(signal: str, tables: Mapping[str, pd.DataFrame]) -> list[Any]:
+    """A signal over time, and below it the error of its simulations."""
+    import rerun.blueprint as rrb
+
+    views = [rrb.TimeSeriesView(origin=f"signals/{signal}", name=signal)]
+    if any(name != "measured" and signal in table for name, table in tables.items()):
+        views.append(rrb.TimeSeriesView(origin=f"errors/{signal}", name=f"error of {signal}: simulated − measured"))
+    return views
 
 
 def screen(views: Any, timeline: str) -> Any:

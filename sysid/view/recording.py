@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.gap.result import Map
+from sysid.gap.result import GapResult
 from sysid.view.drawing import (
     DISPLAY_UNITS,
     OTHER_COLOURS,
@@ -22,14 +22,16 @@ from sysid.view.drawing import (
     log_points,
     rerun_file,
     sdk,
+    send_columns,
     styles_of,
 )  # fmt: skip
+from sysid.view.findings import WorstMoment, findings_text, log_findings, worst_moments
 from sysid.view.layout import blueprint
 from sysid.view.maps import log_maps
 
 
 def write_rerun(
-    path: Path, dataset: Dataset, recording: str, predictions: Mapping[str, pd.DataFrame], maps: Sequence[Map] = ()
+    path: Path, dataset: Dataset, recording: str, predictions: Mapping[str, pd.DataFrame], gap: GapResult | None = None
 ) -> Path:
     """Write one recording with its simulations.
 
@@ -37,7 +39,7 @@ def write_rerun(
         path: the ``.rrd`` file; its folder is made if needed.
         recording: name of the recording in ``dataset``.
         predictions: name (``before``, ``after``) → ``time`` [s] and one column a signal (SI), as rollouts return them.
-        maps: of a :class:`sysid.gap.GapResult`; the informative ones become bar charts.
+        gap: adds the findings as text, and the informative error maps as line charts.
 
     Returns:
         ``path``.
@@ -49,7 +51,9 @@ def write_rerun(
     tables = {"measured": source.table, **predictions}
     # Equal dataset versions and recordings have the same identity in the viewer.
     identity = f"{dataset.reference}/{recording}/{dataset.digest[:16]}"
-    layout = blueprint(dataset, source, tables, TIMELINE, maps)
+    maps = gap.maps if gap is not None else ()
+    moments = worst_moments(tables)
+    layout = blueprint(dataset, source, tables, TIMELINE, maps, findings=gap is not None)
     with rerun_file(path, identity, layout, f"{dataset.reference} {recording}") as stream:
         styles = dict(zip(tables, styles_of(tables), strict=True))
         kinematics = dataset.machine.kinematics()
@@ -60,8 +64,30 @@ def write_rerun(
                 log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
                 log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
         _log_signals(stream, dataset, source, tables, styles)
+        _log_errors(stream, dataset, tables, styles, moments)
+        if gap is not None:
+            log_findings(stream, findings_text(gap, dataset.machine, dataset.units), moments, dataset.units)
         log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, DISPLAY_UNITS)
     return path
+
+
+def _log_errors(
+    stream: Any, dataset: Dataset, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style], moments: list[WorstMoment]
+) -> None:
+    """Error of every simulated signal over time, and a mark where it is largest."""
+    rr = sdk()
+    measured = tables["measured"]
+    for moment in moments:
+        factor, unit = DISPLAY_UNITS.get(dataset.units.get(moment.signal, "1"), (1.0, dataset.units.get(moment.signal, "")))
+        error = factor * (tables[moment.version][moment.signal] - measured[moment.signal]).to_numpy(dtype=np.float64)
+        known, time = np.isfinite(error), measured["time"].to_numpy(dtype=np.float64)
+        colour, place = styles[moment.version].colour, f"errors/{moment.signal}/{moment.version}"
+        log_curve(stream, place, time[known], error[known], colour, f"{moment.version} [{unit}]")
+        look = rr.SeriesPoints(colors=[colour], markers=["circle"], marker_sizes=[7.0], names=[f"largest {moment.version}"])
+        rr.log(f"{place}/largest", look, static=True, recording=stream)
+        send_columns(
+            stream, f"{place}/largest", np.array([moment.time]), rr.Scalars.columns(scalars=np.array([factor * moment.error]))
+        )
 
 
 def _log_signals(

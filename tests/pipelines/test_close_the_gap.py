@@ -14,7 +14,7 @@ import pytest
 from sysid.bench.recipe import AXES
 from sysid.gap import GapResult
 from sysid.gap.result import Gap, NamedEffect, WrittenEffect
-from sysid.machine import load_machine
+from sysid.machine import KnownEffect, load_machine
 from sysid.plant import nominal_plant
 from sysid.rl.inverse_kinematics import chain_of_plant
 from sysid.rl.reach import joint_limits
@@ -131,6 +131,29 @@ def test_the_hidden_errors_are_those_of_the_tool(loop: Any, site: Any) -> None:
     assert worst["real"] > 0.030
 
 
+def test_the_next_round_has_the_named_effects_only(loop: Any, site: Any) -> None:
+    from loop.models import named_part
+
+    nominal = site.nominal()
+    lag = nominal.effect("first_order_lag", "slew")
+    assert lag is not None
+    repaired = nominal
+    for name, target, values in (
+        ("valve_deadband", "slew", {"positive": 0.4, "negative": 0.3}),
+        ("first_order_lag", "slew", {"time_constant": 0.2}),
+        ("stiction", "slew", {"breakaway": 0.05, "release": 0.01}),
+    ):
+        repaired = repaired.with_effect(KnownEffect(name, target, dict(values)))
+    written = (
+        WrittenEffect("valve_deadband", "slew", "named", {"positive": 0.4, "negative": 0.3}),
+        WrittenEffect("first_order_lag", "slew", "adjusted", {"time_constant": 0.2}, before=dict(lag.parameters)),
+        WrittenEffect("stiction", "slew", "adjusted", {"breakaway": 0.05, "release": 0.01}),
+    )
+    kept = named_part(repaired, gap_result(written=written))
+    expected = nominal.with_effect(KnownEffect("valve_deadband", "slew", {"positive": 0.4, "negative": 0.3}))
+    np.testing.assert_array_equal(kept.vector(), expected.vector())
+
+
 # ---- Rows ---------------------------------------------------------------------------------------------------------------
 
 
@@ -139,7 +162,8 @@ def effect(name: str, target: str, aliases: tuple[tuple[str, str], ...] = ()) ->
 
 
 def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> GapResult:
-    none = Gap({"tool.x": 0.1}, {"tool.x": 0.01}, {"tool.x": 0.005})
+    signals = [f"{point}.{letter}" for point in ("ee", "tool") for letter in "xyz"]
+    none = Gap(*(dict.fromkeys(signals, value) for value in (0.1, 0.01, 0.005)))
     return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
 
 
@@ -149,7 +173,7 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
 
     ramp = np.linspace(0.0, 0.03, 31)
     tool = np.column_stack([ramp, 0.0 * ramp, -ramp])
-    flight = Flight("helix", ramp, 0.0 * tool, 0.5 * tool, tool, "done", "")
+    flight = Flight("helix", ramp, 0.0 * tool, 0.5 * tool, tool, np.zeros((31, 4)), "done", "")
     flights = {"helix": flight, "circle": flight}
     first = gap_result(
         effect("backlash", "slew"),
@@ -171,10 +195,32 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     json.dumps(found, allow_nan=False)
 
     refused = {path: {"ended": "refused", "why": "needs 110 % of the top speed of slew"} for path in flights}
-    compared = {"fixed_structure": refused, "truth": found["rounds"][1]}
+    compared = {"lag_delay_gain": refused, "with_deadband": found["rounds"][1], "truth": found["rounds"][1]}
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
     assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
+    assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
+    assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
     assert (
         "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text
     )
+
+
+def test_the_story_shows_both_rounds_and_the_findings(loop: Any, site: Any, tmp_path: Path) -> None:
+    from helpers.rerun_file import curves
+
+    from loop.flight import Flight
+    from loop.rounds import Round
+    from loop.story import write_story
+
+    time = np.linspace(3.0, 4.0, 101)
+    zero, joints = np.zeros((101, 3)), np.tile([0.0, 0.5, -1.2, 0.05], (101, 1))
+    far = Flight("helix", time, zero, zero + 0.01, np.tile([0.06, 0.0, 0.0], (101, 1)), joints, "done", "")
+    near = Flight("helix", time, zero, zero, np.tile([0.0, 0.005, 0.0], (101, 1)), joints, "done", "")
+    rounds = [Round("crane@1", {"helix": far}, {}, gap_result(effect("backlash", "slew")), {})]
+    rounds.append(Round("crane@2", {"helix": near}, {}, None, {}))
+    found = curves(write_story(tmp_path / "story.rrd", site.nominal().machine, rounds, "story"))
+    np.testing.assert_allclose(found["/error/x/before"][1], 60.0)
+    np.testing.assert_allclose(found["/error/y/after"][1], 5.0)
+    assert len(found["/texts"][0]) == 3
+    assert np.ptp(found["/texts"][0]) < 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from live_machine import DATABASE, ROOT, SIGNALS, VALVES, old_database
 from sysid.bench.live import COLUMNS, LiveProcess
 from sysid.bench.live_bus import CanFrame
 from sysid.bench.live_machine import LATE_NS, TIME_OUT_NS, Watchdog
+from sysid.bench.recipe_file import load_recipe
 from sysid.runner.bus import BusSettings, MachineBus
 from sysid.runner.line_delay import MachineClock
 
@@ -28,7 +28,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
     Returns:
         How late each command was that was executed [ns], and each row of the machine's truth.
     """
-    process = LiveProcess(Namespace(machine=ROOT / "datasets/autolog/bench.toml", seed=0, database=database, survey=False))
+    process = LiveProcess(load_recipe(ROOT / "datasets/autolog/bench.toml"), database)
     process.switches.dead_man = True
     bus = MachineBus(BusSettings(database, SIGNALS, VALVES), "test")
     clock = MachineClock()

@@ -43,9 +43,7 @@ class Written:
 def written(crane: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Written:
     traces = sample_traces(crane)
     path = tmp_path_factory.mktemp("view") / "deep" / "crane.rrd"
-    assert (
-        write_rerun(path, crane, "manual-04", {"before": traces.before, "after": traces.after}, sample_gap(crane).maps) == path
-    )
+    assert write_rerun(path, crane, "manual-04", {"before": traces.before, "after": traces.after}, sample_gap(crane)) == path
     assert [file.name for file in path.parent.iterdir()] == ["crane.rrd"]
     return Written(path)
 
@@ -116,10 +114,48 @@ def test_shapes_come_from_the_urdf_and_bars_fill_in(crane: Dataset) -> None:
     assert math.hypot(*bars["boom"][0].size) == pytest.approx(0.576)
 
 
-def test_informative_maps_are_bar_charts_in_display_units(written: Written) -> None:
-    (batch,) = written.tables["/maps/boom.cylinder/speed_error/boom.command/before"]
-    values = next(batch.column(name).to_pylist() for name in batch.schema.names if name.endswith("values"))
-    np.testing.assert_allclose(values[0][0]["buffer"], [1.2, 1.1, 0.0, -1.9, -2.0])
-    assert "/maps/boom.cylinder/speed_error/boom.command/after" in written.tables
+def drawn(written: Written, entity: str, component: str) -> list[Any]:
+    """A static component of an entity."""
+    for batch in written.tables[entity]:
+        for name in batch.schema.names:
+            if name.endswith(component):
+                return list(batch.column(name).to_pylist()[0])
+    raise AssertionError(f"{entity} has no {component}")
+
+
+def test_informative_maps_are_line_charts_with_words_and_units(written: Written) -> None:
+    path = "/maps/boom.cylinder/speed_error/boom.command"
+    (strip,) = drawn(written, f"{path}/before", "strips")
+    heights = np.array(strip)[:, 1]
+    values = np.array([1.2, 1.1, 0.0, -1.9, -2.0])  # mm/s, in the order of the bins
+    scale = (heights[-1] - heights[0]) / (values[-1] - values[0])
+    np.testing.assert_allclose(np.diff(heights), scale * np.diff(values), rtol=1e-4)
+    assert heights[0] < heights[-1], "larger errors are drawn higher"
+    assert drawn(written, f"{path}/words", "labels") == ["boom.command", "speed error of boom.cylinder [mm/s]"]
+    assert "0" in drawn(written, f"{path}/ticks", "labels")
+    assert f"{path}/after" in written.tables
     assert "/maps/boom.cylinder/error/direction_of_boom/before" in written.tables
     assert "/maps/boom.cylinder/error/direction_of_boom/after" not in written.tables, "nothing is known of it after the repair"
+
+
+def test_errors_run_beside_their_signals_with_a_mark_at_the_worst_moment(written: Written, crane: Dataset) -> None:
+    traces = sample_traces(crane)
+    error = np.degrees((traces.before["boom.joint"] - traces.measured["boom.joint"]).to_numpy())
+    _, values = written.column("/errors/boom.joint/before", "scalars")
+    np.testing.assert_allclose([value[0] for value in values], error[np.isfinite(error)], rtol=1e-6, atol=1e-9)
+    time, values = written.column("/errors/boom.joint/before/largest", "scalars")
+    row = int(np.nanargmax(np.abs(error)))
+    assert time[0] == pytest.approx(traces.measured["time"].iloc[row])
+    assert values[0][0] == pytest.approx(error[row])
+    assert "/moments" in written.tables
+
+
+def test_the_findings_are_text_with_values_and_units(written: Written) -> None:
+    text = "".join(drawn(written, "/findings", "text"))
+    assert "**Backlash** on slew: width 10.52 mrad (10.41 mrad to 10.66 mrad)" in text
+    assert "| boom.cylinder |" in text
+
+
+def test_every_version_is_named_in_space(written: Written) -> None:
+    for version in ("measured", "before", "after"):
+        assert drawn(written, f"/machine/{version}/legend", "labels") == [version]
