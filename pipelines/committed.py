@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
 import platform
@@ -11,8 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from sysid.extras import versions_of
+from sysid.release import __version__
+
 #: Packages that every figure depends on.
-PACKAGES = ("sysid", "numpy", "scipy", "numba")
+PACKAGES = ("numpy", "scipy", "numba")
 
 
 def provenance(command: str, seed: int | None, packages: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -25,7 +27,7 @@ def provenance(command: str, seed: int | None, packages: tuple[str, ...] = ()) -
         "schema": 1,
         "command": command,
         "seed": seed,
-        "versions": {name: importlib.metadata.version(name) for name in (*PACKAGES, *packages)},
+        "versions": {"sysid": __version__, **versions_of((*PACKAGES, *packages))},
         "machine": processor(),
         "date": datetime.now(UTC).date().isoformat(),
     }

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
 from sysid.datasets.recording import Recording
 from sysid.gap.decision import PRICE
@@ -84,7 +84,11 @@ def speed_resonance(problem: Problem, recordings: Sequence[Recording], theta: Ar
     def left_without(x: Array) -> float:
         return response.left(response.late(x[0], x[1]))
 
-    found = minimize(left_at, [*np.log(start), 0.0, 0.0], method="Nelder-Mead", options={"maxiter": 1000})
+    # Without a peak the error falls forever towards one that is far away or flat.
+    low = np.array([np.log(FROM / 10.0), np.log(LEAST_DAMPED / 10.0), -np.inf, -np.inf])
+    high = np.array([np.log(10.0 * highest), np.log(100.0), np.inf, np.inf])
+    options = {"maxiter": 1000}
+    found = minimize(left_at, [*np.log(start), 0.0, 0.0], method="Nelder-Mead", bounds=Bounds(low, high), options=options)
     frequency, damping = float(np.exp(found.x[0])), max(float(np.exp(found.x[1])), LEAST_DAMPED)
     smooth = min(float(minimize(left_without, first, method="Nelder-Mead").fun) for first in DELAYS)
     if not (least_hz < frequency < highest and damping < DAMPED) or smooth < PRICE * found.fun:

@@ -181,7 +181,7 @@ def test_models_shows_what_was_made_from_what(answered: Path, capsys: pytest.Cap
     assert listed["lift@1"]["networks"] == "lift-actuator@1"
     capsys.readouterr()
     assert run("--workspace", answered / "ws", "models", "lift@2") == 0
-    assert '"dataset": "lift@1"' in capsys.readouterr().out
+    assert "dataset   lift@1" in capsys.readouterr().out
     assert run("--workspace", answered / "ws", "models", "--kind", "plants") == 2
     assert "plant" in capsys.readouterr().err
 
