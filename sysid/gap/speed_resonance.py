@@ -87,8 +87,8 @@ def speed_resonance(problem: Problem, recordings: Sequence[Recording], theta: Ar
     # Without a peak the error falls forever towards one that is far away or flat.
     low = np.array([np.log(FROM / 10.0), np.log(LEAST_DAMPED / 10.0), -np.inf, -np.inf])
     high = np.array([np.log(10.0 * highest), np.log(100.0), np.inf, np.inf])
-    options = {"maxiter": 1000}
-    found = minimize(left_at, [*np.log(start), 0.0, 0.0], method="Nelder-Mead", bounds=Bounds(low, high), options=options)
+    begin, ends = [*np.log(start), 0.0, 0.0], Bounds(low, high)
+    found = minimize(left_at, begin, method="Nelder-Mead", bounds=ends, options={"maxiter": 1000})
     frequency, damping = float(np.exp(found.x[0])), max(float(np.exp(found.x[1])), LEAST_DAMPED)
     smooth = min(float(minimize(left_without, first, method="Nelder-Mead").fun) for first in DELAYS)
     if not (least_hz < frequency < highest and damping < DAMPED) or smooth < PRICE * found.fun:
