@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rerun_file import curves
 
 from sysid.bench.recipe import AXES
 from sysid.gap import GapResult
@@ -207,8 +208,6 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
 
 
 def test_the_story_shows_both_rounds_and_the_findings(loop: Any, site: Any, tmp_path: Path) -> None:
-    from helpers.rerun_file import curves
-
     from loop.flight import Flight
     from loop.rounds import Round
     from loop.story import write_story
