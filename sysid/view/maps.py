@@ -60,7 +60,7 @@ def map_views(maps: Sequence[Map]) -> list[Any]:
     import rerun.blueprint as rrb
 
     shown = informative(maps)
-    bounds = rrb.VisualBounds2D(x_range=[-MARGIN, WIDTH + 2.0 * MARGIN], y_range=[-MARGIN, HEIGHT + 1.5 * MARGIN])
+    bounds = rrb.VisualBounds2D(x_range=[-MARGIN, WIDTH + 2.0 * MARGIN], y_range=[-MARGIN, HEIGHT + 2.2 * MARGIN])
     return [
         rrb.Vertical(
             *(
