@@ -119,7 +119,8 @@ def test_equals_the_plant_with_everything_at_once(tmp_path: Path) -> None:
 
 
 def test_contains_only_the_effects_of_the_plant() -> None:
-    text = module_text(drive_data(probe_plant(KnownEffect("valve_deadband", "boom", {"positive": 0.1, "negative": 0.1})), RATE_HZ))
+    plant = probe_plant(KnownEffect("valve_deadband", "boom", {"positive": 0.1, "negative": 0.1}))
+    text = module_text(drive_data(plant, RATE_HZ))
     assert "class ValveDeadband" in text
     assert "class ValveHysteresis" not in text
     assert "GripperSway" not in text.replace("GripperSway(dt", "").replace("sway: GripperSway", "")

@@ -31,9 +31,16 @@ def _axis(dt: float, axis: dict[str, Any], parts: dict[str, Any]) -> Axis:
     command = [parts[name](dt, **values) for name, values in axis["command"]]
     servo = next((part for part in command if hasattr(part, "sag_load")), None)
     linkage = None if axis["linkage"] is None else Linkage(**axis["linkage"])
-    backlash = [Backlash(axis[f"{side}_backlash"]) for side in ("drive", "structure")]
-    compliances = [axis[f"{side}_compliance"] for side in ("drive", "structure")]
-    return Axis(_drive(dt, axis, command, parts), linkage, *backlash, *compliances, axis["offset"], servo)
+    return Axis(
+        _drive(dt, axis, command, parts),
+        linkage,
+        Backlash(axis["drive_backlash"]),
+        Backlash(axis["structure_backlash"]),
+        axis["drive_compliance"],
+        axis["structure_compliance"],
+        axis["offset"],
+        servo,
+    )
 
 
 def _drive(dt: float, axis: dict[str, Any], command: list[Any], parts: dict[str, Any]) -> Drive:

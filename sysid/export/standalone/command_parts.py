@@ -230,7 +230,7 @@ class OilCompressibility(Part):
     def step(self, u: float, load: float) -> float:
         x, v = 0.0 if math.isnan(self.x) else self.x - u, self.v
         after = (self.cosine + self.fade * self.sine) * x + self.sine * v
-        slope = -self.omega**2 * self.sine * x + (self.cosine - self.fade * self.sine) * v
+        slope = -(self.omega**2) * self.sine * x + (self.cosine - self.fade * self.sine) * v
         self.x, self.v = u + after, slope
         return u - ((slope - v) + 2.0 * self.fade * (after - x)) / (self.omega**2 * self.dt)
 

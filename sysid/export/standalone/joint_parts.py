@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -56,18 +57,19 @@ class Kinematics:
         base_rotation, base_translation: model → measured frame, (3, 3) and (3) [m].
     """
 
-    def __init__(self, joints: list[dict], tip: list, base_rotation: list, base_translation: list) -> None:  # type: ignore[type-arg]
-        self.joints = [
+    def __init__(self, joints: list[Any], tip: list[float], base_rotation: list[Any], base_translation: list[float]) -> None:
+        self.joints: list[dict[str, Any]] = [
             {key: np.array(value, dtype=np.float64) if isinstance(value, list) else value for key, value in joint.items()}
             for joint in joints
         ]
-        self.tip = np.array(tip, dtype=np.float64)
-        self.base_rotation, self.base_translation = np.array(base_rotation, dtype=np.float64), np.array(base_translation)
+        self.tip, self.base_rotation, self.base_translation = map(np.array, (tip, base_rotation, base_translation))
 
     def pose(self, q: Array) -> tuple[Array, Array]:
         """Joints of the structure (A,) → end effector (3,) [m] and gravity load of each axis (A,) [N·m or N]."""
         turn, place = np.eye(3), np.zeros(3)
-        axes, origins, masses, moments = [], [], [], []
+        axes: list[Array] = []
+        origins: list[Array] = []
+        moments: list[Array] = []
         for joint in self.joints:
             place = place + turn @ joint["shift"]
             turn = turn @ joint["rotation"]
@@ -78,14 +80,13 @@ class Kinematics:
                 place = place + value * axis
             else:
                 turn = turned(axis, value) @ turn
-            masses.append(joint["mass"])
             moments.append(joint["mass"] * (place + turn @ joint["centre"]))
         load, mass, moment = np.zeros(len(q)), 0.0, np.zeros(3)
         for k in reversed(range(len(self.joints))):
-            joint, axis = self.joints[k], axes[k]
-            mass, moment = mass + masses[k], moment + moments[k]
+            joint, (x, y, z) = self.joints[k], axes[k]
+            mass, moment = mass + float(joint["mass"]), moment + moments[k]
             lever = moment - mass * origins[k]
-            own = mass * axis[2] if joint["prismatic"] else axis[0] * lever[1] - axis[1] * lever[0]
+            own = mass * z if joint["prismatic"] else x * lever[1] - y * lever[0]
             load[joint["axis_index"]] += GRAVITY * own * joint["ratio"]
         return self.base_rotation @ (place + turn @ self.tip) + self.base_translation, load
 
@@ -94,7 +95,7 @@ def turned(axis: Array, angle: float) -> Array:
     """Rotation matrix about a unit axis (Rodrigues)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross))
 
 
 class SensorReading:
@@ -120,7 +121,7 @@ class GripperSway:
 
     def step(self, pivot: Array) -> Array:
         """Tip (3,) → tool (3,); the pivot moves evenly during the step (velocity Verlet in sub-steps)."""
-        length, square = self.length, self.length**2
+        square = self.length**2
         if self.bob is None:
             self.bob, self.speed, self.pivot, self.pivot_speed = pivot[:2].copy(), np.zeros(2), pivot.copy(), np.zeros(3)
         parts = max(1, math.ceil(self.dt * self.rate / 0.1))

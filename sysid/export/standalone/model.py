@@ -62,9 +62,7 @@ class Drive:
 class VelocityDrive(Drive):
     """The command is an opening, the demand a mean speed. ``sense``: −1 where the joint falls as the drive extends."""
 
-    def __init__(
-        self, dt: float, low: float | None, high: float | None, parts: list[Part], gain: float, sense: float
-    ) -> None:
+    def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part], gain: float, sense: float) -> None:
         super().__init__(dt, low, high)
         self.parts, self.gain, self.sense = parts, gain, sense
 
