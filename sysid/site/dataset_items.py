@@ -8,22 +8,19 @@ from collections.abc import Iterator
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
-from sysid.errors import StoreError
 from sysid.reports.display import fixed
 from sysid.site.item import Fact, Item
 
+#: Group of the facts that give each signal's SI unit.
+SIGNALS = "Signals"
 ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
 
 
 def dataset_items(index: VersionIndex) -> Iterator[Item]:
     """Every dataset version, and the raw files of those that were ingested."""
-    for entry in index.list():
-        try:
-            if entry.damage:
-                raise StoreError(entry.reference, entry.damage)
-            manifest = index.read_manifest(entry.name, entry.version)
-        except StoreError as error:
-            yield Item("damaged", entry.reference, damage=entry.damage or str(error), summary=entry.damage or str(error))
+    for entry, manifest in index.survey():
+        if manifest is None:
+            yield Item("damaged", entry.reference, damage=entry.damage, summary=entry.damage)
             continue
         files = _files(manifest)
         if files is not None:
@@ -74,7 +71,7 @@ def _facts(manifest: Manifest) -> Iterator[Fact]:
         rows = f"{item['rows']} poses" if item["kind"] == "poses" else f"{item['rows'] / item['rate_hz']:.1f} s"
         yield Fact("Recordings", item["name"], f"{rows}, {role}, {len(item['signals'])} signals")
     for signal, unit in manifest["units"].items():
-        yield Fact("Signals", signal, unit)
+        yield Fact(SIGNALS, signal, unit)
     for clock in manifest["clocks"]:
         low, high = clock["offset_interval95"]
         text = f"{clock['offset_s']:+.6f} s ± {1e3 * (high - low) / 2.0:.3g} ms, {clock['skew_ppm']:+.1f} ppm"

@@ -7,8 +7,8 @@ from dataclasses import replace
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
 from sysid.errors import StoreError
-from sysid.site.dataset_items import dataset_items
-from sysid.site.gap_items import created_plants, gap_items
+from sysid.site.dataset_items import SIGNALS, dataset_items
+from sysid.site.gap_items import gap_items
 from sysid.site.item import Item
 from sysid.site.model_items import model_items
 from sysid.workspace import Workspace
@@ -19,15 +19,15 @@ def inventory(workspace: Workspace) -> tuple[Item, ...]:
 
     What cannot be read is an item of the kind ``damaged``.
     """
-    index = VersionIndex(workspace.location)
-    found = list(dataset_items(index))
-    units = {item.reference: dict(manifest_of(index, item)["units"]) for item in found if item.kind == "dataset"}
+    found = list(dataset_items(VersionIndex(workspace.location)))
+    units = {item.reference: {f.name: f.text for f in item.facts if f.group == SIGNALS} for item in found}
     found += gap_items(workspace.root, units)
     found += model_items(workspace.models.survey())
     items = {item.key: item for item in found if item.kind != "damaged"}
-    for plant, gap in created_plants(workspace.root, items).items():
-        if plant in items:
-            items[plant] = replace(items[plant], parents=(*items[plant].parents, gap))
+    for gap in [item for item in items.values() if item.created_plant]:
+        plant = items.get(f"plant:{gap.created_plant}")
+        if plant is not None:
+            items[plant.key] = replace(plant, parents=(*plant.parents, gap.key))
     whole = [replace(item, parents=tuple(key for key in item.parents if key in items)) for item in items.values()]
     return tuple(sorted(whole, key=lambda item: item.created, reverse=True)) + tuple(
         item for item in found if item.kind == "damaged"

@@ -46,6 +46,7 @@ class Item:
         aliases: names that refer to a model version (``champion``).
         parents: :attr:`key` of the items that it was made from.
         facts: its properties, groups together.
+        created_plant: reference of the plant that a gap result added; empty without one.
         damage: why it cannot be read; it has no page then.
     """
 
@@ -57,6 +58,7 @@ class Item:
     aliases: tuple[str, ...] = ()
     parents: tuple[str, ...] = ()
     facts: tuple[Fact, ...] = ()
+    created_plant: str = ""
     damage: str = ""
 
     @property
