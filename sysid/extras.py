@@ -19,9 +19,9 @@ EXTRAS: dict[str, str] = {
     "rosbags": "bags",
     "asammdf": "mf4",
     "pinocchio": "dynamics",
+    "mujoco": "mujoco",
     "onnx": "onnx",
     "onnxruntime": "onnx",
-    "mujoco": "export",
     "tensorboard": "tensorboard",
 }
 

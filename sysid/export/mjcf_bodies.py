@@ -161,7 +161,8 @@ def _plain_bodies(spec: Any, plant: Plant) -> Bodies:
     """A body for each axis, side by side: hinges about z, slides along x."""
     mujoco, names = _mujoco(), []
     for k, axis in enumerate(plant.machine.axes):
-        body = spec.worldbody.add_body(name=f"{axis.name}_body", pos=[0.0, APART * k, 0.0], mass=SMALL_MASS)
+        body = spec.worldbody.add_body(name=f"{axis.name}_body", pos=[0.0, APART * k, 0.0])
+        body.mass, body.ipos = SMALL_MASS, np.zeros(3)
         body.explicitinertial, body.fullinertia = True, [*[SMALL_INERTIA] * 3, 0.0, 0.0, 0.0]
         slides = axis.joint_type == "prismatic"
         joint = body.add_joint(name=axis.joint or axis.name, axis=[1.0, 0.0, 0.0] if slides else [0.0, 0.0, 1.0])
