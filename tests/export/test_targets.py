@@ -20,7 +20,7 @@ from sysid.plant import Plant, nominal_plant
 from sysid.testing.probe import RATE_HZ, probe_recording, with_inputs
 
 ROOT = Path(__file__).parents[2]
-#: Dry friction is integrated in steps of a sample by the plant and in shorter ones by a simulator: they meet as samples shorten.
+#: The plant integrates dry friction in steps of a sample, a simulator in shorter ones: they meet as samples shorten.
 FINE = ("coulomb_friction",)
 
 
@@ -68,7 +68,7 @@ def test_an_effect_that_is_not_representable_is_missed_by_the_replay(target: Tar
         if target.support(effect).kind == "not_representable":
             folder = tmp_path / name
             folder.mkdir()
-            item = KnownEffect(name, place, {key: value for key, value in effect.example.items()})
+            item = KnownEffect(name, place, dict(effect.example))
             assert not replayed(target, probe_plant(item), folder).agrees, name
 
 
