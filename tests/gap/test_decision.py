@@ -101,6 +101,25 @@ def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     assert unsure.named == ()
 
 
+def test_what_noise_of_the_input_explains_leaves_the_model_and_the_rest_is_refitted() -> None:
+    """A backlash within the noise of its input filters that noise; the plant without that noise must not contain it."""
+    both, alone = model(BAND, DELAY, away=0.1), model(BAND, worse=0.5, away=0.12)
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return alone if fit is both and candidate is DELAY else NOTHING
+
+    models = [NOTHING, both, model(DELAY, worse=3.0, left=3.0)]
+    small = decide(models, ALL, {DELAY.key: 0.2}, integrates=False, without=without)
+    assert small.model is alone
+    assert small.acceptable == (alone,)
+    assert small.named == (BAND,)
+    (near,) = small.near_misses
+    assert (near.candidate, near.lacks) == (DELAY, decision.FILTERS)
+    assert near.values == pytest.approx(both.values_of(DELAY))
+    large = decide(models, ALL, {DELAY.key: 0.05}, integrates=False, without=without)
+    assert large.model is both
+
+
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
