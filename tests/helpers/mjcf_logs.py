@@ -40,14 +40,16 @@ def held_levels(rng: np.random.Generator, count: int, rate_hz: float, low: float
 
 
 def commands_for(machine: Machine, seed: int, seconds: float) -> pd.DataFrame:
-    """``time`` and a command of each axis: positions in the middle of its range, halves of its speed."""
+    """``time`` and a command of each axis: positions in the middle of its range, halves of its speed; at rest for a second."""
     rng, count = np.random.default_rng(seed), round(seconds * machine.rate_hz)
     table = {"time": np.arange(count) / machine.rate_hz}
     for axis in machine.axes:
         assert axis.limits is not None
         middle, reach = np.mean(axis.limits), 0.25 * np.ptp(axis.limits)
         low, high = (middle - reach, middle + reach) if axis.actuation == "position" else (-0.5, 0.5)
-        table[f"{axis.name}.command"] = held_levels(rng, count, machine.rate_hz, low, high)
+        levels, rest = held_levels(rng, count, machine.rate_hz, low, high), round(machine.rate_hz)
+        levels[:rest] = levels[0] if axis.actuation == "position" else 0.0
+        table[f"{axis.name}.command"] = levels
     return pd.DataFrame(table)
 
 
@@ -74,6 +76,9 @@ def run_model(
     for k in range(model.nactuator):  # an integrated speed holds the joint where it is
         if model.actuator_actnum[k] and model.actuator_dyntype[k] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
             data.act[model.actuator_actadr[k]] = data.qpos[model.jnt_qposadr[model.actuator_trnid[k, 0]]]
+    for k in range(model.nactuator):
+        if model.actuator_dyntype[k] == mujoco.mjtDyn.mjDYN_FILTEREXACT:
+            data.act[model.actuator_actadr[k]] = values[model.actuator(k).name][0]
     substeps = round(1.0 / (machine.rate_hz * model.opt.timestep))
     rows = np.empty((len(commands), len(places)))
     for k in range(len(commands)):
