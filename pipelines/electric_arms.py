@@ -1,18 +1,19 @@
 """The goals of electric arms, servos, drives and static poses: simulated machines with known hidden effects, scored.
 
     python pipelines/electric_arms.py [--rows arm,poses] [--seeds 0:1] [--workers N] [--work FOLDER] [--keep]
-    python pipelines/electric_arms.py --seeds 120:139 --publish                      (docs/arms.md and reports/electric_arms/)
+    python pipelines/electric_arms.py --rows poses --seeds 120:129 --publish         (docs/arms.md and reports/electric_arms/)
     python pipelines/electric_arms.py --measured WORKSPACE --data DATA               (measured machines beside their base)
 
 Every case is generated from its seed, written as logs with a machine description, and answered from these alone in a process
-of its own; then it is compared with the truth. An interrupted run continues. Seeds 0 to 9 are for development; seeds 100 to 119
-are published, and only the final run uses them.
+of its own; then it is compared with the truth. An interrupted run continues. Seeds 0 to 19 are for development; seeds 120 to
+139 are published, and only the final run of a row uses them, ten of them at least. A row that is published replaces its earlier
+cases; all others keep theirs.
 
 ``--measured`` reads the results that pipelines/emps.py, xl330.py and so101.py left in a workspace, and calibrates TIAGo and
 UR10 anew.
 
 Order of reading of arms/: case, motion, rigid; the rows arm, servo_sag, poses, flexible, smooth_friction; generate, solve,
-runner, names, score, measured, page.
+runner, names, score, published, measured, page.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from typing import Any
 from arms.generate import ROWS, generate
 from arms.measured import compared, figures, names
 from arms.page import measured_table, page_tables
-from arms.runner import folders, run_all
+from arms.published import check_published, merged, result_of
+from arms.runner import commits_of, folders, run_all
 from arms.score import score_case
 from committed import provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "arms.md"
 REPORTS = ROOT / "reports" / "electric_arms"
-PUBLISHED = range(120, 140)
 
 
 def seeds_of(text: str) -> list[int]:
@@ -63,19 +64,18 @@ def rows_of(text: str) -> list[str]:
 
 def scored(rows: Sequence[str], seeds: Sequence[int], work: Path, command: str) -> dict[str, Any]:
     """The contents of a result file, from the cases that have an answer."""
-    return {
-        **provenance(command, None, ("mujoco-core",)),
-        "seeds": list(seeds),
-        "cases": [score_case(folder).to_json() for folder in folders(rows, seeds, work)],
-    }
+    cases = [score_case(folder).to_json() for folder in folders(rows, seeds, work)]
+    commits = {row: commits_of(folders([row], seeds, work)) for row in rows}
+    return result_of(rows, seeds, cases, commits, provenance(command, None, ("mujoco-core",)))
 
 
 def publish(result: dict[str, Any]) -> None:
-    """Write the result and the tables of the page."""
-    write_result(REPORTS / "result.json", result)
-    before = REPORTS / "before.json"
+    """Write the result beside the rows that were published before, and the tables of the page."""
+    path, before = REPORTS / "result.json", REPORTS / "before.json"
+    whole = merged(json.loads(path.read_text("utf-8")) if path.exists() else None, result)
+    write_result(path, whole)
     earlier = json.loads(before.read_text("utf-8")) if before.exists() else None
-    write_tables(PAGE, page_tables(result, earlier), "pipelines/electric_arms.py")
+    write_tables(PAGE, page_tables(whole, earlier), "pipelines/electric_arms.py")
 
 
 def measure(workspace: Path, data: Path, base: bool) -> None:
@@ -94,8 +94,8 @@ def main(given: argparse.Namespace) -> None:
         measure(given.measured, given.data, given.base)
         return
     rows, seeds = rows_of(given.rows), seeds_of(given.seeds)
-    if given.publish and seeds != list(PUBLISHED):
-        raise ValueError("--publish: expected --seeds 120:139, the published ones")
+    if given.publish:
+        check_published(seeds, {})
     if given.generate:
         for folder in generate(rows, seeds, given.work):
             print(folder)
@@ -106,6 +106,7 @@ def main(given: argparse.Namespace) -> None:
     write_result(given.work / "result.json", result)
     print(page_tables(result))
     if given.publish:
+        check_published(seeds, {row: own["commits"] for row, own in result["rows"].items()})
         publish(result)
 
 

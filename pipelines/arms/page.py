@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = No
     """Goals and cases of a result.
 
     Args:
+        result: each of its rows states the seeds, commit and date of its own run.
         before: result of an earlier version on development seeds, whose summary stands in a column of its own.
     """
     earlier = _by_section(goal_rows(before["cases"])) if before else {}
@@ -28,9 +29,11 @@ def page_tables(result: Mapping[str, Any], before: Mapping[str, Any] | None = No
             _by_section(goal_rows(result["cases"])), goal_rows(result["cases"]), strict=True
         )
     ]
-    header = ("", "goal", *((f"before (seeds {_seeds(before)})",) if before else ()), "measured", "cases")
+    header = ("", "goal", *((f"before (seeds {_seeds(before['rows'].values())})",) if before else ()), "measured", "cases")
     parts = [
-        f"Seeds {_seeds(result)}, {len(result['cases'])} cases, {result['date']}: `{result['command']}`.",
+        markdown(
+            ("row", "seeds", "cases", "commit", "date", "command"), [_run(result, row) for row in result["rows"]], "llllll"
+        ),
         markdown(header, rows, "ll" + "l" * (len(header) - 2)),
         "All cases that are not right:",
         markdown(
@@ -170,5 +173,14 @@ def _names(names: Sequence[Sequence[str]]) -> str:
     return ", ".join(f"{name}({target})" for name, target in names) or "–"
 
 
-def _seeds(result: Mapping[str, Any] | None) -> str:
-    return "–" if result is None else f"{result['seeds'][0]}–{result['seeds'][-1]}"
+def _run(result: Mapping[str, Any], row: str) -> tuple[str, ...]:
+    """The run of a row: seeds, number of cases, commits, date, command."""
+    own, count = result["rows"][row], sum(case["row"] == row for case in result["cases"])
+    commits = ", ".join(f"`{commit[:7]}`" for commit in own["commits"]) or "–"
+    return f"`{row}`", _seeds([own]), str(count), commits, own["date"], f"`{own['command']}`"
+
+
+def _seeds(runs: Iterable[Mapping[str, Any]]) -> str:
+    """First and last seed of runs of rows."""
+    seeds = [seed for run in runs for seed in run["seeds"]]
+    return f"{min(seeds)}–{max(seeds)}"

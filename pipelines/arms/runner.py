@@ -1,7 +1,7 @@
 """Makes and answers the cases of rows and seeds in processes of their own; a case that has an answer is not run again.
 
 <work>/<row>/<case>/site, truth.json, clean    removed after the answer unless they are kept; truth.json stays
-<work>/<row>/<case>/answer.json                what the workflow answered, or why there is no answer
+<work>/<row>/<case>/answer.json                what the workflow answered, or why there is no answer, and the commit of its code
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 from arms.case import write_case
 from arms.generate import ROWS, cases_of
+from arms.published import commit_of
 
 #: Longest wall time of an answer [s].
 ANSWERING = 1800.0
@@ -47,7 +49,9 @@ def run_seed(row: str, seed: int, work: Path, workers: int, keep: bool) -> list[
     for case in cases_of(row, seed):
         folder = work / row / case.name
         site = write_case(case, folder)
-        failure = answer(site, folder / "answer.json", workers)
+        commit, out = commit_of(PIPELINES), folder / "answer.json"
+        failure = answer(site, out, workers)
+        _write(out, json.loads(out.read_text("utf-8")) | {"commit": commit})
         if not keep:
             shutil.rmtree(site)
             shutil.rmtree(folder / "clean")
@@ -68,8 +72,12 @@ def answer(site: Path, out: Path, workers: int) -> str | None:
     except subprocess.TimeoutExpired:
         failure = f"took more than {ANSWERING:.0f} s of wall time"
     if failure is not None:
-        out.write_text(json.dumps({"failure": failure[:300]}) + "\n", "utf-8")
+        _write(out, {"failure": failure[:300]})
     return failure
+
+
+def _write(out: Path, answered: dict[str, Any]) -> None:
+    out.write_text(json.dumps(answered, indent=1) + "\n", "utf-8")
 
 
 def folders(rows: Sequence[str], seeds: Sequence[int], work: Path) -> list[Path]:
@@ -77,3 +85,9 @@ def folders(rows: Sequence[str], seeds: Sequence[int], work: Path) -> list[Path]
     wanted = {f"{row}-{seed:03d}" for row in rows for seed in seeds}
     found = [path.parent for row in ROWS if row in rows for path in sorted((work / row).glob("*/answer.json"))]
     return [folder for folder in found if "-".join(folder.name.split("-")[:2]) in wanted]
+
+
+def commits_of(answered: Sequence[Path]) -> list[str]:
+    """The commits whose code answered these cases, in order of appearance."""
+    found = (json.loads((folder / "answer.json").read_text("utf-8")).get("commit") for folder in answered)
+    return list(dict.fromkeys(commit for commit in found if commit))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
+from sysid.names import dotted
 from sysid.registry.effect_changes import effect_changes
 
 if TYPE_CHECKING:
@@ -155,15 +156,8 @@ def _own_part(recipe: Mapping[str, Any], kind: str) -> dict[str, str]:
 
     table = "actuator" if kind == "history" else kind
     own = {key: value for key, value in recipe.items() if key == table or key not in KINDS}
-    return {key.removeprefix(f"{table}."): value for key, value in _flat(own)}
-
-
-def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _flat(item, f"{name}.{key}" if name else str(key))
-    else:
-        yield name, ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    texts = {key: ", ".join(map(str, value)) if isinstance(value, list) else str(value) for key, value in dotted(own)}
+    return {key.removeprefix(f"{table}."): text for key, text in texts.items()}
 
 
 def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from sysid.errors import SettingsError
+from sysid.names import dotted
 from sysid.rl.ddpg import Trainer
 from sysid.root import Root
 
@@ -101,7 +102,7 @@ class MlflowRun:
             recipe = trainer.recipe
             name = f"{recipe.name} seed {recipe.seed}"
             self._run = self._client.create_run(experiment, tags={"training": folder.name}, run_name=name).info.run_id
-            for key, value in _flat(recipe.to_json()):
+            for key, value in dotted(recipe.to_json()):
                 self._client.log_param(self._run, key, value)
         try:
             yield
@@ -116,11 +117,3 @@ class MlflowRun:
         # The step is the time as well: a repeated record is the same entry.
         metrics = [Metric(f"{kind}.{name}", value, step, step) for name, value in figures.items()]
         self._client.log_batch(self._run, metrics=metrics)
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value

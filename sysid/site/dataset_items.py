@@ -4,34 +4,35 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
-from sysid.errors import StoreError
 from sysid.reports.display import fixed
 from sysid.site.item import Fact, Item
 
+#: Group of the facts that give each signal's SI unit.
+SIGNALS = "Signals"
 ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
 
 
-def dataset_items(index: VersionIndex) -> Iterator[Item]:
-    """Every dataset version, and the raw files of those that were ingested."""
-    for entry in index.list():
-        try:
-            if entry.damage:
-                raise StoreError(entry.reference, entry.damage)
-            manifest = index.read_manifest(entry.name, entry.version)
-        except StoreError as error:
-            yield Item("damaged", entry.reference, damage=entry.damage or str(error), summary=entry.damage or str(error))
+def dataset_items(index: VersionIndex, flights: Mapping[str, str]) -> Iterator[Item]:
+    """Every dataset version, and the raw files of those that were ingested.
+
+    Args:
+        flights: sha256 of a flight log → key of its run.
+    """
+    for entry, manifest in index.survey():
+        if manifest is None:
+            yield Item("damaged", entry.reference, damage=entry.damage, summary=entry.damage)
             continue
-        files = _files(manifest)
+        files = _files(manifest, flights)
         if files is not None:
             yield files
         yield _dataset(manifest, files)
 
 
-def _files(manifest: Manifest) -> Item | None:
+def _files(manifest: Manifest, flights: Mapping[str, str]) -> Item | None:
     """The raw files that a version was ingested from; None if another version was split."""
     base, sources = manifest["base"], manifest["sources"]
     if not sources or (base is not None and base["by"] == "split"):
@@ -39,7 +40,11 @@ def _files(manifest: Manifest) -> Item | None:
     digest = hashlib.sha256("".join(sorted(source["sha256"] for source in sources)).encode()).hexdigest()
     size = sum(source["size"] for source in sources)
     return Item(
-        "logs", _reference(manifest), digest=digest, summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {_size(size)}"
+        "logs",
+        _reference(manifest),
+        digest=digest,
+        summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {_size(size)}",
+        parents=tuple(flights[source["sha256"]] for source in sources if source["sha256"] in flights),
     )
 
 
@@ -74,7 +79,7 @@ def _facts(manifest: Manifest) -> Iterator[Fact]:
         rows = f"{item['rows']} poses" if item["kind"] == "poses" else f"{item['rows'] / item['rate_hz']:.1f} s"
         yield Fact("Recordings", item["name"], f"{rows}, {role}, {len(item['signals'])} signals")
     for signal, unit in manifest["units"].items():
-        yield Fact("Signals", signal, unit)
+        yield Fact(SIGNALS, signal, unit)
     for clock in manifest["clocks"]:
         low, high = clock["offset_interval95"]
         text = f"{clock['offset_s']:+.6f} s ± {1e3 * (high - low) / 2.0:.3g} ms, {clock['skew_ppm']:+.1f} ppm"

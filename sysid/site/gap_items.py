@@ -38,19 +38,8 @@ def gap_items(root: Root, units: Mapping[str, Mapping[str, str]]) -> Iterator[It
             yield Item("damaged", reference, damage=damage, summary=damage)
 
 
-def created_plants(root: Root, items: Mapping[str, Item]) -> dict[str, str]:
-    """Key of a plant → key of the gap result that created it."""
-    found = {}
-    for item in items.values():
-        if item.kind == "gap":
-            plant = parse_json(root.read(f"results/{item.reference}/gap/{RESULT}"))["plant"]
-            if plant["after"] != plant["before"]:
-                found[f"plant:{plant['after']}"] = item.key
-    return found
-
-
 def _item(values: dict[str, Any], reference: str, content: bytes, changed: float, units: Mapping[str, str]) -> Item:
-    before = values["plant"]["before"]
+    before, after = values["plant"]["before"], values["plant"]["after"]
     effects = [f"{effect_title(item['name'], item['target'])} ({item['target']})" for item in values["effects"]]
     found = headline(values["verdict"], len(effects)).rstrip(".")
     return Item(
@@ -61,6 +50,7 @@ def _item(values: dict[str, Any], reference: str, content: bytes, changed: float
         summary=f"{found}: {', '.join(effects)}" if effects else found,
         parents=tuple([f"dataset:{reference}"] + ([f"plant:{before}"] if "@" in before else [])),
         facts=tuple(_facts(values, units)),
+        created_plant=after if after != before else "",
     )
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
+from sysid.names import dotted
 from sysid.registry import DamagedModel, ModelVersion
 from sysid.registry.figures import held_out_figures
 from sysid.registry.lineage import sources
@@ -62,18 +62,8 @@ def _facts(version: ModelVersion) -> Iterator[Fact]:
         for name, value in effect.get("parameters", {}).items():
             text = f"{value:.6g}" if isinstance(value, float | int) else str(value)
             yield Fact("Effects [SI]", f"{effect_title(effect['name'])}, {effect['target']}: {name}", text)
-    for name, text in _flat({key: value for key, value in version.lineage.items() if key not in _LEFT_OUT}):
+    for name, value in dotted({key: value for key, value in version.lineage.items() if key not in _LEFT_OUT}):
+        text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
         yield Fact("Lineage and recipe", name, text)
     for name, digest in sorted(version.sha256.items()):
         yield Fact("Files, sha256", name, digest[:12])
-
-
-def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    """Nested tables as dotted names."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _flat(item, f"{name}.{key}" if name else str(key))
-    elif isinstance(value, list | tuple):
-        yield name, ", ".join(map(str, value))
-    else:
-        yield name, str(value)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +22,8 @@ from sysid.datasets import ingest
 from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("arm", "case", "flexible", "generate", "names", "page", "poses", "rigid", "score", "servo_sag", "smooth_friction")
+MODULES = ("arm", "case", "flexible", "generate", "names", "page", "poses", "published", "rigid", "runner", "score")
+MODULES += ("servo_sag", "smooth_friction")
 Array = npt.NDArray[np.float64]
 
 
@@ -250,18 +253,83 @@ def test_every_hidden_name_has_an_entry_and_every_case_a_line(arms: dict[str, Mo
         arms["score"].score(truth(COULOMB), answer(("coulomb_friction", "j1", {"force": 8.0}))).to_json(),
         arms["score"].score(truth(COULOMB), {"refused": "too | short"}).to_json(),
     ]
-    page = arms["page"].page_tables({"seeds": [0, 1], "cases": cases, "date": "2026-01-01", "command": "x"})
+    page = arms["page"].page_tables(run_of([0, 1], cases))
     assert "1 right, 1 refused" in page
     assert "too \\| short" in page
-    beside = arms["page"].page_tables(
-        {"seeds": [7], "cases": cases[:1], "date": "", "command": ""}, {"seeds": [0], "cases": cases}
-    )
+    beside = arms["page"].page_tables(run_of([7], cases[:1]), run_of([0], cases))
     assert "| before (seeds 0–0) |" in beside
     assert "| 1 right, 1 refused | 1 right | 1 |" in beside
     friction = arms["smooth_friction"]
     for kind in friction.KINDS:
         for hidden in friction.truth(friction.random_axis(np.random.default_rng(0), kind)):
             assert hidden.name in arms["names"].ACCEPTED
+
+
+# ---- Publishing ---------------------------------------------------------------------------------------------------------
+
+
+def run_of(seeds: list[int], cases: list[dict[str, Any]], **about: Any) -> dict[str, Any]:
+    """A result whose rows are those of its cases."""
+    head = {"command": "x", "versions": {}, "machine": "m", "date": "2026-01-01"} | about
+    own = {"seeds": seeds, "commits": ["0123456789ab"], **head}
+    return {**head, "rows": {case["row"]: own for case in cases}, "cases": cases}
+
+
+def cases_of(row: str, seeds: list[int]) -> list[dict[str, Any]]:
+    return [{**CASE, "row": row, "case": f"{row}-{seed:03d}"} for seed in seeds]
+
+
+CASE = {"variant": "", "outcome": "right", "wrong": [], "missed": [], "coarse": [], "errors": {}, "ratio": None, "spread": None}
+CASE |= {"resonance": None, "tie": None, "planned": False, "wall_seconds": None, "reason": ""}
+
+
+def test_a_row_that_is_published_leaves_the_others_as_they_were(arms: dict[str, ModuleType]) -> None:
+    merged = arms["published"].merged
+    earlier = run_of([120, 121], cases_of("arm", [120, 121]) + cases_of("poses", [120, 121]))
+    fresh = run_of([120], cases_of("servo_sag", [120]) + cases_of("arm", [120]), command="y", date="2026-02-02")
+    found = merged(earlier, fresh)
+    assert [case["case"] for case in found["cases"]] == ["arm-120", "servo_sag-120", "poses-120", "poses-121"]
+    assert found["rows"]["poses"] == earlier["rows"]["poses"]
+    assert found["rows"]["arm"] == fresh["rows"]["arm"]
+    assert (found["command"], found["date"]) == ("y", "2026-02-02")
+    assert merged(None, fresh)["cases"] == fresh["cases"][1:] + fresh["cases"][:1]
+    page = arms["page"].page_tables(found)
+    assert "| `arm` | 120–120 | 1 | `0123456` | 2026-02-02 | `y` |" in page
+    assert "| `poses` | 120–121 | 2 | `0123456` | 2026-01-01 | `x` |" in page
+
+
+@pytest.mark.parametrize("seeds", [[120], list(range(100, 110)), list(range(121, 131)), list(range(120, 141))])
+def test_seeds_that_are_not_the_published_ones_are_refused(arms: dict[str, ModuleType], seeds: list[int]) -> None:
+    with pytest.raises(ValueError, match="expected --seeds 120:LAST, LAST from 129 to 139"):
+        arms["published"].check_published(seeds, {})
+
+
+def test_answers_of_code_that_no_commit_holds_are_not_published(arms: dict[str, ModuleType]) -> None:
+    check, seeds = arms["published"].check_published, list(range(120, 130))
+    check(seeds, {"arm": ["0123456789ab"]})
+    for commits, text in ((["0123456789ab", "0123456789ab-dirty"], "commit 0123456789ab-dirty"), ([], "without a commit")):
+        with pytest.raises(ValueError, match=text):
+            check(seeds, {"arm": commits})
+
+
+def test_an_answer_states_the_commit_of_its_code(arms: dict[str, ModuleType], tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b", *words], check=True)
+
+    commit_of = arms["published"].commit_of
+    assert commit_of(tmp_path) is None
+    git("init", "--quiet")
+    (tmp_path / "code.py").write_text("one\n", "utf-8")
+    git("add", "code.py")
+    git("commit", "--quiet", "--message", "one")
+    commit = commit_of(tmp_path)
+    assert re.fullmatch("[0-9a-f]{12}", commit)
+    (tmp_path / "code.py").write_text("two\n", "utf-8")
+    assert commit_of(tmp_path) == f"{commit}-dirty"
+    for name, text in (("a", commit), ("b", None), ("c", commit)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "answer.json").write_text(json.dumps({"commit": text}), "utf-8")
+    assert arms["runner"].commits_of([tmp_path / name for name in "abc"]) == [commit]
 
 
 def test_wrong_rows_and_seeds_are_refused(arms: dict[str, ModuleType], pipeline: Callable[[str], ModuleType]) -> None:

@@ -5,7 +5,7 @@ Listing them must be quick, so that nothing here imports numpy, pandas or the ta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -64,19 +64,25 @@ class VersionIndex:
 
     def list(self) -> tuple[Entry, ...]:
         """All versions of all datasets, by name and number; those that cannot be read with their damage."""
-        entries = [Entry(name, 0, damage="is a link, which is not followed") for name in self.files.links("datasets")]
+        return tuple(entry for entry, _ in self.survey())
+
+    def survey(self) -> Iterator[tuple[Entry, Manifest | None]]:
+        """As :meth:`list`, each with its manifest; None for a version that cannot be read."""
+        for name in self.files.links("datasets"):
+            yield Entry(name, 0, damage="is a link, which is not followed"), None
         for name in self.files.folders("datasets"):
             try:
                 versions = self.versions(check_dataset_name(name))
             except (StoreError, SettingsError) as error:
-                entries.append(Entry(name, 0, damage=str(error)))
+                yield Entry(name, 0, damage=str(error)), None
                 continue
             for version in versions:
                 try:
-                    entries.append(entry_of(self.read_manifest(name, version)))
+                    manifest = self.read_manifest(name, version)
                 except StoreError as error:
-                    entries.append(Entry(name, version, damage=str(error)))
-        return tuple(entries)
+                    yield Entry(name, version, damage=str(error)), None
+                else:
+                    yield entry_of(manifest), manifest
 
     def manifest(self, reference: str) -> Manifest:
         """The manifest of a version in the newest schema (``docs/guide/versions.md``).
