@@ -1,11 +1,13 @@
 """Pages and links of the documentation site (``mkdocs.yml``).
 
 The Markdown files are written to be read in the repository. Here those outside of ``docs/`` become pages, links between them
-are mapped, other files that they name are copied, and the reference is made from the docstrings of the public packages.
+are mapped, other files that they name are copied, the reference is made from the docstrings of the public packages, and
+notebooks become pages of their texts and code.
 """
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 from pathlib import Path
@@ -45,7 +47,9 @@ CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages outside of ``docs/``, and the reference."""
     for path, page in pages().items():
-        if not path.startswith("docs/"):
+        if path.endswith(".ipynb"):
+            files.append(File.generated(config, page, content=notebook_page(ROOT / path)))
+        elif not path.startswith("docs/"):
             files.append(File.generated(config, page, content=(ROOT / path).read_text("utf-8")))
     for path in sorted(linked() - pages().keys()):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -98,16 +102,26 @@ def pages() -> dict[str, str]:
     found |= {"reports/README.md": "reports.md", "rl/README.md": "rl.md", "datasets/README.md": "machines/index.md"}
     for path in sorted((ROOT / "datasets").glob("*/README.md")):
         found[path.relative_to(ROOT).as_posix()] = f"machines/{path.parent.name}.md"
-    for path in sorted((ROOT / "docs").rglob("*.md")):
-        found[path.relative_to(ROOT).as_posix()] = path.relative_to(ROOT / "docs").as_posix()
+    for path in sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]):
+        found[path.relative_to(ROOT).as_posix()] = path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()
     return found
+
+
+def notebook_page(path: Path) -> str:
+    """The cells of a notebook as Markdown; outputs are not stored with it."""
+    parts = []
+    for cell in json.loads(path.read_text("utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+    return "\n\n".join([*parts, f"[Download this notebook]({path.name})", ""])
 
 
 def linked() -> set[str]:
     """Files outside of ``docs/`` that a page links."""
     found = set()
     for source in pages():
-        for part in CODE.split((ROOT / source).read_text("utf-8"))[::2]:
+        text = notebook_page(ROOT / source) if source.endswith(".ipynb") else (ROOT / source).read_text("utf-8")
+        for part in CODE.split(text)[::2]:
             targets = (resolved(match[2], source) for match in LINK.finditer(part))
             found |= {path for path in targets if path is not None and not path.startswith("docs/")}
     return found

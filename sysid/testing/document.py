@@ -34,7 +34,7 @@ _NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change
 
 def documents() -> dict[str, str]:
     """File name → text, for the whole catalogue."""
-    files = {"README.md": _index()}
+    files = {"README.md": _index(), "gallery.md": _gallery()}
     for effect in CATALOGUE:
         files[f"{effect.name}.md"] = page(effect)
         files[f"{effect.name}.svg"] = _picture(effect)
@@ -57,13 +57,35 @@ def _index() -> str:
             "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which",
             "the plant applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal,",
             'repeatable, finite for any input, without memory of earlier runs. A source "machine facts" refers to',
-            "[magnitudes of real effects](../machine-facts.md).\n",
+            "[magnitudes of real effects](../machine-facts.md). The [gallery](gallery.md) shows the picture of each.\n",
             "| effect | target | equation | shows in |",
             "| --- | --- | --- | --- |",
             *rows,
             "",
         ]
     )
+
+
+def _gallery() -> str:
+    """The picture, title and sentence of every effect, by stage. The class ``grid cards`` is of the documentation site."""
+    lines = [
+        _NOTICE,
+        "# Gallery of effects\n",
+        "This page shows what each named effect changes: a signal of a machine without the effect (grey) and with it (blue).",
+        "Each picture links to the page with equation, parameters and similar effects; all are in [one table](README.md).",
+    ]
+    for stage, title in _STAGES.items():
+        own = [effect for effect in CATALOGUE if effect.stage == stage]
+        if own:
+            heading = f"\n## {title[:1].upper()}{title[1:]}\n"
+            lines += [heading, '<div class="grid cards" markdown>\n', *map(_card, own), "</div>"]
+    return "\n".join([*lines, ""])
+
+
+def _card(effect: Effect) -> str:
+    page = f"{effect.name}.md"
+    picture = f"[![{effect.title}, with and without]({effect.name}.svg)]({page})"
+    return f"- {picture}\n\n    **[{effect.title}]({page})** (`{effect.name}`). {_about(effect)}\n"
 
 
 def _cell(text: str) -> str:
