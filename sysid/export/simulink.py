@@ -30,8 +30,8 @@ class SimulinkTarget:
         "`load machine.mat` gives the struct `machine`: `sample_time` and one struct for each axis, with `opening` and `speed` "
         "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "
         "Rate Limiter, Transfer Fcn, Discrete-Time Integrator with its limits).",
-        "`step_axis.m` steps a velocity or position axis. MATLAB is not installed here: the tables were replayed in Python, the "
-        "function was not run.",
+        "`step_axis.m` steps a velocity or position axis. MATLAB is not installed here: the tables were replayed in Python, "
+        "the function was not run.",
     )
 
     def support(self, effect: Effect) -> Support:
