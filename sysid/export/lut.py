@@ -106,7 +106,8 @@ def simulation_of_tables(plant: Plant, read: Callable[[str], tuple[Array, Array]
 def numbers_of(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
     """Block, quantity and value of all numbers of an axis."""
     rows = [("end_stop", end, axis[end]) for end in ("low", "high")] + [("joint_offset", "offset", axis["offset"])]
-    rows += [(part, key, value) for part, values in axis["command"] if part in BLOCKS for key, value in values.items()]
+    blocks = [(part, values) for part, values in axis["command"] if part in BLOCKS]
+    rows += [(part, key, value) for part, values in blocks for key, value in values.items() if key not in ("at_end", "lag")]
     if axis["actuation"] == "force":
         rows += [("inertia", "mass", axis["mass"]), ("load_bias", "force", axis["bias"])]
         rows += [(law, key, value) for law, values in axis["frictions"] for key, value in values.items() if law in BLOCKS]

@@ -97,6 +97,12 @@ _FUNCTION = """function [position, state] = step_axis(axis, command, state, dt)
 %             interp1(axis.linkage(:,1), axis.linkage(:,2), position, 'linear', 'extrap')
 %   state     struct('position', p0) before the first sample: the command was held since long before.
 u = command;
+velocity = strcmp(axis.actuation, 'velocity');
+if ~velocity && isfield(axis, 'command_rate_limit')   % of a servo, at the end of the sample
+    reach = axis.command_rate_limit.rate * dt;
+    if ~isfield(state, 'ramp'), state.ramp = u; end
+    state.ramp = state.ramp + min(max(u - state.ramp, -reach), reach); u = state.ramp;
+end
 if isfield(axis, 'opening')
     u = interp1(axis.opening(:,1), axis.opening(:,2), u, 'linear', 'extrap');
 end
@@ -106,14 +112,12 @@ if isfield(axis, 'input_delay')
     state.past = [state.past(2:end); u];
     u = (1 - rest) * state.past(end - whole) + rest * state.past(end - whole - 1);
 end
-velocity = strcmp(axis.actuation, 'velocity');
-if isfield(axis, 'command_rate_limit')
+if velocity && isfield(axis, 'command_rate_limit')
     reach = axis.command_rate_limit.rate * dt;
     if ~isfield(state, 'ramp'), state.ramp = u; end
     before = state.ramp; change = u - before;
     state.ramp = before + min(max(change, -reach), reach);
-    if ~velocity, u = state.ramp;
-    elseif abs(change) > reach, u = before + 0.5 * sign(change) * reach;
+    if abs(change) > reach, u = before + 0.5 * sign(change) * reach;
     else, u = u - 0.5 * change * abs(change) / reach;
     end
 end
