@@ -21,6 +21,7 @@ EXTRAS: dict[str, str] = {
     "pinocchio": "dynamics",
     "onnx": "onnx",
     "onnxruntime": "onnx",
+    "distributed": "cluster",
     "tensorboard": "tensorboard",
 }
 
