@@ -19,6 +19,7 @@ EXTRAS: dict[str, str] = {
     "rosbags": "bags",
     "asammdf": "mf4",
     "pinocchio": "dynamics",
+    "mujoco": "mujoco",
     "onnx": "onnx",
     "onnxruntime": "onnx",
     "distributed": "cluster",

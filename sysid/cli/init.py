@@ -9,6 +9,7 @@ from string import Template
 
 import click
 
+from sysid.cli.init_from import drafted_files
 from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
 from sysid.names import slug
@@ -37,18 +38,43 @@ def template(kind: str, file: str, name: str) -> str:
 @click.option(
     "--kind",
     type=click.Choice(KINDS),
-    default="hydraulic",
-    show_default=True,
-    help="What the commands are: valve openings (hydraulic), positions (servo), forces or torques (force).",
+    default=None,
+    help="What the commands are: valve openings (hydraulic, the default), positions (servo), forces or torques (force).",
 )
+@click.option(
+    "--from",
+    "source",
+    default=None,
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Describe the machine from its URDF or MJCF: axes, limits, actuators, masses, friction.",
+)
+@click.option("--tip", default=None, metavar="NAME", help="With --from: the end effector, a link (URDF), site or body (MJCF).")
+@click.option("--tool", default=None, metavar="NAME", help="With --from: the link or body of a hanging tool.")
 @json_option
-def init(directory: Path, name: str | None, kind: str, json_file: str | None) -> None:
+def init(
+    directory: Path,
+    name: str | None,
+    kind: str | None,
+    source: Path | None,
+    tip: str | None,
+    tool: str | None,
+    json_file: str | None,
+) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _name_of(directory)
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")
+    if source is None and (tip is not None or tool is not None):
+        raise SettingsError("sysid init", "--tip or --tool without --from", "--from with a URDF or an MJCF")
     files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
-    files |= {f"datasets/{name}/{file}.toml": template(kind, file, name) for file in ("machine", "recipe")}
+    notes: tuple[str, ...] = ()
+    if source is None:
+        own = {f"{file}.toml": template(kind or "hydraulic", file, name) for file in ("machine", "recipe")}
+    else:
+        drafted = drafted_files(source, name, kind, tip, tool)
+        own, notes = dict(drafted.files), drafted.notes
+    files |= {f"datasets/{name}/{file}": text for file, text in own.items()}
     files[".gitignore"] = "/workspace/\n"
     made, kept, root = [], [], Root(directory)
     for relative, text in files.items():
@@ -64,10 +90,13 @@ def init(directory: Path, name: str | None, kind: str, json_file: str | None) ->
         out.line(f"made  {directory / relative}")
     for relative in kept:
         out.line(f"kept  {directory / relative}")
+    for note in notes:
+        out.line(f"note: {note}: not in machine.toml")
     folder = directory / "datasets" / name
-    out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
+    do = "describe" if source is None else "check"
+    out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      {command('ingest', folder)}")
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
+    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept, "notes": list(notes)})
 
 
 def _name_of(directory: Path) -> str:

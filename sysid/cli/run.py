@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,7 @@ def run(
     from sysid.runner.modes.commission import Commission
     from sysid.runner.operator import Interruptible, Operator, Unattended
     from sysid.runner.recipe import load_runner
+    from sysid.runner.run_record import EventRecorder, Recorders, RunRecord
     from sysid.runner.terminal import Console, Terminal, redirected_output
     from sysid.runner.transport import Settable
     from sysid.runner.transports import connect
@@ -71,7 +73,8 @@ def run(
         settings = replace(settings, mode="commission")
     if seconds is not None:
         settings = replace(settings, loop=replace(settings.loop, seconds=seconds))
-    registry = open_workspace(ctx.obj).models
+    workspace = open_workspace(ctx.obj)
+    registry = workspace.models
     assembly = assemble(settings, registry, recipe)
     printer = Printer(json_file)
     with closed_stdout_ignored():
@@ -91,7 +94,8 @@ def run(
     if program and not (line.simulated and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a real machine", "an operator: run without --unattended")
     ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
-    pair = RecorderPair(ranges)
+    events = EventRecorder()
+    recorders = Recorders(ranges, events)
     console = Console()
     operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal(console)
     files = {"recipe": recipe, "machine": assembly.machine_file}
@@ -100,14 +104,16 @@ def run(
     folder = log or Path(settings.log.folder)
     kind: Any = "poses" if settings.mode == "collect" else "motion"
     with contextlib.closing(console), Interruptible(operator) as person, redirected_output(console):
-        loop = assembly.loop(transport, pair, person)
+        loop = assembly.loop(transport, recorders, person)
         mode = loop.mode
         if line.wired and mode.moves and not isinstance(mode, Commission):
             printer.line(f"  {require_commissioned(assembly, recipe)}")
         flight = FlightLog(
             folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
         )
-        pair.second = flight
+        recorders.log = flight
+        record = RunRecord(workspace.root, flight.path, _about(assembly))
+        unrecorded = _recorded(record.begin)
         try:
             if view:
                 show_log(flight.path)
@@ -118,15 +124,17 @@ def run(
             unwritten = _closed(flight)
     if console.lost:
         outcome.notes.append(f"{console.lost} lines could not be printed at the terminal")
-    figures = _figures(assembly, outcome, ranges)
+    figures = _figures(assembly, outcome, ranges) | {"lost_cycles": flight.lost}
+    unrecorded = _recorded(lambda: record.end(figures, events)) or unrecorded
+    if unrecorded:
+        outcome.notes.append(unrecorded)
     failed: Exception | None = None
     kept: Path | None = None
     try:
         if isinstance(mode, Commission):
             kept = keep_record(assembly, mode, recipe, str(flight.path))
         with closed_stdout_ignored(json_file == "-"):
-            record = {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost}
-            write_json(json_file, record | figures)
+            write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), **figures})
     except (OSError, SysidError) as error:  # raised after the outcome is printed
         failed = error
     with closed_stdout_ignored():
@@ -180,21 +188,15 @@ def _closed(flight: FlightLog) -> StorageError | None:
     return None
 
 
-class RecorderPair:
-    """Two recorders; the first one does not fail."""
+def _recorded(write: Callable[[], None]) -> str:
+    """Write the record of the run; why that is impossible, for a note: it does not stop a run."""
+    from sysid.errors import SysidError
 
-    def __init__(self, first: Any) -> None:
-        self.first = first
-        self.second: Any = None
-
-    def record(self, cycle: Any) -> None:
-        self.first.record(cycle)
-        if self.second is not None:
-            self.second.record(cycle)
-
-    @property
-    def fault(self) -> str:
-        return str(self.second.fault) if self.second is not None else ""
+    try:
+        write()
+    except (OSError, SysidError) as error:
+        return f"the run is not listed in the workspace: {error}"
+    return ""
 
 
 def _print_setup(out: Printer, assembly: Assembly) -> None:
@@ -258,11 +260,20 @@ def _tracked(assembly: Assembly) -> str:
     return f"{setting}, measured by the machine's sensors and {forward} (including their errors)"
 
 
-def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> dict[str, Any]:
+def _about(assembly: Assembly) -> dict[str, Any]:
+    """What is known before the run."""
     return {
         "name": assembly.recipe.name,
         "mode": assembly.recipe.mode,
+        "machine": assembly.machine.name,
+        "transport": assembly.recipe.transport["kind"],
         "versions": {version.reference: version.digest for version in assembly.loaded.versions},
+    }
+
+
+def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> dict[str, Any]:
+    return {
+        **_about(assembly),
         "ended": outcome.ended,
         "state": outcome.state,
         "why": outcome.why,
@@ -278,4 +289,5 @@ def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> 
         "distance_mm": {norm: 1e3 * value for norm, value in ranges.distance.items()} or None,
         "rmse_mm": 1e3 * ranges.rmse if ranges.rmse is not None else None,
         "max_mm": 1e3 * ranges.worst if ranges.rmse is not None else None,
+        "distance_by_second_mm": [(second, 1e3 * far) for second, far in ranges.by_second.items()],
     }

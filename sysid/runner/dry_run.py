@@ -41,10 +41,14 @@ class RangeRecorder:
         self._targets: deque[tuple[int, Array]] = deque(maxlen=64)
         #: Cycles in which the tracking error is known.
         self.tracked = 0
+        #: Second since the first cycle → largest distance from the target in it [m].
+        self.by_second: dict[int, float] = {}
+        self._begin_ns = 0
         self._squares, self._worst = np.zeros(3), np.zeros(3)
         self._distance_sum, self._distance_max = 0.0, 0.0
 
     def record(self, cycle: Cycle) -> None:
+        self._begin_ns = self._begin_ns or cycle.at_ns
         if not cycle.enabled:
             self._targets.clear()
             return
@@ -62,6 +66,8 @@ class RangeRecorder:
             np.fmax(self._worst, np.abs(error), out=self._worst)
             self._distance_sum, self._distance_max = self._distance_sum + far, max(self._distance_max, far)
             self.tracked += 1
+            second = (cycle.at_ns - self._begin_ns) // SECOND
+            self.by_second[second] = max(self.by_second.get(second, 0.0), far)
         if np.isfinite(cycle.target).all():
             self._targets.append((cycle.at_ns + self._period_ns, cycle.target))
         else:

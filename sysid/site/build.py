@@ -28,6 +28,8 @@ from sysid.reports.report import build_report, plot_library
 from sysid.root import Root
 from sysid.site.dataset_page import dataset_page
 from sysid.site.drawing import drawing
+from sysid.site.flight_items import read_flight
+from sysid.site.flight_page import flight_page
 from sysid.site.graph import around, lineage_graph
 from sysid.site.inventory import inventory, manifest_of
 from sysid.site.item import Item
@@ -66,9 +68,11 @@ def build_site(workspace: Workspace, folder: Path | None = None, progress: Progr
         StorageError: it cannot be written.
     """
     root = Root(folder or workspace.root.make("site"))
-    items = inventory(workspace)
+    survey = workspace.models.survey()
+    items = inventory(workspace, survey)
     before, stamps, made, failed = _stamps(root), {}, [], {}
-    pages = list(_pages(workspace, items))
+    models = [entry for entry in survey if isinstance(entry, ModelVersion)]
+    pages = list(_pages(workspace, items, models))
     for number, (path, content, make) in enumerate(pages):
         progress(number / len(pages), path)
         stamp = _stamp(content)
@@ -93,7 +97,7 @@ def build_site(workspace: Workspace, folder: Path | None = None, progress: Progr
 Page = tuple[str, Any, Callable[[], str]]
 
 
-def _pages(workspace: Workspace, items: Sequence[Item]) -> Iterator[Page]:
+def _pages(workspace: Workspace, items: Sequence[Item], models: Sequence[ModelVersion]) -> Iterator[Page]:
     by_key = {item.key: item for item in items if item.kind != "damaged"}
     graph = lineage_graph(by_key.values())
     yield LIBRARY, "", plot_library
@@ -102,15 +106,15 @@ def _pages(workspace: Workspace, items: Sequence[Item]) -> Iterator[Page]:
             continue
         near = around(graph, item.key)
         context = [asdict(by_key[key]) for key in sorted(near)]
-        others = [other for other in by_key.values() if (other.kind, other.name) == (item.kind, item.name)]
+        versioned = [other for other in by_key.values() if "@" in other.reference]
+        others = [other for other in versioned if (other.kind, other.name) == (item.kind, item.name)]
         bar = site_bar(item, others)
         drawn = drawing(near, by_key, "../", item.key)
         yield item.path, [context, [other.key for other in others]], _maker(workspace, item, by_key, bar, drawn)
-    found = [entry for entry in workspace.models.survey() if isinstance(entry, ModelVersion)]
     cards = {item.reference: item.href for item in by_key.values() if item.path.startswith("models/")}
     name, everything = _title(workspace), [asdict(item) for item in items]
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    yield "models.html", everything, lambda: models_page(found, name, cards=cards, bar=SiteBar())
+    yield "models.html", everything, lambda: models_page(models, name, cards=cards, bar=SiteBar())
     yield "lineage.html", everything, lambda: lineage_page(items, name)
     yield "compare.html", everything, lambda: compare_page(items, name)
     yield "index.html", everything, lambda: index_page(items, name, created)
@@ -142,6 +146,8 @@ def _maker(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: Si
             return build_report(inputs, bar, drawn, f"../{LIBRARY}")
 
         return report
+    if item.kind == "flight":
+        return lambda: flight_page(item, read_flight(workspace.root, item.reference), bar, drawn)
     return lambda: card_page(ModelVersions(workspace).card(item.reference), bar, drawn)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
@@ -16,19 +16,23 @@ SIGNALS = "Signals"
 ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
 
 
-def dataset_items(index: VersionIndex) -> Iterator[Item]:
-    """Every dataset version, and the raw files of those that were ingested."""
+def dataset_items(index: VersionIndex, flights: Mapping[str, str]) -> Iterator[Item]:
+    """Every dataset version, and the raw files of those that were ingested.
+
+    Args:
+        flights: sha256 of a flight log → key of its run.
+    """
     for entry, manifest in index.survey():
         if manifest is None:
             yield Item("damaged", entry.reference, damage=entry.damage, summary=entry.damage)
             continue
-        files = _files(manifest)
+        files = _files(manifest, flights)
         if files is not None:
             yield files
         yield _dataset(manifest, files)
 
 
-def _files(manifest: Manifest) -> Item | None:
+def _files(manifest: Manifest, flights: Mapping[str, str]) -> Item | None:
     """The raw files that a version was ingested from; None if another version was split."""
     base, sources = manifest["base"], manifest["sources"]
     if not sources or (base is not None and base["by"] == "split"):
@@ -36,7 +40,11 @@ def _files(manifest: Manifest) -> Item | None:
     digest = hashlib.sha256("".join(sorted(source["sha256"] for source in sources)).encode()).hexdigest()
     size = sum(source["size"] for source in sources)
     return Item(
-        "logs", _reference(manifest), digest=digest, summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {_size(size)}"
+        "logs",
+        _reference(manifest),
+        digest=digest,
+        summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {_size(size)}",
+        parents=tuple(flights[source["sha256"]] for source in sources if source["sha256"] in flights),
     )
 
 

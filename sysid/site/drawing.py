@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import networkx as nx
 from markupsafe import Markup
 
 from sysid.registry import CHAMPION
-from sysid.site.graph import layers, positions
+from sysid.site.graph import layers, positions, with_waypoints
 from sysid.site.item import Item
 
 #: Size of a box, and distances of their left upper corners [px].
@@ -26,7 +27,8 @@ def drawing(graph: nx.DiGraph[str], items: Mapping[str, Item], up: str = "", her
         up: path from the page to the root of the site (``../``).
         here: key of the item whose page it is.
     """
-    found = layers(graph)
+    whole, ways = with_waypoints(graph)
+    found = layers(whole)
     if not found:
         return Markup("")
     rows = positions(found)
@@ -36,21 +38,24 @@ def drawing(graph: nx.DiGraph[str], items: Mapping[str, Item], up: str = "", her
     }
     width = 2.0 * MARGIN + COLUMN * (len(found) - 1) + WIDTH
     height = 2.0 * MARGIN + ROW * (max(rows.values()) - top) + HEIGHT
-    parts = [_arrow(corner[source], corner[target]) for source, target in sorted(graph.edges)]
-    parts += [_box(items[key], corner[key], up, key == here) for layer in found for key in layer]
+    parts = [_arrow([corner[key] for key in ways[edge]]) for edge in sorted(graph.edges)]
+    parts += [_box(items[key], corner[key], up, key == here) for layer in found for key in layer if key in graph]
     return Markup(
         '<div class="scroll lineage" tabindex="0" role="region" aria-label="Lineage"><svg viewBox="0 0 {w:.0f} {h:.0f}" '
-        'style="width:{w:.0f}px;height:{h:.0f}px" role="group">{parts}</svg></div>'
+        'style="--width:{w:.0f}px" role="group">{parts}</svg></div>'
     ).format(w=width, h=height, parts=Markup("").join(parts))
 
 
-def _arrow(source: tuple[float, float], target: tuple[float, float]) -> Markup:
-    x, y = source[0] + WIDTH, source[1] + HEIGHT / 2.0
-    end, level = target[0], target[1] + HEIGHT / 2.0
-    bend = min(60.0, (end - x) / 2.0)
-    return Markup('<path class="edge" d="M{:.0f} {:.0f}C{:.0f} {:.0f} {:.0f} {:.0f} {:.0f} {:.0f}l-7 -4m7 4l-7 4"/>').format(
-        x, y, x + bend, y, end - bend, level, end, level
-    )
+def _arrow(way: list[tuple[float, float]]) -> Markup:
+    """From the right side of the first box, level through the places of the waypoints, to the left side of the last box."""
+    level = HEIGHT / 2.0
+    text = f"M{way[0][0] + WIDTH:.0f} {way[0][1] + level:.0f}"
+    for (x, y), (end, height) in pairwise(way):
+        begin = x + WIDTH
+        bend = min(60.0, (end - begin) / 2.0)
+        text += f"C{begin + bend:.0f} {y + level:.0f} {end - bend:.0f} {height + level:.0f} {end:.0f} {height + level:.0f}"
+        text += f"H{end + WIDTH:.0f}" if (end, height) != way[-1] else "l-7 -4m7 4l-7 4"
+    return Markup('<path class="edge" d="{}"/>').format(text)
 
 
 def _box(item: Item, corner: tuple[float, float], up: str, here: bool) -> Markup:

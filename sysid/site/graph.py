@@ -2,12 +2,13 @@
 
 Layers and crossings as by Sugiyama, Tagawa and Toda, "Methods for visual understanding of hierarchical system structures", IEEE
 Trans. Systems, Man and Cybernetics 11 (1981): each item one layer right of its last source, the order in a layer by the mean
-position of its neighbours.
+position of its neighbours. A connection over several layers passes each of them at a waypoint of its own and crosses no box.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 
 import networkx as nx
 
@@ -32,6 +33,22 @@ def lineage_graph(items: Iterable[Item]) -> nx.DiGraph[str]:
 def around(graph: nx.DiGraph[str], key: str) -> nx.DiGraph[str]:
     """An item with all of its sources and all that was made from it."""
     return graph.subgraph({key} | nx.ancestors(graph, key) | nx.descendants(graph, key))
+
+
+def with_waypoints(graph: nx.DiGraph[str]) -> tuple[nx.DiGraph[str], dict[tuple[str, str], list[str]]]:
+    """The graph with a node in every layer that an edge passes, and edge → its way: source, waypoints, target."""
+    if not nx.is_directed_acyclic_graph(graph):
+        return graph, {edge: list(edge) for edge in graph.edges}
+    column = {key: number for number, layer in enumerate(nx.topological_generations(graph)) for key in layer}
+    ways = {
+        (source, target): [source, *(f"{source}\n{target}\n{at}" for at in range(column[source] + 1, column[target])), target]
+        for source, target in graph.edges
+    }
+    whole: nx.DiGraph[str] = nx.DiGraph()
+    whole.add_nodes_from(graph)
+    for way in ways.values():
+        whole.add_edges_from(pairwise(way))
+    return whole, ways
 
 
 def layers(graph: nx.DiGraph[str]) -> list[list[str]]:

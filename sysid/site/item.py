@@ -1,4 +1,4 @@
-"""One thing in a workspace that has a page: a dataset version, a gap result, or a model version."""
+"""One thing in a workspace that has a page: a dataset version, a gap result, a model version, or a run of a machine."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 from urllib.parse import quote
 
-Kind = Literal["logs", "dataset", "actuator", "history", "motion", "forward", "plant", "policy", "gap", "damaged"]
+Kind = Literal["logs", "dataset", "actuator", "history", "motion", "forward", "plant", "policy", "gap", "flight", "damaged"]
 
 #: Kind → folder of its pages, and its word on the pages.
-FOLDERS: dict[str, str] = {"dataset": "datasets", "gap": "reports"}
+FOLDERS: dict[str, str] = {"dataset": "datasets", "gap": "reports", "flight": "flights"}
 WORDS: dict[str, str] = {
     "logs": "raw files",
     "dataset": "dataset",
@@ -20,6 +20,7 @@ WORDS: dict[str, str] = {
     "forward": "forward model",
     "plant": "plant",
     "policy": "policy",
+    "flight": "run",
     "damaged": "cannot be read",
 }
 
@@ -39,9 +40,10 @@ class Item:
 
     Args:
         kind: a dataset and a plant may have the same name, so that ``reference`` alone is ambiguous.
-        reference: ``name@version``; of a gap result that of its dataset version.
+        reference: ``name@version``; of a gap result that of its dataset version; of a run the folder of its flight log.
         created: UTC, ``2026-11-25 16:11``; empty if unknown.
-        digest: content address, hexadecimal; of a gap result sha256 of its ``result.json``.
+        digest: content address, hexadecimal; of a gap result sha256 of its ``result.json``, of a run of its
+            flight log.
         summary: its main result in one line.
         aliases: names that refer to a model version (``champion``).
         parents: :attr:`key` of the items that it was made from.

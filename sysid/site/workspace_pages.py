@@ -87,7 +87,7 @@ def in_use(items: Sequence[Item]) -> list[Item]:
     """Of each model name the champion, else the newest version: what the name alone means."""
     found: dict[tuple[str, str], list[Item]] = {}
     for item in items:
-        if item.kind not in ("damaged", "logs", "dataset", "gap"):
+        if item.kind not in ("damaged", "logs", "dataset", "gap", "flight"):
             found.setdefault((item.kind, item.name), []).append(item)
     return [
         next((item for item in own if CHAMPION in item.aliases), max(own, key=lambda item: int(item.reference.split("@")[-1])))

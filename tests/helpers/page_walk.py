@@ -5,7 +5,7 @@
 The fenced blocks of a page, in order; what follows the language on the fence is not rendered:
 
     ```sh                       commands, run by bash in one folder; ``sh slow`` takes minutes
-    ```toml file=PATH           content of a file; ``after=TEXT`` keeps the file up to the first TEXT
+    ```toml file=PATH           content of a file, in any language; ``after=TEXT`` keeps the file up to the first TEXT
     ```console                  lines of the output of the commands above; a line ``…`` stands for lines that are left out
 
 Other languages are not part of the walk.
@@ -63,7 +63,7 @@ def blocks(text: str) -> tuple[Block, ...]:
     found = []
     for match in _FENCE.finditer(text):
         options = dict(part.partition("=")[::2] for part in shlex.split(match[2]))
-        if match[1] in ("sh", "console") or (match[1] == "toml" and "file" in options):
+        if match[1] in ("sh", "console") or "file" in options:
             found.append(Block(match[1], options, match[3], match.span(3)))
     return tuple(found)
 
@@ -86,7 +86,7 @@ def walk(page: Path, folder: Path, logs: Path | None = None, slow: bool = True) 
             begin = time.perf_counter()
             output = run(block.text, folder, logs)
             yield Step(block, output, time.perf_counter() - begin)
-        elif block.kind == "toml":
+        elif "file" in block.options:
             write(block, folder)
             yield Step(block, "", 0.0)
         elif output is not None:

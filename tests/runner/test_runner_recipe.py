@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tomllib
 from dataclasses import fields
@@ -157,6 +158,22 @@ def test_a_run_of_the_command_and_its_record(workspace: Path) -> None:
     assert set(result["versions"]) == {"crane@1", "crane-forward@1"}
     assert Path(result["log"]).stat().st_size > 10_000
     assert "NOT promoted, accepted by the recipe" in done.output
+    log = Path(result["log"])
+    record = json.loads((workspace / "ws/flights" / f"{log.parent.name}.json").read_text("utf-8"))
+    assert {key: record[key] for key in result.keys() - {"dry_run", "log"}} == {
+        key: value for key, value in result.items() if key not in ("dry_run", "log")
+    }, "pages of the workspace show the figures of --json"
+    assert record["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
+    assert [event["text"] for event in record["events"] if event["kind"] == "state"][-1] == "ready"
+
+
+def test_a_workspace_that_cannot_be_written_does_not_stop_a_run(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid.runner.run_record.FOLDER", "../outside")
+    path = write(workspace, "[hold]\nseconds = 0.5\n[loop]\npriority = 0\nlock_memory = false\n")
+    done = invoke(workspace, path, "--log", str(workspace / "flights"))
+    assert done.exit_code == 0, done.output
+    assert "ended: done" in done.output
+    assert "the run is not listed in the workspace" in done.output
 
 
 def test_a_log_that_cannot_be_ended_is_told_after_how_the_run_ended(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:

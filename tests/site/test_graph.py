@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import networkx as nx
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.site.drawing import drawing
-from sysid.site.graph import around, layers, lineage_graph
+from sysid.site.graph import around, layers, lineage_graph, with_waypoints
 from sysid.site.item import Item
 
 #: Numbers of up to 12 items, each made from earlier ones.
@@ -40,6 +42,31 @@ def test_connections_that_others_replace_are_left_out_and_no_ancestor_is_lost(li
     whole.add_nodes_from(graph)
     assert all(nx.ancestors(graph, key) == nx.ancestors(whole, key) for key in graph)
     assert graph.number_of_edges() <= whole.number_of_edges()
+
+
+@given(LINEAGES)
+def test_a_connection_passes_every_layer_at_a_place_of_its_own(lineage: tuple[set[int], ...]) -> None:
+    graph = lineage_graph(items(lineage))
+    whole, ways = with_waypoints(graph)
+    found = layers(whole)
+    column = {key: number for number, layer in enumerate(found) for key in layer}
+    assert set(ways) == set(graph.edges)
+    for (source, target), way in ways.items():
+        assert (way[0], way[-1]) == (source, target)
+        assert [column[key] for key in way] == list(range(column[source], column[target] + 1))
+    waypoints = [key for way in ways.values() for key in way[1:-1]]
+    assert len(set(waypoints)) == len(waypoints) == len(whole) - len(graph)
+
+
+def test_a_long_connection_crosses_no_box() -> None:
+    sample = items((set(), {0}, {1}, {2}, {0}, {3, 4}))
+    text = str(drawing(lineage_graph(sample), {item.key: item for item in sample}))
+    boxes = [tuple(map(float, found)) for found in re.findall(r'<rect x="(\d+)" y="(\d+)" width="182" height="58"', text)]
+    assert len(boxes) == len(sample)
+    levels = [tuple(map(float, found)) for found in re.findall(r" (\d+) (\d+)H(\d+)", text)]
+    assert levels, "the path from 4 to 5 passes two layers"
+    for begin, level, end in levels:
+        assert not [box for box in boxes if box[0] < end and box[0] + 182 > begin and box[1] <= level <= box[1] + 58]
 
 
 def test_only_relatives_are_around_an_item() -> None:

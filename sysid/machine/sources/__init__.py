@@ -1,0 +1,1 @@
+"""Drafts of ``machine.toml`` from descriptions of other tools: URDF and MJCF."""

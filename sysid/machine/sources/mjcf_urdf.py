@@ -1,0 +1,175 @@
+"""URDF of the chain of an MJCF and all that hangs on it: kinematics, masses, limits. Shapes are left out.
+
+A URDF link has its origin on the axis of its joint, an MJCF body anywhere: the link of a body lies at the anchor of its last
+joint, and a body with several joints becomes several links. Joint values of both are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from sysid.machine.mimic import Mimic
+from sysid.machine.sources.mjcf_chain import Chain
+from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library
+
+Array = npt.NDArray[np.float64]
+
+#: The root link, at the origin of the world.
+ROOT = "world"
+#: A joint without a limit of its speed or force.
+_UNLIMITED = {"velocity": "1000", "effort": "1000000"}
+
+
+def write_urdf(model: Any, chain: Chain, name: str) -> tuple[str, str, list[str]]:
+    """(text, link of the tip, what could not be written)."""
+    writer = _Writer(model, {joint_name(model, j.joint): j.follows for j in chain.joints if j.follows is not None}, name)
+    writer.add(chain.bodies[0], ROOT, np.eye(4))
+    tip = writer.fixed(chain)
+    indent(writer.root)
+    return tostring(writer.root, encoding="unicode") + "\n", tip, writer.notes
+
+
+class _Writer:
+    def __init__(self, model: Any, mimics: Mapping[str, Mimic], name: str) -> None:
+        self.model, self.mimics, self.notes = model, mimics, list[str]()
+        self.root = Element("robot", {"name": name})
+        SubElement(self.root, "link", {"name": ROOT})
+        self.taken = {ROOT}
+        self.link_of: dict[int, str] = {}
+        #: Body → pose of the body's frame in that of its link.
+        self.frame_of: dict[int, Array] = {}
+
+    def add(self, body: int, parent: str, above: Array) -> None:
+        """A body and all below it; ``above``: pose of the parent body's frame in its link (4, 4)."""
+        model, own = self.model, self._name(body_name(self.model, body))
+        frame = above @ _pose(model.body_pos[body], model.body_quat[body])
+        joints = [j for j in joints_of(model, body) if int(model.jnt_type[j]) in self._single()]
+        if len(joints) < int(model.body_jntnum[body]):
+            self.notes.append(f"the free or ball joint of {body_name(model, body)}, which is fixed in the URDF")
+        if not joints:
+            self._joint(f"{own}_fixed", "fixed", parent, own, frame)
+        for k, joint in enumerate(joints):
+            anchor = np.asarray(model.jnt_pos[joint], dtype=np.float64)
+            link = own if k == len(joints) - 1 else self._name(f"{own}_{k}")
+            axis, straight = np.asarray(model.jnt_axis[joint]), int(model.jnt_type[joint]) == self._single()[0]
+            reference = float(model.qpos0[model.jnt_qposadr[joint]])
+            motion = _shift(-reference * axis) if straight else _turn(-reference * axis)
+            self._moving(joint, parent, link, frame @ _shift(anchor) @ motion)
+            parent, frame = link, _shift(-anchor)
+            if link != own:
+                SubElement(self.root, "link", {"name": link})
+        if not joints:
+            frame = np.eye(4)
+        self._link(own, body, frame)
+        self.link_of[body], self.frame_of[body] = own, frame
+        for child in range(body + 1, model.nbody):
+            if int(model.body_parentid[child]) == body:
+                self.add(child, own, frame)
+
+    def fixed(self, chain: Chain) -> str:
+        """The link of the tip: that of its body, or one that is fixed to it."""
+        model, body = self.model, chain.bodies[-1]
+        frame, name = self.frame_of[body], body_name(model, body)
+        if chain.site is not None:
+            frame = frame @ _pose(model.site_pos[chain.site], model.site_quat[chain.site])
+            name = str(model.site(chain.site).name) or "tip"
+        if np.array_equal(frame, np.eye(4)):
+            return self.link_of[body]
+        link = self._name(name if name not in self.taken else f"{name}_tip")
+        SubElement(self.root, "link", {"name": link})
+        self._joint(f"{link}_fixed", "fixed", self.link_of[body], link, frame)
+        return link
+
+    def _single(self) -> tuple[int, int]:
+        kinds = mujoco_library().mjtJoint
+        return int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_HINGE)
+
+    def _name(self, name: str) -> str:
+        """``name``, numbered where it is taken: links of a URDF have names of their own."""
+        found, k = name, 1
+        while found in self.taken:
+            found, k = f"{name}_{k}", k + 1
+        self.taken.add(found)
+        return found
+
+    def _link(self, name: str, body: int, frame: Array) -> None:
+        model, link = self.model, SubElement(self.root, "link", {"name": name})
+        mass = float(model.body_mass[body])
+        if mass <= 0.0:
+            return
+        inertial = SubElement(link, "inertial")
+        SubElement(inertial, "origin", _origin(frame @ _pose(model.body_ipos[body], model.body_iquat[body])))
+        SubElement(inertial, "mass", {"value": _number(mass)})
+        moments = (_number(float(value)) for value in model.body_inertia[body])
+        SubElement(
+            inertial,
+            "inertia",
+            dict(zip(("ixx", "iyy", "izz"), moments, strict=True)) | dict.fromkeys(("ixy", "ixz", "iyz"), "0"),
+        )
+
+    def _moving(self, joint: int, parent: str, link: str, pose: Array) -> None:
+        model, name = self.model, joint_name(self.model, joint)
+        straight, limited = int(model.jnt_type[joint]) == self._single()[0], bool(model.jnt_limited[joint])
+        kind = "prismatic" if straight else "revolute" if limited else "continuous"
+        element = self._joint(name, kind, parent, link, pose)
+        SubElement(element, "axis", {"xyz": _numbers(model.jnt_axis[joint])})
+        low, high = (float(end) for end in model.jnt_range[joint]) if limited else (-1e6, 1e6)
+        if kind != "continuous":
+            SubElement(element, "limit", {"lower": _number(low), "upper": _number(high)} | _UNLIMITED)
+        if name in self.mimics:
+            mimic = self.mimics[name]
+            words = {"joint": mimic.master, "multiplier": _number(mimic.ratio), "offset": _number(mimic.offset)}
+            SubElement(element, "mimic", words)
+
+    def _joint(self, name: str, kind: str, parent: str, child: str, pose: Array) -> Element:
+        element = SubElement(self.root, "joint", {"name": name, "type": kind})
+        SubElement(element, "parent", {"link": parent})
+        SubElement(element, "child", {"link": child})
+        SubElement(element, "origin", _origin(pose))
+        return element
+
+
+def _pose(position: Any, quaternion: Any) -> Array:
+    """(4, 4) of MuJoCo's position (3,) and quaternion w x y z."""
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    pose[:3, :3] = Rotation.from_quat(np.roll(np.asarray(quaternion, dtype=np.float64), -1)).as_matrix()
+    return pose
+
+
+def _shift(vector: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = vector
+    return pose
+
+
+def _turn(vector: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(vector).as_matrix()
+    return pose
+
+
+def _origin(pose: Array) -> dict[str, str]:
+    """Attributes of <origin>: fixed-axis roll, pitch, yaw, from sines and cosines, so that a pitch of 90° is no exception."""
+    r = pose[:3, :3]
+    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
+    if math.hypot(r[0, 0], r[1, 0]) > 1e-9:
+        roll, yaw = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
+    else:
+        roll, yaw = math.atan2(-r[1, 2], r[1, 1]), 0.0
+    return {"xyz": _numbers(pose[:3, 3]), "rpy": _numbers([roll, pitch, yaw])}
+
+
+def _number(value: float) -> str:
+    return f"{value if value != 0.0 else 0.0:.12g}"
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(_number(float(value)) for value in values)

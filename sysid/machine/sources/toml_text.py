@@ -1,0 +1,107 @@
+"""Text of ``machine.toml`` and ``recipe.toml`` for a drafted machine, with comments that explain each key."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from sysid.machine.description import KnownEffect
+from sysid.machine.sources.draft import AxisDraft, MachineDraft
+
+_UNITS = {("velocity", True): "1", ("velocity", False): "1", ("force", True): "N", ("force", False): "N·m"}
+
+
+def machine_text(draft: MachineDraft, name: str) -> str:
+    """``machine.toml``; its URDF is ``<name>.urdf``."""
+    lines = [
+        f"# Drafted from {draft.source}. SI units (m, rad, s, N, N·m, kg). Check it before use; fields: docs/guide/mujoco.md",
+        *(f"# Not contained: {note}" for note in draft.notes),
+        _row("schema", "1", "version of this file format"),
+        _row("name", _text(name), "name of the machine and of its dataset"),
+        _row("rate_hz", f"{draft.rate_hz:.1f}", "even time grid of the dataset [Hz]: about the rate of the fastest log"),
+        _row("urdf", _text(f"{name}.urdf"), "geometry and masses"),
+        _row("tip", _text(draft.tip), "URDF link whose origin is the end effector"),
+    ]
+    lines.append(
+        _row("tool", _text(draft.tool), "URDF link of a hanging tool")
+        if draft.tool is not None
+        else '# tool = "…"                     # URDF link of a hanging tool, if it is measured'
+    )
+    for axis in draft.axes:
+        lines += ["", *_axis(axis)]
+    lines += [
+        "",
+        "# [noise]                        # standard deviation of a sensor [SI]; else estimated where the machine rests",
+    ]
+    lines += [f'# "{draft.axes[0].name}.joint" = 1e-4']
+    for effect in (effect for axis in draft.axes for effect in axis.effects):
+        lines += ["", *_effect(effect)]
+    return "\n".join(lines) + "\n"
+
+
+def recipe_text(draft: MachineDraft, name: str, prismatic: Sequence[bool]) -> str:
+    """``recipe.toml`` for tables whose columns have canonical signal names.
+
+    Args:
+        prismatic: whether each axis is.
+    """
+    example = f"{draft.axes[0].name}.command, {draft.axes[0].name}.joint, …"
+    lines = [
+        f"# Which column is which signal. As it is: logs/<recording>/*.csv with the columns time, {example}",
+        _row("schema", "1", "version of this file format"),
+        _row("name", _text(name), "name of the dataset"),
+        _row("machine", _text("machine.toml"), "relative to this file; paths never leave this folder"),
+        _row("logs", _text("logs"), "each folder or file in it is one recording"),
+        "",
+        "[[streams]]                      # one entry per kind of file",
+        _row("files", _text("*.csv"), "which files of a recording"),
+        _row("time", _text("time"), "column of the time stamps"),
+        _row("domain", _text("machine"), 'the clock of these files; files with another name here are aligned to "machine"'),
+        "[streams.signals]                # field: the column; unit: of its values; sign = -1 where it counts the other way",
+    ]
+    for axis, straight in zip(draft.axes, prismatic, strict=True):
+        unit = "m" if straight else "rad"
+        for quantity, its in (("command", _UNITS.get((axis.actuation, straight), unit)), ("joint", unit)):
+            signal = f"{axis.name}.{quantity}"
+            lines.append(f"{_text(signal)} = {{ field = {_text(signal)}, unit = {_text(its)} }}")
+    return "\n".join(lines) + "\n"
+
+
+def _axis(axis: AxisDraft) -> list[str]:
+    lines = [
+        f"[[axes]]                         # {axis.about}",
+        _row("name", _text(axis.name), f"its signals are {axis.name}.command and {axis.name}.joint"),
+        _row("joint", _text(axis.joint), "URDF joint, whose limits are those of the axis"),
+        _row("actuation", _text(axis.actuation), "position (servo) | velocity | force"),
+        _row("drives", _text("joint"), "what the command moves"),
+    ]
+    if axis.actuation == "velocity":
+        lines.append(_row("gain", f"{axis.gain:.6g}", "speed at command 1.0 [rad/s or m/s]"))
+    if axis.inertia is not None:
+        lines.append(_row("inertia", f"{axis.inertia:.6g}", "of the rotor, beside the masses of the URDF [kg·m² or kg]"))
+    if axis.limits is not None:
+        lines.append(
+            _row("limits", f"[{axis.limits[0]:.6g}, {axis.limits[1]:.6g}]", "end stops; the joint states none: set them")
+        )
+    return lines
+
+
+def _effect(effect: KnownEffect) -> list[str]:
+    values = ", ".join(f"{key} = {value:.6g}" for key, value in effect.parameters.items() if isinstance(value, float))
+    side = [] if effect.side is None else [f"side = {_text(effect.side)}"]
+    return [
+        "[[effects]]",
+        f"name = {_text(effect.name)}",
+        f"target = {_text(effect.target)}",
+        *side,
+        f"parameters = {{ {values} }}",
+    ]
+
+
+def _row(key: str, value: str, about: str) -> str:
+    return f"{f'{key} = {value}':<33}# {about}"
+
+
+def _text(value: str) -> str:
+    """A TOML string: JSON's escapes are TOML's."""
+    return json.dumps(value, ensure_ascii=False)
