@@ -4,7 +4,8 @@ Every task is a module-level function of plain values (text, numbers): the locat
 Tables are read where the task runs, results are JSON values. The same tasks give the same results everywhere.
 """
 
-from sysid.execution.executor import Executor, TaskError, open_executor
+from sysid.execution.choice import open_executor
+from sysid.execution.executor import Executor, TaskError
 from sysid.execution.local import LocalExecutor
 
 __all__ = ["Executor", "LocalExecutor", "TaskError", "open_executor"]

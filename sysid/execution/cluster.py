@@ -2,8 +2,8 @@
 
 The scheduler repeats a task whose worker was lost, on another worker (``distributed.scheduler.allowed-failures`` times).
 
-The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. A cluster without TLS is for a trusted network,
-since its workers execute what a client sends.
+The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. A cluster without TLS is for a trusted
+network, since its workers execute what a client sends.
 """
 
 from __future__ import annotations

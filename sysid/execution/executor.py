@@ -1,16 +1,12 @@
-"""The interface of executors, and the choice of one by settings."""
+"""The interface of executors."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from sysid.errors import SysidError
 from sysid.progress import Progress, silent
-
-#: Environment variable with the address of a scheduler.
-CLUSTER = "SYSID_CLUSTER"
 
 #: A function of plain values, at module level, that returns JSON values.
 Task = Callable[..., Any]
@@ -31,20 +27,3 @@ class Executor(Protocol):
             TaskError: the workers or the scheduler were lost.
         """
         ...
-
-
-def open_executor(cluster: str | None = None, workers: int = 1) -> Executor:
-    """The executor of the settings: a cluster if an address is given or in ``SYSID_CLUSTER``, else ``workers`` processes here.
-
-    Args:
-        cluster: address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
-        workers: processes on this machine; 1 runs the calls in this process.
-    """
-    address = cluster or os.environ.get(CLUSTER)
-    if address:
-        from sysid.execution.cluster import ClusterExecutor
-
-        return ClusterExecutor(address)
-    from sysid.execution.local import LocalExecutor
-
-    return LocalExecutor(workers)
