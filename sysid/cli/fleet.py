@@ -17,7 +17,10 @@ Condition = Literal["differs", "drift", "any"]
 
 @click.group()
 def fleet() -> None:
-    """Work on many machines of one type."""
+    """Work on many machines of one type.
+
+    `sysid fleet gap NAME…` compares them; with --json FILE the result is written as JSON as well.
+    """
 
 
 @fleet.command()
