@@ -24,6 +24,7 @@ EXTRAS: dict[str, str] = {
     "pythonfmu": "export",
     "onnx": "onnx",
     "onnxruntime": "onnx",
+    "distributed": "cluster",
     "tensorboard": "tensorboard",
 }
 
