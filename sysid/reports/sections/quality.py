@@ -15,6 +15,7 @@ from sysid.datasets.quality.use import AxisUse
 from sysid.datasets.recording import ClockRecord, Dataset, Recording
 from sysid.reports import display, words
 from sysid.reports.charts import SMALL, WIDE
+from sysid.reports.clock_summary import clock_summary
 from sysid.reports.coverage_pictures import command_picture, map_picture
 from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.inputs import ReportInputs
@@ -51,6 +52,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
         "ranges": _ranges(evidence, dataset),
         "clocks": [_clock(clock) for clock in dataset.clocks],
+        "clock_summary": clock_summary((c.recording, c.applied, 0.5 * float(np.ptp(c.offset_interval95))) for c in dataset.clocks),
         "sources": [
             {
                 "path": s.path,
