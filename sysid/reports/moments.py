@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid import display
 from sysid.gap.result import GapResult, Traces
-from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart
 
 Array = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid.datasets.versions.manifest import Manifest
+from sysid.display import NOTHING, fixed, number, percent, quantity
 from sysid.reports.clock_summary import clock_summary
-from sysid.reports.display import NOTHING, fixed, number, percent, quantity
 from sysid.reports.pages import SiteBar, page
 from sysid.site.dataset_items import ROLES
 from sysid.site.item import Item

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sysid.display import interval, quantity
 from sysid.effects import BY_NAME
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
 from sysid.gap.result import GapResult, NamedEffect
 from sysid.machine import Machine
-from sysid.quantity import readable
 from sysid.view.drawing import TIMELINE, sdk
 
 ENTITY, MOMENTS = "findings", "moments"
@@ -65,7 +65,7 @@ def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapp
     rr.log(ENTITY, rr.TextDocument(text, media_type="text/markdown"), static=True, recording=stream)
     for moment in sorted(moments, key=lambda item: item.time):
         rr.set_time(TIMELINE, duration=moment.time, recording=stream)
-        size = readable(abs(moment.error), units.get(moment.signal, "1"))
+        size = quantity(abs(moment.error), units.get(moment.signal, "1"))
         level = "WARN" if moment.version == "before" else "INFO"
         text = f"{moment.version}: largest error of {moment.signal}, {size}"
         rr.log(MOMENTS, rr.TextLog(text, level=level), recording=stream)
@@ -85,7 +85,7 @@ def _lines(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Iterat
     yield "| --- | --- | --- | --- |"
     for signal, before in gap.gap.before.items():
         figures = (before, gap.gap.after.get(signal, before), gap.gap.noise_floor.get(signal, np.nan))
-        texts = (readable(value, units.get(signal, "1")) if np.isfinite(value) else "–" for value in figures)
+        texts = (quantity(value, units.get(signal, "1")) if np.isfinite(value) else "–" for value in figures)
         yield f"| {signal} | {' | '.join(texts)} |"
 
 
@@ -95,5 +95,5 @@ def _value(effect: NamedEffect, name: str, machine: Machine) -> str:
     if not isinstance(value, int | float):
         return f"{name.replace('_', ' ')} {value}"
     low, high = effect.interval95.get(name, (np.nan, np.nan))
-    spread = f" ({readable(low, unit, 4)} to {readable(high, unit, 4)})" if np.isfinite(low) and np.isfinite(high) else ""
-    return f"{name.replace('_', ' ')} {readable(value, unit, 4)}{spread}"
+    spread = f" ({interval(low, high, unit, 4)})" if np.isfinite(low) and np.isfinite(high) else ""
+    return f"{name.replace('_', ' ')} {quantity(value, unit, 4)}{spread}"

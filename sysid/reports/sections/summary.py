@@ -9,9 +9,10 @@ from typing import Any
 
 from markupsafe import Markup
 
+from sysid import display
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
