@@ -140,8 +140,9 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
+    from sysid.gap.headline import headline
     from sysid.reports.effect_units import shown_parameters
-    from sysid.reports.words import effect_place, effect_sentence, headline
+    from sysid.reports.words import effect_place, effect_sentence
 
     machine = dataset.machine
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
