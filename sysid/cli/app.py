@@ -36,6 +36,7 @@ VERBS: dict[str, Verb] = {
     "validate": Verb("sysid.cli.validate:validate", "Evaluate a fitted network on held-out recordings."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
+    "export": Verb("sysid.cli.export:export", "Write a plant for another simulator, with its replay."),
     "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
     "track": Verb("sysid.cli.track:track", "Follow a path with a policy, or with inverse kinematics."),
     "run": Verb("sysid.cli.run:run", "Run a task on a machine: supervised, recorded, stoppable."),

@@ -18,13 +18,14 @@ from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
+from sysid.gap.drive_delay import drive_delay
 from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
-from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
+from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
@@ -130,6 +131,9 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 def _stage(case: Case, problem: Problem) -> Stage:
     split = stage_split(case, problem)
     resonance = _resonance(case, problem, split)
+    if resonance is not None:
+        problem = _with_drive_delay(case, problem, split, resonance)
+        resonance = _resonance(case, problem, split) or resonance
     theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
     sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
     return Stage(
@@ -147,6 +151,14 @@ def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | N
     if problem.force_filter is None or compile_plant(case.plant).rigid is not None:
         return None
     return drive_resonance(split.seen, case.plant.machine.axis(problem.target), problem.force_filter)
+
+
+def _with_drive_delay(case: Case, problem: Problem, split: Split, resonance: DriveResonance) -> Problem:
+    """The force stage with the delay that the recordings show beside the resonance of the drive."""
+    axis, settings = case.plant.machine.axis(problem.target), problem.force_filter
+    assert settings is not None
+    settings = replace(settings, delay=drive_delay(split.seen, axis, settings, resonance))
+    return force_problem(compile_plant(case.plant), axis, (*split.seen, *split.held_out), settings)
 
 
 def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:

@@ -41,14 +41,14 @@ def force_delay(recordings: Sequence[Recording], axis: Axis, settings: ForceFilt
     fit by acceleration, speed in each direction, its sign and a constant. No effect is named from these fits.
     """
     for band in (*BANDS, settings.force_hz):
-        delay, deviation = _regression(_inputs(recordings, axis, replace(settings, force_hz=band)), band)
+        delay, deviation = _regression(inputs_of(recordings, axis, replace(settings, force_hz=band)), band)
         if deviation < LARGEST_DEVIATION and RANGE[0] < delay < RANGE[1]:
             return delay
-    left = [_left(_inputs(recordings, axis, replace(settings, delay=delay))) for delay in DELAYS]
+    left = [_left(inputs_of(recordings, axis, replace(settings, delay=delay))) for delay in DELAYS]
     return DELAYS[int(np.argmin(left))]
 
 
-def _inputs(recordings: Sequence[Recording], axis: Axis, settings: ForceFilter) -> list[ForceInputs]:
+def inputs_of(recordings: Sequence[Recording], axis: Axis, settings: ForceFilter) -> list[ForceInputs]:
     """The recordings that are long enough for the filter."""
     found = []
     for recording in recordings:
@@ -62,14 +62,21 @@ def _inputs(recordings: Sequence[Recording], axis: Axis, settings: ForceFilter) 
 def _regression(parts: Sequence[ForceInputs], band: float) -> tuple[float, float]:
     """Delay and its standard deviation [samples] from acceleration, jerk and friction of any shape.
 
-    The second derivative of the acceleration is what a flexible drive adds below its resonance. The standard deviation is the
-    larger of those of independent rows and of independent blocks, which contain the errors of the other terms.
+    The second derivative of the acceleration is what a flexible drive adds below its resonance.
     """
     if not parts:
         return 0.0, np.inf
-    fastest = max(float(np.percentile(np.abs(part.speed), 95)) for part in parts)
-    terms = [_terms(part, fastest, band)[part.rows] for part in parts]
-    force, X = np.concatenate([part.force for part in parts]), np.concatenate(terms)
+    fastest = fastest_speed(parts)
+    return delay_estimate(parts, [_terms(part, fastest, band)[part.rows] for part in parts], [part.force for part in parts])
+
+
+def delay_estimate(parts: Sequence[ForceInputs], terms: Sequence[Array], forces: Sequence[Array]) -> tuple[float, float]:
+    """Ratio of the first two coefficients of a regression of the forces (m,) on ``terms`` (m, k): delay and its deviation.
+
+    The first term is the acceleration and the second the jerk per sample. The standard deviation is the larger of those of
+    independent rows and of independent blocks, which contain the errors of the other terms.
+    """
+    force, X = np.concatenate(forces), np.concatenate(terms)
     block = np.concatenate([1000 * k + _blocks(part) for k, part in enumerate(parts)])
     size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     X = X / size
@@ -86,13 +93,23 @@ def _regression(parts: Sequence[ForceInputs], band: float) -> tuple[float, float
     return float(beta[1] / size[1] / inertia), deviation / size[1] / inertia
 
 
+def fastest_speed(parts: Sequence[ForceInputs]) -> float:
+    """95th percentile of the speed of the fastest recording."""
+    return max(float(np.percentile(np.abs(part.speed), 95)) for part in parts)
+
+
+def friction_terms(speed: Array) -> Array:
+    """Friction of any shape as functions of the relative speed (n,), and a constant, (n, k)."""
+    parts = [np.ones_like(speed), np.maximum(speed, 0.0), np.minimum(speed, 0.0), speed * np.abs(speed), np.sign(speed)]
+    return np.column_stack([*parts, *(np.tanh(speed / width) for width in WIDTHS)])
+
+
 def _terms(part: ForceInputs, fastest: float, band: float) -> Array:
     """Acceleration, jerk per sample, second derivative of the acceleration, and functions of the speed, filtered, (n, k)."""
-    a, v = part.acceleration, part.speed / fastest
-    friction = [np.ones_like(v), np.maximum(v, 0.0), np.minimum(v, 0.0), v * np.abs(v), np.sign(v)]
-    smooth = [np.tanh(v / width) for width in WIDTHS]
+    a = part.acceleration
     snap = second_difference(a) * (part.rate_hz / (2.0 * np.pi * band)) ** 2
-    return np.asarray(signal.sosfiltfilt(part.low_pass, np.column_stack([a, np.gradient(a), snap, *friction, *smooth]), axis=0))
+    columns = np.column_stack([a, np.gradient(a), snap, friction_terms(part.speed / fastest)])
+    return np.asarray(signal.sosfiltfilt(part.low_pass, columns, axis=0))
 
 
 def _blocks(part: ForceInputs) -> npt.NDArray[np.int64]:

@@ -78,8 +78,9 @@ class Stepper:
         if not rate_hz > 0.0:
             raise SettingsError(where, f"rate_hz = {rate_hz}", "a positive rate [Hz]")
         if moves_masses(plant.machine):
-            found = "force axes that move links with masses; an arm has no forward dynamics here"
-            raise SettingsError(where, found, "axes driven by position or velocity", "Use the torques at measured motion.")
+            found = "force axes that move links with masses, of which there are no forward dynamics"
+            remedy = "Simulate the arm in a physics engine with the repaired masses and friction."
+            raise SettingsError(where, found, "axes driven by position or velocity, or links without masses", remedy)
         check_step(plant.residuals, 1.0 / rate_hz)
         self.plant, self.lanes, self.rate_hz = plant, lanes, rate_hz
         self.model = model = compile_plant(plant)

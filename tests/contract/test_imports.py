@@ -25,7 +25,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("plant",),
     ("registry", "validate", "testing", "world", "control"),
     ("gap", "versions"),
-    ("reports", "view"),
+    ("reports", "view", "export"),
     ("rl",),
     ("workspace",),
     ("model_versions",),

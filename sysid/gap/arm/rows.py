@@ -1,4 +1,8 @@
-"""Forces of a whole arm as rows of a linear regression: torques are linear in the inertial parameters of all links."""
+"""Forces of a whole arm as rows of a linear regression.
+
+Torques are linear in the inertial parameters of all links, and in proportion to the force constant of each axis. Of this
+product the regression contains the terms of first order, about the plant under test or about a plant found before.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from sysid.machine.rigid_body import CHUNK
 from sysid.plant import Model
 from sysid.plant.force import force_inputs
 from sysid.plant.layout import AT, AXIS_WIDTH
-from sysid.plant.link_torque import link_motion, link_torque, rotors_and_scales
+from sysid.plant.link_torque import inertial_parameters, link_motion, link_torque, rotors_and_scales
 
 if TYPE_CHECKING:
     from sysid.gap.problem import Problem
@@ -28,16 +32,16 @@ BLOCK, BLOCKS = 4.0, 60
 
 @dataclass(frozen=True)
 class AxisRows:
-    """One axis: ``force`` (m,) measured, ``links`` (m, 10·B) slopes by inertial parameters, ``friction`` (m, 7).
+    """One axis: ``links`` (m, 10·B) slopes by inertial parameters, ``carried`` (m,) by the relative error of the constant.
 
-    ``rotor`` (m,): inertial force of a rotor with known inertia. ``block`` (m,): number of the block of seconds. ``target``
-    (m,) is the measured force less the rotor's and the torque of the links of the plant under test. Where the sign of friction
-    is unknown, all columns are zero before the low-pass.
+    ``rotor`` (m,): inertial force of a rotor with known inertia; ``friction`` (m, 7). ``block`` (m,): number of the block of
+    seconds. ``target`` (m,): measured force less the rotor's and the torque of the links of the plant under test, and what the
+    linearisation adds. Where the sign of friction is unknown, all columns are zero before the low-pass.
     """
 
     axis: str
     target: Array
-    force: Array
+    carried: Array
     rotor: Array
     links: Array
     friction: Array
@@ -71,7 +75,7 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
             rotor = (inertia or 0.0) * theta[at] * own.acceleration
             friction = friction_columns(own.speed, own.acceleration, nominal.carried, inertia is not None)
-            table = np.column_stack([own.raw - nominal.whole - rotor, own.raw, rotor, friction, slopes[j]])
+            table = np.column_stack([own.raw - nominal.whole - rotor, nominal.carried, rotor, friction, slopes[j]])
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))
@@ -82,8 +86,8 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
     count = max(1, min(BLOCKS, int(whole / BLOCK)))
     axes = []
     for name, parts in found.items():
-        target, force, rotor, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
-        axes.append(AxisRows(name, target, force, rotor, links, friction, (time * count / whole).astype(np.int64)))
+        target, carried, rotor, links, friction, time = (np.concatenate(column) for column in zip(*parts, strict=True))
+        axes.append(AxisRows(name, target, carried, rotor, links, friction, (time * count / whole).astype(np.int64)))
     return axes
 
 
@@ -101,6 +105,22 @@ def with_carried(
             columns = friction_columns(inputs.speed, inputs.acceleration, carried, axis.inertia is not None)
             parts.append(inputs.compared(columns)[there])
         found.append(replace(own, friction=np.concatenate(parts)))
+    return found
+
+
+def linearised(rows: Sequence[AxisRows], model: Model, theta: Array, about: Array) -> list[AxisRows]:
+    """Rows about the plant under test ``theta``, linearised about another vector instead.
+
+    With slopes L, torque T of the links, change x of inertial parameters and relative error c of the force constant,
+    (1 + c)·(T + L·x) ≈ T + (1 + ĉ)·L·x + c·(T + L·x̂) − ĉ·L·x̂: a payload is in proportion to the constant, too.
+    """
+    change = (inertial_parameters(model, about) - inertial_parameters(model, theta)).reshape(-1)
+    ratio = rotors_and_scales(model, about)[1] / rotors_and_scales(model, theta)[1]
+    found = list[AxisRows]()
+    for own in rows:
+        scale, added = float(ratio[model.axis_index(own.axis)]), own.links @ change
+        target = own.target + (scale - 1.0) * added
+        found.append(replace(own, target=target, carried=own.carried + added, links=scale * own.links))
     return found
 
 

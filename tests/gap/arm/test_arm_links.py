@@ -13,7 +13,9 @@ from planar_arm import C2, I2, M1, M2, planar
 from sysid.datasets import Dataset, Recording
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
+from sysid.gap.arm.friction import without
 from sysid.gap.arm.posture import posture_share
+from sysid.gap.arm.rows import axis_rows
 from sysid.gap.arm.unknowns import doubled, plausible
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import stage_candidates
@@ -121,6 +123,25 @@ def test_a_payload_is_named_with_its_mass(seed: int) -> None:
     assert "payload" in {*named, *ties}
     assert not {*named, *ties} - {"payload", "link_mass_error"}
     assert values["payload"][0] == pytest.approx(1.5, rel=0.15)
+
+
+def left_by_links(data: Dataset) -> dict[str, float]:
+    """Standard deviation of the torque [N·m] that the adjusted links leave beside any friction, by joint."""
+    study = steps.open_study(data, nominal_plant(data.machine))
+    (stage,) = (stage for stage in study.stages if stage.problem.stage == "links")
+    (found,) = search_stages(study.case, [stage], "all", silent)
+    fitted = found.found.stage_fit
+    assert fitted is not None
+    rows = axis_rows(compile_plant(study.case.plant), stage.problem, stage.split.seen, fitted.decision.model.theta)
+    return {own.axis: float(np.std(without(own.target, own.friction))) for own in rows}
+
+
+def test_a_payload_is_in_proportion_to_wrong_constants_of_the_drives() -> None:
+    """Torques are constants times links with payload; the sum of both changes alone leaves a share of this product."""
+    heavy, constants = with_payload(1.5, np.array([0.34, 0.0])), {"lift": 0.9, "elbow": 1.1}
+    exact = left_by_links(dataset(**heavy))  # type: ignore[arg-type]
+    found = left_by_links(dataset(**{**heavy, "constants": tuple(constants.values())}))  # type: ignore[arg-type]
+    assert found == {axis: pytest.approx(constant * exact[axis], rel=0.15) for axis, constant in constants.items()}
 
 
 def test_a_much_heavier_upper_arm_is_no_payload() -> None:

@@ -12,12 +12,13 @@ from planar_arm import C2, I2, M1, M2, planar
 
 from sysid.datasets import Dataset, Recording
 from sysid.gap import steps
-from sysid.gap.arm.rows import axis_rows, with_carried
+from sysid.gap.arm.rows import axis_rows, linearised, with_carried
 from sysid.gap.case import stage_candidates
 from sysid.gap.excitation import excitation_of
 from sysid.gap.stages import search_stages
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, nominal_plant
+from sysid.plant.link_torque import inertial_parameters
 from sysid.progress import silent
 from sysid.testing.probe import probe_arm
 
@@ -140,6 +141,25 @@ def test_a_payload_loads_the_friction_of_a_joint() -> None:
         assert own.friction == pytest.approx(other.friction, rel=1e-9, abs=1e-9)
         assert own.target == pytest.approx(before.target)
         assert np.abs(own.friction - before.friction).max() > 1.0, "the payload matters"
+
+
+def test_rows_about_another_plant_are_exact_there() -> None:
+    """What that plant leaves is what the linearised rows leave at its payload, its links and its force constants."""
+    data = dataset(growing)
+    study = steps.open_study(data, nominal_plant(data.machine))
+    stage = next(s for s in study.stages if s.problem.stage == "links")
+    model, seen = compile_plant(study.case.plant), stage.split.seen
+    plant = study.case.plant.with_effect(KnownEffect("payload", "tool", {"mass": 2.0, "centre": [0.1, 0.0, 0.0]}))
+    for axis, scale in (("lift", 1.3), ("elbow", 0.8)):
+        values = {"mass": 0.3, "first_moment": [0.0, 0.1, 0.0], "inertia": [0.0] * 6, "rotor": 0.0, "scale": scale}
+        plant = plant.with_effect(KnownEffect("inertial_error", axis, values))
+    about = plant.vector()
+    rows = linearised(axis_rows(model, stage.problem, seen, stage.theta), model, stage.theta, about)
+    change = (inertial_parameters(model, about) - inertial_parameters(model, stage.theta)).reshape(-1)
+    for own, exact, error in zip(rows, axis_rows(model, stage.problem, seen, about), (0.3, -0.2), strict=True):
+        left = own.target - own.links @ change - error * own.carried
+        assert left == pytest.approx(exact.target, rel=1e-9, abs=1e-9)
+        assert own.carried * (1.0 + error) == pytest.approx(exact.carried, rel=1e-9, abs=1e-9)
 
 
 def test_a_machine_without_masses_has_no_such_candidate() -> None:

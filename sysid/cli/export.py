@@ -1,0 +1,82 @@
+"""``sysid export PLANT --to TARGET``: the repaired simulation for another simulator, with its replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sysid.cli.output import Printer, json_option, progress_bar, write_json
+
+if TYPE_CHECKING:
+    from sysid.export.export import Export
+
+#: As in :mod:`sysid.export.targets`, which loads the numerical libraries.
+NAMES = ("mjcf", "lut", "json")
+
+
+@click.command()
+@click.argument("reference", metavar="PLANT[@VERSION]")
+@click.option("--to", "target", required=True, metavar="TARGET", help=f"{', '.join(NAMES)}.")
+@click.option(
+    "--out",
+    "folder",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="A new folder, or that of an earlier export.",
+)
+@click.option(
+    "--dataset", default=None, metavar="NAME[@VERSION]", help="Whose held-out recordings are replayed. Default: its own."
+)
+@click.option("--samples", type=click.IntRange(1, 1_000_000), default=1000, show_default=True, help="Draws of the parameters.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the draws.")
+@click.option("--force", is_flag=True, help="Keep an export that does not agree with the plant.")
+@json_option
+@click.pass_obj
+def export(
+    location: str, reference: str, target: str, folder: Path, dataset: str | None, samples: int, seed: int, force: bool,
+    json_file: str | None,
+) -> None:  # fmt: skip
+    """Write a plant for another simulator, and keep it only if it replays the held-out recordings as the plant does."""
+    out = Printer(json_file)
+    with progress_bar("export") as progress:
+        progress(0.0, "loading")  # the numerical libraries, which takes seconds
+        from sysid.errors import StoreError
+        from sysid.export.export import check_folder, export_plant
+        from sysid.export.targets import target_named
+        from sysid.workspace import open_workspace
+
+        chosen = target_named(target)
+        check_folder(folder)
+        workspace = open_workspace(location)
+        source = dataset or workspace.models.find(reference).lineage.get("dataset")
+        if not isinstance(source, str):
+            raise StoreError(f"model {reference}", "no dataset in its lineage", "--dataset NAME, whose recordings are replayed")
+        recorded = workspace.dataset(source)
+        plant = workspace.plant(recorded, reference)
+        progress(0.1, "writing and replaying")
+        made = export_plant(plant, recorded, chosen, folder, force=force, samples=samples, seed=seed)
+    _show(out, made, recorded.units)
+    write_json(json_file, made.to_json())
+
+
+def _show(out: Printer, made: Export, units: Mapping[str, str]) -> None:
+    from sysid.export.page import shown, unit_of
+
+    out.line(f"{made.plant} for {made.target}: {made.folder / made.files[0]}")
+    for item in made.lacking:
+        out.line(f"not representable: {item}")
+    if made.replay is None:
+        out.line("Not run here: the simulator is not installed. The files were checked against their format alone.")
+        return
+    rows = []
+    for row in made.replay.rows:
+        values = (row.export_error, row.plant_error, row.noise, row.difference)
+        cells = [shown(value, unit_of(row.signal, units)) for value in values]
+        rows.append((row.signal, *cells, "yes" if row.agrees else "no"))
+    out.line(f"Free run of {', '.join(made.replay.recordings)}, RMS:")
+    out.table(("signal", made.target, "plant", "sensor noise", "difference", "agrees"), rows, right=(1, 2, 3, 4))
+    out.line(f"All files: {', '.join(made.files)}")

@@ -1,0 +1,1 @@
+"""Plants written for other simulators, each with a replay that compares the export with the plant and with the machine."""

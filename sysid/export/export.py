@@ -1,0 +1,132 @@
+"""Export of a plant: write the files, replay them, keep them if they agree with the plant."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.errors import SettingsError
+from sysid.export.page import export_page, lacking, shown, unit_of
+from sysid.export.posterior import posterior, write_posterior
+from sysid.export.replay import Replay, replay
+from sysid.export.target import Target
+from sysid.files import make_folder
+from sysid.gap.noise import noise_levels
+from sysid.plant import Plant
+
+REPLAY, PAGE = "replay.json", "README.md"
+#: Draws of the parameters that are written.
+SAMPLES, SEED = 1000, 0
+
+
+@dataclass(frozen=True)
+class Export:
+    """A written export.
+
+    Args:
+        files: names in ``folder``, the main one first.
+        replay: None where the simulator does not run here.
+        lacking: effects that the target cannot represent.
+    """
+
+    plant: str
+    target: str
+    folder: Path
+    files: tuple[str, ...]
+    replay: Replay | None
+    lacking: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "schema": 1,
+            "plant": self.plant,
+            "target": self.target,
+            "folder": str(self.folder),
+            "files": list(self.files),
+            "not_representable": list(self.lacking),
+            "replay": None if self.replay is None else self.replay.to_json(),
+        }
+
+
+def export_plant(
+    plant: Plant,
+    dataset: Dataset,
+    target: Target,
+    folder: Path,
+    *,
+    force: bool = False,
+    samples: int = SAMPLES,
+    seed: int = SEED,
+) -> Export:
+    """Write a plant for another simulator.
+
+    Args:
+        dataset: its held-out recordings are replayed.
+        folder: new, empty, or that of an earlier export, which is replaced.
+        force: keep an export that does not agree with the plant.
+        samples, seed: draws of the parameters.
+
+    Raises:
+        SettingsError: the folder contains something else, the target cannot represent the machine, or the export does not agree
+            with the plant; nothing is left then.
+        ExcitationError: no held-out recording can be replayed.
+    """
+    check_folder(folder)
+    make_folder(folder.parent)
+    half = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.part")
+    half.mkdir()
+    try:
+        found = _write(plant, dataset, target, half, folder, samples, seed)
+        if found.replay is not None and not found.replay.agrees and not force:
+            raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, dataset.units))
+        if folder.exists():
+            shutil.rmtree(folder)
+        half.rename(folder)
+    finally:
+        shutil.rmtree(half, ignore_errors=True)
+    return found
+
+
+def check_folder(folder: Path) -> None:
+    """Raise SettingsError where a folder contains something else than an earlier export."""
+    if folder.exists() and not folder.is_dir():
+        raise SettingsError(f"--out {folder}", "a file", "a folder")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / REPLAY).is_file():
+        expected = "a new or empty folder, or that of an earlier export"
+        raise SettingsError(f"--out {folder}", "a folder with other files", expected)
+
+
+def _write(
+    plant: Plant, dataset: Dataset, target: Target, half: Path, folder: Path, samples: int, seed: int
+) -> Export:  # fmt: skip
+    rate = dataset.machine.rate_hz
+    files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half))
+    simulation = target.simulation(plant, half)
+    found = None if simulation is None else replay(plant, simulation, held_out(dataset), noise_levels(dataset))
+    names = (*files, REPLAY, PAGE)
+    made = Export(plant.reference or plant.machine.name, target.name, folder, names, found, tuple(lacking(plant, target)))
+    (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": dataset.reference}, indent=1), "utf-8")
+    (half / PAGE).write_text(export_page(plant, target, rate, names, found, dataset.units), "utf-8")
+    shutil.rmtree(half / "__pycache__", ignore_errors=True)
+    return made
+
+
+def held_out(dataset: Dataset) -> Sequence[Recording]:
+    """Recordings that no fit has used; all motion where the dataset has no roles."""
+    return dataset.with_role("held_out") or dataset.of_kind("motion")
+
+
+def _disagreement(found: Export, units: Mapping[str, str]) -> tuple[str, str, str]:
+    assert found.replay is not None
+    worst = max((row for row in found.replay.rows if not row.agrees), key=lambda row: row.difference / row.allowed)
+    unit = unit_of(worst.signal, units)
+    what = f"{worst.signal} differs from the plant by {shown(worst.difference, unit)} RMS, {shown(worst.allowed, unit)} allowed"
+    if found.lacking:
+        what += f"; not representable: {', '.join(found.lacking)}"
+    return what, "an export that agrees with the plant", "--force keeps it with its replay table."

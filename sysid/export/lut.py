@@ -1,0 +1,156 @@
+"""``lut``: lookup tables for a simulator that interpolates: command → opening, opening → speed, cylinder → joint, and numbers.
+
+The simulation of an axis: opening table, dead time, ramp, lag, speed table, oscillation of the oil, integration, linkage table.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.export.drive_data import drive_data
+from sysid.export.drive_module import PARTS
+from sysid.export.shipped_run import DriveModelSimulation
+from sysid.export.standalone.assembly import assemble
+from sysid.export.standalone.command_parts import Part
+from sysid.export.target import Simulation, Support
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+#: Static curves before and behind the dynamics of a valve.
+OPENING = ("valve_deadband", "gain_curve", "flow_saturation")
+SPEED = ("gain_error", "asymmetric_gain", "nominal_gain", "internal_leakage")
+#: Effects that are numbers of a standard block.
+BLOCKS = {
+    "input_delay": "transport delay",
+    "command_rate_limit": "rate limiter",
+    "first_order_lag": "first-order transfer function",
+    "second_order_lag": "second-order transfer function",
+    "oil_compressibility": "second-order transfer function",
+    "viscous_friction": "damping of a force axis",
+    "coulomb_friction": "Coulomb friction of a force axis",
+    "inertia_error": "inertia of a force axis",
+    "load_bias": "constant force of a force axis",
+}
+#: Points on each side of zero.
+POINTS = 1000
+NUMBERS = "numbers.csv"
+
+
+class LutTarget:
+    """CSV tables and numbers."""
+
+    name = "lut"
+    title = "lookup tables (CSV)"
+    modules: tuple[str, ...] = ()
+
+    def support(self, effect: Effect) -> Support:
+        if effect.name in OPENING:
+            return Support("native", "`<axis>_opening.csv`")
+        if effect.name in SPEED:
+            return Support("native", "`<axis>_speed.csv`")
+        if effect.name in BLOCKS:
+            return Support("native", f"`{NUMBERS}`: {BLOCKS[effect.name]}")
+        if effect.name == "joint_offset":
+            return Support("native", f"`{NUMBERS}`: constant")
+        return Support("not_representable", "needs a state or further inputs: neither a table nor a standard block")
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        data, files, numbers = drive_data(plant, rate_hz), [NUMBERS], []
+        for axis in data["axes"]:
+            name, unit = axis["name"], "m" if axis["drives"] == "cylinder" else "rad or m"
+            numbers += [(name, *row) for row in _numbers(axis)]
+            if axis["actuation"] == "velocity":
+                opening, speed = tables(axis, 1.0 / rate_hz)
+                files += [_write(folder / f"{name}_opening.csv", ("command [1]", "opening [1]"), opening)]
+                files += [_write(folder / f"{name}_speed.csv", ("opening [1]", f"speed [{unit} per s]"), speed)]
+            if axis["linkage"] is not None:
+                link = axis["linkage"]
+                places = link["low"] + link["step"] * np.arange(len(link["joints"]))
+                header = ("cylinder [m]", "joint [rad or m]")
+                files += [_write(folder / f"{name}_linkage.csv", header, zip(places, link["joints"], strict=True))]
+        _write(folder / NUMBERS, ("axis", "block", "quantity", "value"), numbers)
+        return tuple(files)
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        """The written tables between the standard blocks."""
+        data = drive_data(nominal_geometry(plant), plant.machine.rate_hz)
+        data |= {"pump_limit": None, "sway": None, "sensors": {}}
+        data["axes"] = [_by_tables(axis, folder) for axis in data["axes"]]
+        return DriveModelSimulation(plant, assemble(data, {**PARTS, "table": Table}))
+
+
+def _numbers(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
+    """Block, quantity and value of all numbers of an axis."""
+    rows = [("end_stop", end, axis[end]) for end in ("low", "high")] + [("joint_offset", "offset", axis["offset"])]
+    rows += [(part, key, value) for part, values in axis["command"] if part in BLOCKS for key, value in values.items()]
+    if axis["actuation"] == "force":
+        rows += [("inertia", "mass", axis["mass"]), ("load_bias", "force", axis["bias"])]
+        rows += [(law, key, value) for law, values in axis["frictions"] for key, value in values.items() if law in BLOCKS]
+    return rows
+
+
+def _by_tables(axis: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Drive data of an axis with its written tables in place of the static curves, without what tables do not have."""
+    found = axis | dict.fromkeys(("drive_backlash", "structure_backlash", "drive_compliance", "structure_compliance"), 0.0)
+    if axis["actuation"] == "velocity":
+        opening, speed = (_read(folder / f"{axis['name']}_{what}.csv") for what in ("opening", "speed"))
+        blocks = [part for part in axis["command"] if part[0] in BLOCKS and part[0] != "oil_compressibility"]
+        behind = [part for part in axis["command"] if part[0] == "oil_compressibility"]
+        found["command"] = [("table", {"points": opening}), *blocks, ("table", {"points": speed}), *behind]
+    if axis["actuation"] == "force":
+        found["frictions"] = [law for law in axis["frictions"] if law[0] in BLOCKS]
+        found |= {"rotor": "rigid_drive", "spring": {}}
+    return found
+
+
+class Table(Part):
+    """Linear interpolation in points (n, 2), extended along the end slopes."""
+
+    def __init__(self, dt: float, points: Array) -> None:
+        self.x, self.y = points.T
+
+    def step(self, u: float, load: float) -> float:
+        k = min(max(int(np.searchsorted(self.x, u)) - 1, 0), len(self.x) - 2)
+        return float(self.y[k] + (u - self.x[k]) * (self.y[k + 1] - self.y[k]) / (self.x[k + 1] - self.x[k]))
+
+
+def tables(axis: dict[str, Any], dt: float) -> tuple[Array, Array]:
+    """Points (n, 2) of command → opening and opening → speed of a velocity axis."""
+    grid = np.linspace(-1.0, 1.0, 2 * POINTS + 1)
+    return _curve(axis, OPENING, dt, grid), _curve(axis, SPEED, dt, np.array([-1.0, 0.0, 1.0]))
+
+
+def _curve(axis: dict[str, Any], names: Sequence[str], dt: float, grid: Array) -> Array:
+    parts = [PARTS[name](dt, **values) for name, values in axis["command"] if name in names]
+    for name, values in axis["command"]:  # corners are points of their own
+        if name == "valve_deadband" and "valve_deadband" in names:
+            grid = np.union1d(grid, [values["positive"], -values["negative"]])
+    out = grid.copy()
+    for part in parts:
+        out = np.array([part.step(float(x), 0.0) for x in out])
+    return np.column_stack([grid, out])
+
+
+def nominal_geometry(plant: Plant) -> Plant:
+    """The plant without the effects between joint and tool, which tables of axes do not contain."""
+    kept = tuple(item for item in plant.effects if item.name not in ("link_length_error", "tip_offset", "base_misalignment"))
+    return Plant(plant.machine, plant.linkages, kept, plant.streams)
+
+
+def _write(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([[repr(float(v)) if isinstance(v, (float, np.floating)) else v for v in row] for row in rows])
+    return path.name
+
+
+def _read(path: Path) -> Array:
+    return np.loadtxt(path, delimiter=",", skiprows=1)

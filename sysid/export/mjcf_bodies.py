@@ -1,0 +1,184 @@
+"""Bodies and joints of a machine in MuJoCo: those of its URDF, or one body for each axis where it has none.
+
+Joint values are those of the structure. The effects of the geometry are composed: lengths, offset of the tip, and the pose of
+the base, with gravity turned with it, so that the world frame is the measured one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine.kinematics import Joint, Kinematics, rotation_about
+from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.urdf_tree import urdf_tree
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+#: Mass [kg] and inertia [kg·m²] of a body whose URDF link has none: MuJoCo needs some, the drives do not notice it.
+SMALL_MASS, SMALL_INERTIA = 1e-9, 1e-9
+#: Distance between the bodies of axes without a URDF [m].
+APART = 0.5
+#: Radius of the line drawn along a link [m]; it neither collides nor has mass.
+DRAWN = 0.01
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Names in the model: joint of each axis; body that carries it and body that it moves; whether there is a site ``ee``."""
+
+    joints: tuple[str, ...]
+    parents: tuple[str, ...]
+    children: tuple[str, ...]
+    posed: bool
+
+
+def add_bodies(spec: Any, plant: Plant) -> Bodies:
+    """Add the bodies of a plant to an ``MjSpec``."""
+    kinematics = plant.machine.kinematics()
+    if kinematics is None or plant.machine.urdf_text is None:
+        return _plain_bodies(spec, plant)
+    base = plant.effect("base_misalignment", "base")
+    turn = np.eye(3)
+    root = spec.worldbody.add_body(name=kinematics.chain[0].parent)
+    if base is not None:
+        rotation = np.asarray(base.parameters["rotation"], dtype=np.float64)
+        angle = float(np.linalg.norm(rotation))
+        turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else turn
+        root.pos, root.quat = np.asarray(base.parameters["translation"], dtype=np.float64), quaternion(turn)
+    spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
+    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, _inertias(plant.machine.urdf_text))
+    joints = tuple(str(axis.joint) for axis in plant.machine.axes)
+    found = [kinematics.joints[name] for name in joints]
+    return Bodies(joints, tuple(j.parent for j in found), tuple(j.child for j in found), True)
+
+
+def _children(
+    spec: Any, body: Any, link: str, plant: Plant, kinematics: Kinematics, inertias: dict[str, tuple[Array, ...]]
+) -> None:
+    """Add what hangs on a link, with its joints."""
+    mass, centre, inertia = inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3))))
+    body.explicitinertial = True
+    body.mass, body.ipos = max(float(mass[0]), SMALL_MASS), centre
+    moments = inertia + SMALL_INERTIA * np.eye(3)
+    body.fullinertia = [moments[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    if link == kinematics.tip:
+        site = body.add_site(name="ee")
+        site.pos = _tip_offset(plant, kinematics)
+    for joint in kinematics.joints.values():
+        if joint.parent != link:
+            continue
+        child = body.add_body(name=joint.child)
+        child.pos, child.quat = _stretched(joint, plant, kinematics), quaternion(joint.origin[:3, :3])
+        length = float(np.linalg.norm(child.pos))
+        if length > DRAWN:
+            body.add_geom(type=_mujoco().mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], size=[DRAWN, 0.0, 0.0],
+                          contype=0, conaffinity=0, group=1, mass=0.0)  # fmt: skip
+        if joint.kind != "fixed" and joint.name in kinematics.drives:
+            _joint(spec, child, joint, kinematics)
+        _children(spec, child, joint.child, plant, kinematics, inertias)
+
+
+def _joint(spec: Any, child: Any, joint: Joint, kinematics: Kinematics) -> None:
+    kinds = _mujoco().mjtJoint
+    added = child.add_joint(name=joint.name, axis=joint.axis)
+    added.type = kinds.mjJNT_SLIDE if joint.prismatic else kinds.mjJNT_HINGE
+    drive = kinematics.drives[joint.name]
+    master = kinematics.actuated[drive.column]
+    if joint.name != master:  # a passive joint follows its axis
+        equality = spec.add_equality(name=f"{joint.name}_follows", name1=joint.name, name2=master)
+        equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
+        equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
+
+
+def _stretched(joint: Joint, plant: Plant, kinematics: Kinematics) -> Array:
+    """Place of a joint's frame, with the length error of the link that the joint before it in the chain moves.
+
+    Fixed joints in between belong to that link: each is stretched by the same share.
+    """
+    place = joint.origin[:3, 3].copy()
+    names = [j.name for j in kinematics.chain]
+    if joint.name not in names:
+        return place
+    moved = [j for j in kinematics.chain[: names.index(joint.name)] if j.name in kinematics.drives]
+    if not moved or moved[-1].name not in kinematics.actuated:
+        return place
+    target = plant.machine.axis_names[kinematics.actuated.index(moved[-1].name)]
+    error = plant.effect("link_length_error", target)
+    length = link_length(kinematics, moved[-1].name)
+    if error is None or length < 1e-9:
+        return place
+    return place * (1.0 + float(np.asarray(error.parameters["error"])) / length)
+
+
+def link_length(kinematics: Kinematics, joint: str) -> float:
+    """Distance from the frame of a joint of the chain to that of the next joint that moves, or to the tip [m]."""
+    names = [j.name for j in kinematics.chain]
+    frame = np.eye(4)
+    for step in kinematics.chain[names.index(joint) + 1 :]:
+        frame = frame @ step.origin
+        if step.name in kinematics.drives:
+            break
+    return float(np.linalg.norm(frame[:3, 3]))
+
+
+def _tip_offset(plant: Plant, kinematics: Kinematics) -> Array:
+    """Offset of the tip in the frame of its link, (3,) [m]; the effect has it in the frame that the last joint moves."""
+    item = plant.effect("tip_offset", "ee")
+    if item is None:
+        return np.zeros(3)
+    turn = np.eye(3)
+    for joint in reversed(kinematics.chain):
+        if joint.name in kinematics.drives:
+            break
+        turn = joint.origin[:3, :3] @ turn
+    return np.asarray(turn.T @ np.asarray(item.parameters["translation"], dtype=np.float64))
+
+
+def _inertias(urdf: str) -> dict[str, tuple[Array, ...]]:
+    """Link → mass (1,) [kg], centre (3,) [m] and inertia about it in the axes of the link (3, 3) [kg·m²]."""
+    from sysid.machine.kinematics import origin_pose
+
+    found: dict[str, tuple[Array, ...]] = {}
+    for link in urdf_tree(urdf).findall("link"):
+        mass, moments = link.find("inertial/mass"), link.find("inertial/inertia")
+        if mass is None:
+            continue
+        pose = origin_pose(link.find("inertial/origin"))
+        inertia = np.zeros((3, 3))
+        if moments is not None:
+            for i, j, key in ((0, 0, "ixx"), (1, 1, "iyy"), (2, 2, "izz"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 2, "iyz")):
+                inertia[i, j] = inertia[j, i] = float(moments.get(key, "0"))
+        turned = pose[:3, :3] @ inertia @ pose[:3, :3].T
+        found[str(link.get("name"))] = (np.array([float(mass.get("value", "0"))]), pose[:3, 3], turned)
+    return found
+
+
+def _plain_bodies(spec: Any, plant: Plant) -> Bodies:
+    """A body for each axis, side by side: hinges about z, slides along x."""
+    mujoco, names = _mujoco(), []
+    for k, axis in enumerate(plant.machine.axes):
+        body = spec.worldbody.add_body(name=f"{axis.name}_body", pos=[0.0, APART * k, 0.0])
+        body.mass, body.ipos = SMALL_MASS, np.zeros(3)
+        body.explicitinertial, body.fullinertia = True, [*[SMALL_INERTIA] * 3, 0.0, 0.0, 0.0]
+        slides = axis.joint_type == "prismatic"
+        joint = body.add_joint(name=axis.joint or axis.name, axis=[1.0, 0.0, 0.0] if slides else [0.0, 0.0, 1.0])
+        joint.type = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        names.append(joint.name)
+    return Bodies(tuple(names), ("world",) * len(names), tuple(f"{a.name}_body" for a in plant.machine.axes), False)
+
+
+def quaternion(rotation: Array) -> Array:
+    """Unit quaternion (w, x, y, z) of a rotation matrix."""
+    found = np.zeros(4)
+    _mujoco().mju_mat2Quat(found, np.ascontiguousarray(rotation).ravel())
+    return found
+
+
+def _mujoco() -> Any:
+    import mujoco
+
+    return mujoco

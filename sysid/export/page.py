@@ -1,0 +1,133 @@
+"""``README.md`` of an export: what it is, its units and frames, how each effect is represented, and the replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.effects import effect_named
+from sysid.effects.units import parameter_unit
+from sysid.effects.wording import title_of
+from sysid.export.posterior import RANGES, SAMPLES, WARNING
+from sysid.export.replay import ROUNDING, SHARE, Replay
+from sysid.export.target import Target
+from sysid.machine import KnownEffect
+from sysid.plant import Plant
+from sysid.quantity import readable
+from sysid.signals import split_signal
+
+KINDS = {
+    "native": "native",
+    "composed": "composed",
+    "plugin": "by plugin",
+    "not_representable": "not representable",
+}
+
+
+def export_page(
+    plant: Plant, target: Target, rate_hz: float, files: Sequence[str], found: Replay | None, units: Mapping[str, str]
+) -> str:
+    """The page as Markdown.
+
+    Args:
+        found: the replay; None where the simulator does not run here.
+        units: of the measured signals.
+    """
+    reference = plant.reference or plant.machine.name
+    parts = [
+        f"# {reference} for {target.title}\n",
+        f"Machine `{plant.machine.name}`, written by `sysid export {reference} --to {target.name}`.\n",
+        *_files(files),
+        "## Conventions\n",
+        f"- Units are SI: m, rad, s, N, N·m, kg. A sample is {1.0 / rate_hz:g} s.",
+        "- Frame: that in which the end effector was measured; z is up in the base frame of the URDF. Joint values are those",
+        "  of the URDF, positive about or along its axes. `joint_offset`: structure = sensor + offset.",
+        "- Commands are those of `machine.toml`: " + "; ".join(map(_command, plant.machine.axes)) + ".\n",
+        "## Effects\n",
+        *_effects(plant, target),
+        "## Replay\n",
+        *_replay(target, found, units),
+        "## Uncertainty\n",
+        *_uncertainty(plant, files),
+        "## Lineage\n",
+        *([f"- {key}: `{value}`" for key, value in plant.origin.items() if isinstance(value, (str, int, float))] or ["- none"]),
+        "",
+    ]
+    return "\n".join(parts)
+
+
+def _files(files: Sequence[str]) -> list[str]:
+    return ["Files: " + ", ".join(f"`{name}`" for name in files) + ".\n"]
+
+
+def _command(axis: Any) -> str:
+    meaning = {"velocity": f"±1 is ±{axis.gain:g} of its speed unit per second", "position": "position", "force": "force"}
+    return f"`{axis.name}` {meaning[axis.actuation]}"
+
+
+def _effects(plant: Plant, target: Target) -> list[str]:
+    if not plant.effects and not plant.residuals:
+        return ["The plant has no effects.\n"]
+    rows = ["| effect | target | parameters | represented | how |", "| --- | --- | --- | --- | --- |"]
+    for item in plant.effects:
+        effect = effect_named(item.name)
+        support = target.support(effect)
+        where = f"{item.target}{f', {item.side}' if item.side else ''}"
+        title = title_of(effect, item.target, plant.machine)
+        rows.append(f"| {title} (`{item.name}`) | {where} | {_values(plant, item)} | {KINDS[support.kind]} | {support.how} |")
+    for residual in plant.residuals:
+        rows.append(f"| `unnamed_residual` ({residual.stage}) | {residual.target} | | not representable | a network |")
+    return [*rows, ""]
+
+
+def _values(plant: Plant, item: KnownEffect) -> str:
+    values = []
+    for name, value in item.parameters.items():
+        unit = parameter_unit(item.name, name, item.target, plant.machine)
+        texts = [f"{x:.6g}" for x in np.atleast_1d(np.asarray(value, dtype=np.float64))]
+        values.append(f"{name} {', '.join(texts)}{f' {unit}' if unit != '1' else ''}")
+    return "; ".join(values)
+
+
+def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> list[str]:
+    if found is None:
+        return [f"Not run here: {target.title} is not installed. The files were checked against their format alone.\n"]
+    head = (
+        f"Free run of {', '.join(found.recordings)} ({found.seconds:.0f} s) from recorded commands, in {target.title} and by "
+        "the plant itself; both begin at rest where the recording begins. RMS values. The difference may be "
+        f"{100.0 * SHARE:g} % of the motion, or the noise of the sensor."
+    )
+    rows = [f"| signal | {target.title} | plant | sensor noise | difference | allowed |", "| --- |" + " ---: |" * 5]
+    for row in found.rows:
+        unit = unit_of(row.signal, units)
+        cells = [shown(x, unit) for x in (row.export_error, row.plant_error, row.noise)]
+        marks = "" if row.agrees else " **exceeded**"
+        cells += [shown(row.difference, unit), shown(row.allowed, unit) + marks]
+        rows.append(f"| `{row.signal}` | {' | '.join(cells)} |")
+    return [head + "\n", *rows, ""]
+
+
+def shown(value: float, unit: str) -> str:
+    """A figure with its unit; a difference by rounding is zero, what is not measured a dash."""
+    return readable(value if abs(value) > ROUNDING else 0.0, unit) if np.isfinite(value) else "–"
+
+
+def unit_of(signal: str, units: Mapping[str, str]) -> str:
+    """SI unit of a signal; metres of points and cylinders, else radians where the dataset does not say."""
+    owner, quantity = split_signal(signal)
+    return units.get(signal) or ("m" if owner in ("ee", "tool") or quantity == "cylinder" else "rad")
+
+
+def _uncertainty(plant: Plant, files: Sequence[str]) -> list[str]:
+    if SAMPLES not in files:
+        return ["The plant stores no uncertainty of its parameters.\n"]
+    count = len(plant.uncertainty.places)
+    return [f"`{SAMPLES}` holds joint draws of {count} parameters, `{RANGES}` their ranges. {WARNING}\n"]
+
+
+def lacking(plant: Plant, target: Target) -> list[str]:
+    """Effects of a plant that the target cannot represent, ``name on target``."""
+    missing = [e for e in plant.effects if target.support(effect_named(e.name)).kind == "not_representable"]
+    return [f"{e.name} on {e.target}" for e in missing] + [f"unnamed_residual on {r.target}" for r in plant.residuals]

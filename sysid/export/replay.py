@@ -1,0 +1,146 @@
+"""Replay proof: an export runs the commands of held-out recordings and is compared with the plant and with the machine.
+
+Both begin at rest at the place where the free run of the recording begins, with its first commands held. An export *agrees*
+with the plant in a signal if the RMS of their difference is at most the larger of two bounds: :data:`SHARE` of the RMS of the
+plant's motion about its mean, or the noise of the signal's sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.errors import ExcitationError
+from sysid.export.shipped_run import true_signals
+from sysid.export.target import Simulation, Start
+from sysid.plant import Model, Plant, compile_plant
+from sysid.plant.rollout import true_run
+from sysid.plant.stepper import Stepper, held_commands, step_commands
+
+Array = npt.NDArray[np.float64]
+
+#: Largest difference to the plant, as a share of its motion.
+SHARE = 0.01
+#: Difference that rounding may make where nothing moves and no noise is known [rad or m].
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class ReplayRow:
+    """One signal over all replayed recordings, RMS values in its unit.
+
+    Args:
+        export_error, plant_error: of the export and of the plant against the measurement; NaN where it is not measured.
+        noise: of its sensor; NaN where it is not known.
+        difference: between export and plant; ``allowed``: the bound of it.
+        motion: of the plant about its mean.
+    """
+
+    signal: str
+    export_error: float
+    plant_error: float
+    noise: float
+    difference: float
+    allowed: float
+    motion: float
+
+    @property
+    def agrees(self) -> bool:
+        return self.difference <= self.allowed
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Result of the replay of one export."""
+
+    recordings: tuple[str, ...]
+    seconds: float
+    rows: tuple[ReplayRow, ...]
+
+    @property
+    def agrees(self) -> bool:
+        return all(row.agrees for row in self.rows)
+
+    def to_json(self) -> dict[str, Any]:
+        rows = [{**asdict(row), "agrees": row.agrees} for row in self.rows]
+        return {"recordings": list(self.recordings), "seconds": self.seconds, "agrees": self.agrees, "rows": rows}
+
+
+@dataclass(frozen=True)
+class Run:
+    """Signals (n,) of one recording: by the export, by the plant, and the rows of the recording that they belong to."""
+
+    recording: Recording
+    rows: slice
+    export: Mapping[str, Array]
+    plant: Mapping[str, Array]
+
+
+def replay(plant: Plant, simulation: Simulation, recordings: Sequence[Recording], noise: Mapping[str, float]) -> Replay:
+    """Run and compare.
+
+    Args:
+        noise: signal → standard deviation of its sensor, where it is known.
+
+    Raises:
+        ExcitationError: no recording has commands of all axes together.
+    """
+    model = compile_plant(plant)
+    runs = [run for recording in recordings if (run := run_both(plant, model, simulation, recording)) is not None]
+    if not runs:
+        found = f"no stretch in {len(recordings)} recordings has commands and positions of all axes"
+        raise ExcitationError(f"replay of {plant.reference or plant.machine.name}", found, "a recording to replay")
+    signals = [name for name in runs[0].plant if all(name in run.export for run in runs)]
+    seconds = sum((run.rows.stop - run.rows.start) / run.recording.rate_hz for run in runs)
+    rows = tuple(_row(model, name, runs, noise.get(name, np.nan)) for name in signals)
+    return Replay(tuple(run.recording.name for run in runs), seconds, rows)
+
+
+def run_both(plant: Plant, model: Model, simulation: Simulation, recording: Recording) -> Run | None:
+    """Export and plant over the longest stretch of a recording with commands of all axes; None where there is none."""
+    commands = held_commands(plant.machine, recording)
+    drive, joints, _ = true_run(model, recording)
+    here = ~np.isnan(np.column_stack([commands, drive])).any(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8))).reshape(-1, 2)
+    if not len(edges):
+        return None
+    first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+    moved = np.where(np.isnan(joints[first]), 0.0, joints[first])
+    start = Start(moved, drive[first], commands[first])
+    steps = step_commands(plant.machine, commands[first:last])
+    export = [simulation.reset(start), *(simulation.step(command) for command in steps)]
+    stepper = Stepper(plant, recording.rate_hz)
+    states = [stepper.reset(start.joints, drive=start.drive, commands=start.commands), *(stepper.step(c) for c in steps)]
+    ours = [true_signals(plant, _Lane(state)) for state in states]
+    return Run(recording, slice(int(first), int(last)), _columns(export), _columns(ours))
+
+
+class _Lane:
+    """The only lane of a stepper's state."""
+
+    def __init__(self, state: Any) -> None:
+        self.drive, self.joints, self.ee, self.tool = state.drive[0], state.joints[0], state.ee[0], state.tool[0]
+
+
+def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _row(model: Model, signal: str, runs: Sequence[Run], noise: float) -> ReplayRow:
+    away = np.concatenate([run.export[signal] - run.plant[signal] for run in runs])
+    motion = float(np.sqrt(np.mean(np.concatenate([run.plant[signal] - run.plant[signal].mean() for run in runs]) ** 2)))
+    errors = []
+    for side in ("export", "plant"):
+        parts = []
+        for run in runs:
+            read = model.sensed(model.theta[None], signal, getattr(run, side)[signal][None], 1.0 / run.recording.rate_hz)[0]
+            parts.append(read - run.recording.values(signal)[run.rows])
+        whole = np.concatenate(parts)
+        errors.append(float(np.sqrt(np.nanmean(whole**2))) if not np.isnan(whole).all() else float("nan"))
+    allowed = float(np.nanmax([SHARE * motion, noise, ROUNDING]))
+    return ReplayRow(signal, errors[0], errors[1], noise, float(np.sqrt(np.mean(away**2))), allowed, motion)

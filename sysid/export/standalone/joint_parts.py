@@ -1,0 +1,151 @@
+"""Parts between drive and end effector: linkage, backlash, kinematics, hanging tool, sensors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+#: Standard gravity [m/s²], along −z of the base.
+GRAVITY = 9.80665
+
+
+class Linkage:
+    """Cylinder displacement [m] → joint [rad or m]: an even table, extended along its end slopes."""
+
+    def __init__(self, low: float, step: float, joints: list[float]) -> None:
+        self.low, self.spacing, self.joints = low, step, joints
+
+    def joint(self, x: float) -> float:
+        t = (x - self.low) / self.spacing
+        k = min(max(math.floor(t), 0), len(self.joints) - 2)
+        return self.joints[k] + (t - k) * (self.joints[k + 1] - self.joints[k])
+
+    def displacement(self, joint: float) -> float:
+        """The inverse, inside the table."""
+        rising = 1.0 if self.joints[-1] > self.joints[0] else -1.0
+        places = self.low + self.spacing * np.arange(len(self.joints))
+        return float(np.interp(rising * joint, rising * np.asarray(self.joints), places))
+
+
+class Backlash:
+    """y = min(max(y, x − width/2), x + width/2) [rad or m]."""
+
+    def __init__(self, width: float) -> None:
+        self.half = 0.5 * width
+        self.reset(math.nan)
+
+    def reset(self, y: float) -> None:
+        self.y = y
+
+    def step(self, x: float) -> float:
+        self.y = x if math.isnan(self.y) else min(max(self.y, x - self.half), x + self.half)
+        return self.y
+
+
+class Kinematics:
+    """Chain of joints from base to tip.
+
+    Args:
+        joints: of each the ``rotation`` (3, 3) and ``shift`` (3) [m] of its frame in the frame that the joint before it moves,
+            its ``axis`` (3), whether it is ``prismatic``, which machine ``axis_index`` moves it, with ``ratio`` and ``offset``,
+            and ``mass`` [kg] and ``centre`` (3) [m] of all that moves with it and no further joint.
+        tip: place of the tip in the frame that the last joint moves (3) [m].
+        base_rotation, base_translation: model → measured frame, (3, 3) and (3) [m].
+    """
+
+    def __init__(self, joints: list[Any], tip: list[float], base_rotation: list[Any], base_translation: list[float]) -> None:
+        self.joints: list[dict[str, Any]] = [
+            {key: np.array(value, dtype=np.float64) if isinstance(value, list) else value for key, value in joint.items()}
+            for joint in joints
+        ]
+        self.tip, self.base_rotation, self.base_translation = map(np.array, (tip, base_rotation, base_translation))
+
+    def pose(self, q: Array) -> tuple[Array, Array]:
+        """Joints of the structure (A,) → end effector (3,) [m] and gravity load of each axis (A,) [N·m or N]."""
+        turn, place = np.eye(3), np.zeros(3)
+        axes: list[Array] = []
+        origins: list[Array] = []
+        moments: list[Array] = []
+        for joint in self.joints:
+            place = place + turn @ joint["shift"]
+            turn = turn @ joint["rotation"]
+            axis, value = turn @ joint["axis"], q[joint["axis_index"]] * joint["ratio"] + joint["offset"]
+            axes.append(axis)
+            origins.append(place)
+            if joint["prismatic"]:
+                place = place + value * axis
+            else:
+                turn = turned(axis, value) @ turn
+            moments.append(joint["mass"] * (place + turn @ joint["centre"]))
+        load, mass, moment = np.zeros(len(q)), 0.0, np.zeros(3)
+        for k in reversed(range(len(self.joints))):
+            joint, (x, y, z) = self.joints[k], axes[k]
+            mass, moment = mass + float(joint["mass"]), moment + moments[k]
+            lever = moment - mass * origins[k]
+            own = mass * z if joint["prismatic"] else x * lever[1] - y * lever[0]
+            load[joint["axis_index"]] += GRAVITY * own * joint["ratio"]
+        return self.base_rotation @ (place + turn @ self.tip) + self.base_translation, load
+
+
+def turned(axis: Array, angle: float) -> Array:
+    """Rotation matrix about a unit axis (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross))
+
+
+class SensorReading:
+    """step·⌊(scale·x + bias)/step + ½⌋; without rounding for a step of zero."""
+
+    def __init__(self, scale: float, bias: float, step: float) -> None:
+        self.scale, self.bias, self.resolution = scale, bias, step
+
+    def read(self, x: float) -> float:
+        y = self.scale * x + self.bias
+        return self.resolution * math.floor(y / self.resolution + 0.5) if self.resolution > 0.0 else y
+
+
+class GripperSway:
+    """A tool that hangs ``length`` [m] below the tip on two passive joints: a damped spherical pendulum."""
+
+    def __init__(self, dt: float, length: float, damping_ratio: float) -> None:
+        self.dt, self.length, self.damping, self.rate = dt, length, damping_ratio, math.sqrt(GRAVITY / length)
+        self.reset()
+
+    def reset(self) -> None:
+        self.bob: Array | None = None
+
+    def step(self, pivot: Array) -> Array:
+        """Tip (3,) → tool (3,); the pivot moves evenly during the step (velocity Verlet in sub-steps)."""
+        square = self.length**2
+        if self.bob is None:
+            self.bob, self.speed, self.pivot, self.pivot_speed = pivot[:2].copy(), np.zeros(2), pivot.copy(), np.zeros(3)
+        parts = max(1, math.ceil(self.dt * self.rate / 0.1))
+        h, going = self.dt / parts, (pivot - self.pivot) / self.dt
+        at, away = self.pivot[:2].copy(), self.bob - self.pivot[:2]
+        drop = math.sqrt(max(square - float(away @ away), 1e-4 * square))
+        jump = going - self.pivot_speed
+        speed = self.speed + away * (float(away @ jump[:2]) - drop * jump[2]) / square
+        bob = self.bob
+        for _ in range(parts):
+            half = speed + 0.5 * h * self._pull(bob - at, speed - going[:2], h)
+            bob, at = bob + h * half, at + h * going[:2]
+            speed = half + 0.5 * h * self._pull(bob - at, half - going[:2], h)
+            over = float((bob - at) @ (bob - at)) / (0.9999 * square)
+            if over > 1.0:  # a jump of the pivot beyond the length: the tool follows
+                bob, speed = at + (bob - at) / math.sqrt(over), going[:2].copy()
+        self.bob, self.speed, self.pivot, self.pivot_speed = bob, speed, pivot.copy(), going
+        away = bob - pivot[:2]
+        return np.array([bob[0], bob[1], pivot[2] - math.sqrt(max(square - float(away @ away), 0.0))])
+
+    def _pull(self, away: Array, speed: Array, h: float) -> Array:
+        """Acceleration for a horizontal deflection and a speed relative to the pivot."""
+        square = self.length**2
+        drop = math.sqrt(max(square - float(away @ away), 1e-4 * square))
+        fall = -float(away @ speed) / drop
+        tension = min((GRAVITY * drop / self.length + (float(speed @ speed) + fall**2) / self.length) / self.length, 1.0 / h**2)
+        return -tension * away - 2.0 * self.damping * self.rate * speed

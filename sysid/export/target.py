@@ -1,0 +1,85 @@
+"""What every export target offers: how it represents each effect, its files, and a simulation of them for the replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+SupportKind = Literal["native", "composed", "plugin", "not_representable"]
+
+
+@dataclass(frozen=True)
+class Support:
+    """How a target represents an effect.
+
+    Args:
+        kind: ``native``: the format has it; ``composed``: of several elements of the format; ``plugin``: by the drive model
+            that ships with the file; ``not_representable``: the export lacks it.
+        how: the element or file, or the reason.
+    """
+
+    kind: SupportKind
+    how: str
+
+
+@dataclass(frozen=True)
+class Start:
+    """State of rest from which a replay begins, (A,) each: joints at their sensors, drives, and the commands held before."""
+
+    joints: Array
+    drive: Array
+    commands: Array
+
+
+class Simulation(Protocol):
+    """A written export in its simulator. Both methods return true signals by name (:mod:`sysid.signals`), in SI units."""
+
+    def reset(self, start: Start) -> Mapping[str, float]: ...
+
+    def step(self, commands: Array) -> Mapping[str, float]:
+        """Advance by one sample; the commands are those of :func:`sysid.plant.stepper.step_commands`."""
+        ...
+
+
+class Target(Protocol):
+    """A format of another simulator.
+
+    Attributes:
+        name: as in ``sysid export --to NAME``.
+        title: of the simulator, for people.
+        extra: modules that it needs beside the core (:mod:`sysid.extras`).
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def modules(self) -> tuple[str, ...]: ...
+
+    def support(self, effect: Effect) -> Support:
+        """How it represents an effect."""
+        ...
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        """Write the files into an existing folder; returns their names, the main one first.
+
+        Raises:
+            SettingsError: the target cannot represent this machine.
+        """
+        ...
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        """The files in their simulator; None where it cannot run here."""
+        ...

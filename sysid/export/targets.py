@@ -1,0 +1,23 @@
+"""The list of export targets."""
+
+from __future__ import annotations
+
+from sysid.errors import SettingsError, nearest
+from sysid.export.json_target import JsonTarget
+from sysid.export.lut import LutTarget
+from sysid.export.mjcf import MjcfTarget
+from sysid.export.target import Target
+
+TARGETS: tuple[Target, ...] = (MjcfTarget(), LutTarget(), JsonTarget())
+
+
+def target_named(name: str) -> Target:
+    """The target of ``sysid export --to NAME``.
+
+    Raises:
+        SettingsError: no target has that name.
+    """
+    names = [target.name for target in TARGETS]
+    if name not in names:
+        raise SettingsError("sysid export", f"no target {name!r}", nearest(name, names))
+    return TARGETS[names.index(name)]

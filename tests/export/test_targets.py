@@ -1,0 +1,128 @@
+"""Effects × targets: every native, composed and plugin cell replays as the plant does; the page of them is current."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_drive_model import name_of, placed, probe_plant
+
+from sysid.datasets.recording import Recording
+from sysid.effects import CATALOGUE, effect_named
+from sysid.export.drive_data import WITHOUT_PART
+from sysid.export.matrix import matrix_page
+from sysid.export.replay import SHARE, Replay, replay
+from sysid.export.target import Target
+from sysid.export.targets import TARGETS
+from sysid.machine import KnownEffect, machine_from_files
+from sysid.plant import Plant, nominal_plant
+from sysid.testing.probe import RATE_HZ, probe_recording, with_inputs
+
+ROOT = Path(__file__).parents[2]
+#: The plant integrates dry friction in steps of a sample, a simulator in shorter ones: they meet as samples shorten.
+FINE = ("coulomb_friction",)
+
+
+def recording(fine: bool) -> Recording:
+    """The inputs of the probe, or the same ten times as often."""
+    source = probe_recording()
+    if not fine:
+        return source
+    names = [str(name) for name in source.table.columns if name != "time"]
+    rows = np.repeat(source.table[names].to_numpy(), 10, axis=0)
+    return with_inputs(Recording("fine", source.table, 10.0 * RATE_HZ), names, rows)
+
+
+def replayed(target: Target, plant: Plant, folder: Path, fine: bool = False) -> Replay:
+    if fine:
+        text = plant.machine.text.replace("rate_hz = 100.0", "rate_hz = 1000.0")
+        plant = Plant(machine_from_files(plant.machine.files() | {"machine.toml": text}, "fine"), plant.linkages, plant.effects)
+    target.write(plant, plant.machine.rate_hz, folder)
+    simulation = target.simulation(plant, folder)
+    assert simulation is not None
+    return replay(plant, simulation, [recording(fine)], {})
+
+
+CELLS = [
+    pytest.param(target, item, id=f"{target.name}-{name_of(item)}")
+    for target in TARGETS
+    for item in placed()
+    if target.support(effect_named(item.name)).kind != "not_representable"
+]
+
+
+@pytest.mark.parametrize(("target", "item"), CELLS)
+def test_a_cell_replays_as_the_plant_does(target: Target, item: KnownEffect, tmp_path: Path) -> None:
+    found = replayed(target, probe_plant(item), tmp_path, item.name in FINE and target.name == "mjcf")
+    assert {row.signal for row in found.rows} >= {"slew.joint", "boom.cylinder", "boom.joint", "slide.joint", "ee.x", "tool.z"}
+    assert [row for row in found.rows if not row.agrees] == []
+    assert all(row.allowed == pytest.approx(SHARE * row.motion) for row in found.rows)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_an_effect_that_is_not_representable_is_missed_by_the_replay(target: Target, tmp_path: Path) -> None:
+    """The replay is what shows it: an export without the effect differs from the plant."""
+    for name, place in (("valve_hysteresis", "slew"), ("pump_flow_limit", "machine"), ("gripper_sway", "tool")):
+        effect = effect_named(name)
+        if target.support(effect).kind == "not_representable":
+            folder = tmp_path / name
+            folder.mkdir()
+            item = KnownEffect(name, place, dict(effect.example))
+            assert not replayed(target, probe_plant(item), folder).agrees, name
+
+
+def test_every_cell_has_a_reason() -> None:
+    for target in TARGETS:
+        for effect in CATALOGUE:
+            assert len(target.support(effect).how) > 5, (target.name, effect.name)
+
+
+def test_the_page_is_current() -> None:
+    remedy = "python -m sysid.export.matrix docs/export.md"
+    assert (ROOT / "docs" / "export.md").read_text("utf-8") == matrix_page(), remedy
+
+
+def test_what_no_part_computes_is_data_alone() -> None:
+    by_plugin = {e.name for t in TARGETS for e in CATALOGUE if t.support(e).kind == "plugin"}
+    assert not by_plugin & set(WITHOUT_PART)
+
+
+def test_a_machine_without_a_urdf(tmp_path: Path) -> None:
+    """Its axes are bodies side by side."""
+    text = """schema = 1
+name = "pair"
+rate_hz = 100.0
+[[axes]]
+name = "turn"
+actuation = "velocity"
+drives = "joint"
+gain = 0.5
+joint_type = "revolute"
+limits = [-0.3, 0.3]
+[[axes]]
+name = "push"
+actuation = "force"
+drives = "joint"
+inertia = 2.0
+joint_type = "prismatic"
+limits = [-5.0, 5.0]
+"""
+    machine = machine_from_files({"machine.toml": text}, "pair")
+    source = probe_recording()
+    names = {"slew": "turn", "slide": "push"}
+    table = source.table[["time"]].copy()
+    for probe, name in names.items():
+        for kind in ("command", "joint"):
+            table[f"{name}.{kind}"] = source.values(f"{probe}.{kind}")
+    for k, target in enumerate(TARGETS):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        plant = nominal_plant(machine)
+        target.write(plant, 100.0, folder)
+        simulation = target.simulation(plant, folder)
+        assert simulation is not None
+        found = replay(plant, simulation, [Recording("run", table, RATE_HZ)], {})
+        assert found.agrees, (target.name, found.rows)
+        ends = [row for row in found.rows if row.signal == "turn.joint"]
+        assert ends[0].motion > 0.1, "it reaches its end stops"
