@@ -22,6 +22,7 @@ EXTRAS: dict[str, str] = {
     "mujoco": "mujoco",
     "onnx": "onnx",
     "onnxruntime": "onnx",
+    "distributed": "cluster",
     "tensorboard": "tensorboard",
 }
 

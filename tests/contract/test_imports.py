@@ -17,7 +17,7 @@ PACKAGE = ROOT / "sysid"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("release", "errors", "foreign", "parse", "children", "lazy", "extras"),
     ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers", "display"),
-    ("config", "root", "location"),
+    ("config", "root", "location", "execution"),
     ("logs", "machine"),
     ("effects",),
     ("datasets",),
@@ -28,7 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("reports", "view", "export"),
     ("rl",),
     ("workspace",),
-    ("model_versions",),
+    ("model_versions", "fleet"),
     ("site",),
     ("runner",),
     ("cli",),
