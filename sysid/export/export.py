@@ -83,6 +83,11 @@ def export_plant(
     half.mkdir()
     try:
         found = _write(plant, dataset, target, half, folder, samples, seed)
+        while found.replay is not None and not found.replay.agrees and (simpler := target.fallback()) is not None:
+            shutil.rmtree(half)
+            half.mkdir()
+            target = simpler
+            found = _write(plant, dataset, target, half, folder, samples, seed)
         if found.replay is not None and not found.replay.agrees and not force:
             raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, dataset.units))
         if folder.exists():
