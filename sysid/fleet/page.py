@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid.display import number, shown_unit
 from sysid.fleet.effects import ParameterHistory
 from sysid.fleet.result import FleetResult
 from sysid.fleet.tables import place_of, tables
 from sysid.machine import Machine
 from sysid.reports.charts import ChartCurve, chart
-from sysid.reports.display import number, shown_unit
 from sysid.reports.pages import page
 
 #: Half width of the band around a value: 95 % of its recording alone.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sysid.display import NOTHING, quantity
 from sysid.fleet.differences import Difference
 from sysid.fleet.drift import Drift
 from sysid.fleet.effects import FleetEffect
 from sysid.fleet.result import FleetResult
 from sysid.machine import Machine
-from sysid.reports.display import NOTHING, quantity
 from sysid.reports.words import effect_place
 
 
