@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from sysid.effects import effect_named
 from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.standalone.joint_parts import GRAVITY
 from sysid.export.torchscript import axes, command_parts, force_parts, joint_parts
+from sysid.export.torchscript.files import scripted
 from sysid.export.torchscript.model import DriveModel
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import signals_of, slot_indices
@@ -61,9 +61,7 @@ def script_of(plant: Plant, rate_hz: float, thetas: Array | None = None) -> Any:
         thetas: parameter vectors of the plant (count, N) that it must also run with: its longest delays.
     """
     module = _Assembly(plant, rate_hz, plant.vector()[None] if thetas is None else thetas).model()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of TorchScript itself, the format that Isaac Lab loads
-        return torch.jit.script(module.eval())
+    return scripted(module)
 
 
 class _Assembly:
@@ -153,7 +151,7 @@ class _Assembly:
         sway = self.data["sway"]
         if sway is None:
             return None
-        rate = math.sqrt(joint_parts.GRAVITY / sway["length"])
+        rate = math.sqrt(GRAVITY / sway["length"])
         return joint_parts.GripperSway(self.dt, self.at("gripper_sway", "tool"), max(1, math.ceil(self.dt * rate / 0.1)))
 
     def readings(self) -> dict[str, tuple[str, list[int]]]:
@@ -170,5 +168,3 @@ class _Assembly:
                 sensors = [self.at(f"sensor_{what}", signal) for what in ("scale", "bias", "quantisation")]
                 found[signal] = (place[0], [place[1], *sensors])
         return found
-
-

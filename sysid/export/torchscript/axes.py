@@ -101,7 +101,8 @@ class PositionAxis(Axis):
     """Command and demand are positions."""
 
     def __init__(
-        self, dt: float, low: float, high: float, stage: CommandStage, sag_at: int, linkage: Linkage | None, columns: JointColumns
+        self, dt: float, low: float, high: float, stage: CommandStage, sag_at: int, linkage: Linkage | None,
+        columns: JointColumns,
     ) -> None:  # fmt: skip
         super().__init__(dt, low, high, stage.width, linkage, columns, sag_at)
         self.stage, self.servo = stage, True

@@ -4,6 +4,7 @@
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -59,8 +60,8 @@ class InputDelay(Part):
     """delay; ``width``: samples that the longest delay needs, newest first"""
 
     def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
-        samples = torch.clamp(theta[:, self.at] / self.dt, 0.0, float(self.width - 2))
-        whole = torch.floor(samples)
+        samples = torch.clamp(theta[:, self.at] / self.dt, 0.0, float(self.width - 1))
+        whole = torch.clamp(torch.floor(samples), max=float(self.width - 2))
         past = torch.where(torch.isnan(state), u[:, None], state)
         past = torch.cat([u[:, None], past[:, : self.width - 1]], dim=1)
         index = whole.to(torch.int64)[:, None]
@@ -228,7 +229,7 @@ class CommandStage(nn.Module):
 
     def __init__(self, parts: list[Part]) -> None:
         super().__init__()
-        self.parts = nn.ModuleList(parts)
+        self.parts: Any = nn.ModuleList(parts)
         self.width = sum(part.width for part in parts)
 
     def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:

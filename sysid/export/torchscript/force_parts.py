@@ -1,6 +1,7 @@
 """Parts of a force axis: force over a step → mean speed, with friction that may stop the motion but not reverse it."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -64,7 +65,8 @@ class RigidDrive(nn.Module):
     def __init__(self, dt: float, inertia: float, ratio_at: int, bias_at: int, laws: list[Friction]) -> None:
         super().__init__()
         self.dt, self.inertia, self.ratio_at, self.bias_at = dt, inertia, ratio_at, bias_at
-        self.laws, self.width = nn.ModuleList(laws), 1
+        self.laws: Any = nn.ModuleList(laws)
+        self.width = 1
 
     def forward(self, force: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Mean speed of the step, and the state: speed."""

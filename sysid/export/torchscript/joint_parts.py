@@ -27,7 +27,9 @@ class Linkage(nn.Module):
     def displacement(self, joint: Tensor) -> Tensor:
         """The inverse, inside the table."""
         sorted_joints = (self.rising * self.joints).contiguous()
-        k = torch.clamp(torch.searchsorted(sorted_joints, (self.rising * joint).contiguous(), right=True) - 1, 0, self.count - 2)
+        k = torch.clamp(
+            torch.searchsorted(sorted_joints, (self.rising * joint).contiguous(), right=True) - 1, 0, self.count - 2
+        )
         share = (self.rising * joint - sorted_joints[k]) / (sorted_joints[k + 1] - sorted_joints[k])
         return self.low + self.spacing * (k + torch.clamp(share, 0.0, 1.0))
 
@@ -55,8 +57,8 @@ class Kinematics(nn.Module):
     """Chain of joints from base to tip.
 
     Args:
-        joints: as of :class:`sysid.export.standalone.joint_parts.Kinematics`, with the nominal ``shift``, and with ``length_at``,
-            the column of the length error of the link before the joint (−1 for none), and its ``length`` [m].
+        joints: as of :class:`sysid.export.standalone.joint_parts.Kinematics`, with the nominal ``shift``, and with
+            ``length_at``, the column of the length error of the link before the joint (−1 for none), and its ``length`` [m].
         tip: the same entries of the tip; ``tip_at``, ``base_at``: columns of the first component of ``tip_offset`` and of
             ``base_misalignment`` (translation, rotation), −1 for none.
     """
@@ -97,7 +99,9 @@ class Kinematics(nn.Module):
             else:
                 turn = torch.bmm(turned(axis, value), turn)
             moments.append(self.mass[j] * (place + torch.matmul(turn, self.centre[j])))
-        return self.measured(place + applied(turn, self.shifted(self.count, theta)), theta), self.loads(q, axes, origins, moments)
+        return self.measured(place + applied(turn, self.shifted(self.count, theta)), theta), self.loads(
+            q, axes, origins, moments
+        )
 
     def shifted(self, j: int, theta: Tensor) -> Tensor:
         """Translation of frame j (N, 3), the tip's for j = ``count``."""
@@ -133,7 +137,10 @@ class Kinematics(nn.Module):
 
 
 class GripperSway(nn.Module):
-    """The hanging tool; ``at``: length, damping_ratio. ``parts``: sub-steps. State: bob (2), speed (2), pivot (3), its speed (3)."""
+    """The hanging tool; ``at``: length, damping_ratio. ``parts``: sub-steps.
+
+    State: place (2) and speed (2) of the bob, place (3) and speed (3) of the pivot.
+    """
 
     def __init__(self, dt: float, at: int, parts: int) -> None:
         super().__init__()

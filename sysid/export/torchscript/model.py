@@ -1,6 +1,7 @@
 """The machine: commands of all axes → drives, joints, end effector and tool, for a batch of N machines."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,8 +19,8 @@ class DriveModel(nn.Module):
     Args:
         parameters: names (``effect.target[.side].slot``) and values (P,) of the parameters of one machine.
         pump_at: column of the limit of the pump, −1 for none.
-        readings: signal → its source (``drive``, ``joints``, ``ee``, ``tool``), its column there, and the columns of scale, bias
-            and step of its sensor, −1 for an ideal one.
+        readings: signal → its source (``drive``, ``joints``, ``ee``, ``tool``), its column there, and the columns of scale,
+            bias and step of its sensor, −1 for an ideal one.
     """
 
     def __init__(
@@ -31,7 +32,8 @@ class DriveModel(nn.Module):
         self.parameter_names = [*parameters, "none"]
         self.register_buffer("values", torch.tensor([*parameters.values(), 0.0], dtype=torch.float64))
         self.values: Tensor
-        self.axes, self.pump_at = nn.ModuleList(axes), pump_at
+        self.axes: Any = nn.ModuleList(axes)
+        self.pump_at = pump_at
         self.posed, self.kinematics = kinematics is not None, kinematics or _no_kinematics(len(axes))
         self.swings, self.sway = sway is not None, sway or GripperSway(dt, 0, 1)
         self.signals = list(readings)
@@ -49,10 +51,8 @@ class DriveModel(nn.Module):
         """Positions of the drives (N, A) for joints at their sensors (N, A)."""
         straight = self.without_sag(theta, joints)
         found: list[Tensor] = []
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             found.append(axis.inverse(straight[:, k]))
-            k += 1
         return torch.stack(found, dim=1)
 
     @torch.jit.export
@@ -60,11 +60,11 @@ class DriveModel(nn.Module):
         """At rest: joints at their sensors, drives, and the commands held for a long time before, (N, A) each."""
         straight = self.without_sag(theta, joints)
         rows: list[Tensor] = []
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             rows.append(axis.begin(drives[:, k], straight[:, k]))
-            k += 1
-        state = torch.cat([torch.cat(rows, dim=1), torch.zeros_like(joints), joints.new_full((joints.shape[0], 10), math.nan)], dim=1)
+        state = torch.cat(
+            [torch.cat(rows, dim=1), torch.zeros_like(joints), joints.new_full((joints.shape[0], 10), math.nan)], dim=1
+        )
         settled, _ = self.place(state, theta)
         load = settled[:, self.inner : self.inner + self.count]
         state, signals = self.place(torch.cat([state[:, : self.inner], load, state[:, -10:]], dim=1), theta)
@@ -79,22 +79,18 @@ class DriveModel(nn.Module):
         """
         demands, inner = self.demands(commands, state, theta, False)
         flow = torch.zeros_like(demands[0])
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             if not math.isinf(axis.gain):
                 flow = flow + torch.abs(demands[k]) / axis.gain
-            k += 1
         limit = parameter(theta, self.pump_at, math.inf)
         share = torch.where(flow > limit, limit / torch.where(flow > limit, flow, torch.ones_like(flow)), torch.ones_like(flow))
         rows: list[Tensor] = []
         first = 0
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             demand = demands[k] if math.isinf(axis.gain) else share * demands[k]
             rows.append(axis.move(demand, inner[:, first : first + axis.width]))
             first += axis.width
-            k += 1
-        return self.place(torch.cat(rows + [state[:, self.inner :]], dim=1), theta)
+        return self.place(torch.cat([torch.cat(rows, dim=1), state[:, self.inner :]], dim=1), theta)
 
     @torch.jit.export
     def readings(self, theta: Tensor, signals: Signals) -> Signals:
@@ -114,15 +110,13 @@ class DriveModel(nn.Module):
         demands: list[Tensor] = []
         rows: list[Tensor] = []
         first = 0
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             own = state[:, first : first + axis.width]
             command = own[:, 0] if hold and axis.servo else commands[:, k]
             demand, after = axis.demand(command, state[:, self.inner + k], own, theta, hold)
             demands.append(demand)
             rows.append(after)
             first += axis.width
-            k += 1
         return demands, torch.cat(rows, dim=1)
 
     def place(self, state: Tensor, theta: Tensor) -> tuple[Tensor, Signals]:
@@ -133,8 +127,7 @@ class DriveModel(nn.Module):
         structures: list[Tensor] = []
         rows: list[Tensor] = []
         first = 0
-        k = 0
-        for axis in self.axes:
+        for k, axis in enumerate(self.axes):
             own = state[:, first : first + axis.width]
             joint, own = axis.joint(before[:, k], own, theta)
             structure, own = axis.structure(joint, before[:, k], own, theta)
@@ -143,7 +136,6 @@ class DriveModel(nn.Module):
             structures.append(structure)
             rows.append(own)
             first += axis.width
-            k += 1
         q = torch.stack(structures, dim=1)
         load, ee, hanging = before, q.new_full((q.shape[0], 3), math.nan), state[:, -10:]
         if self.posed:
@@ -154,7 +146,7 @@ class DriveModel(nn.Module):
         found = {"drive": torch.stack(drives, dim=1), "joints": torch.stack(joints, dim=1), "structure": q, "load": load}
         found["ee"] = ee
         found["tool"] = tool
-        return torch.cat(rows + [load, hanging], dim=1), found
+        return torch.cat([torch.cat(rows, dim=1), load, hanging], dim=1), found
 
     def without_sag(self, theta: Tensor, joints: Tensor) -> Tensor:
         """Joints without the sag of their drives."""
@@ -174,6 +166,13 @@ class DriveModel(nn.Module):
 
 def _no_kinematics(axes: int) -> Kinematics:
     """A stand-in that is never called: every submodule of a script has a value."""
-    none = {"rotation": [[0.0] * 3] * 3, "axis": [0.0] * 3, "centre": [0.0] * 3, "shift": [0.0] * 3, "length_at": -1, "length": 1.0}
+    none = {
+        "rotation": [[0.0] * 3] * 3,
+        "axis": [0.0] * 3,
+        "centre": [0.0] * 3,
+        "shift": [0.0] * 3,
+        "length_at": -1,
+        "length": 1.0,
+    }
     joint = {**none, "prismatic": False, "axis_index": axes - 1, "ratio": 1.0, "offset": 0.0, "mass": 0.0}
     return Kinematics([joint], none, -1, -1)
