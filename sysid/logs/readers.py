@@ -15,6 +15,7 @@ from sysid.logs.mat import MatReader
 from sysid.logs.mcap import McapReader
 from sysid.logs.mf4 import Mf4Reader
 from sysid.logs.motive import MotiveReader
+from sysid.logs.npz import NpzReader
 from sysid.logs.parquet import ParquetReader
 from sysid.logs.qualisys import QualisysReader
 from sysid.logs.reader import LogReader
@@ -37,6 +38,7 @@ READERS: tuple[LogReader, ...] = (
     ParquetReader(),
     LeRobotReader(),
     MatReader(),
+    NpzReader(),
     JsonReader(),
 )
 
