@@ -5,9 +5,9 @@
 For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
 cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
 ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
-The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). A
-machine whose result is in the work folder is not run again. With ``--publish`` the result goes to reports/loop/ and the tables
-to docs/closing-the-gap.md and README.md.
+The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). What
+the work folder has of a machine is not run again (rounds.json, compared.json). With ``--publish`` the result goes to
+reports/loop/ and the tables to docs/closing-the-gap.md and README.md.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ import json
 import shutil
 import sys
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, true_plant
+from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, guessed_plant, true_plant
 from loop.page import summary, tables
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
@@ -35,17 +38,13 @@ ROOT = Path(__file__).resolve().parents[1]
 REPORT, PAGE = ROOT / "reports" / "loop" / "result.json", ROOT / "docs" / "closing-the-gap.md"
 PIPELINE = "pipelines/close_the_gap.py"
 SEEDS = (0, 1, 2, 3, 4)
+#: Runs of the other controllers are numbered from here, above those of the rounds: each run has its own noise.
+RUNS_OF_ROUNDS = 100
 
 
 def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
     """Run the loop on the machine of every seed and write the result."""
-    machines = []
-    for seed in seeds:
-        folder = work / f"machine-{seed}"
-        kept = folder / "result.json"
-        if not kept.exists():
-            write_result(kept, run_machine(seed, folder))
-        machines.append(json.loads(kept.read_text("utf-8")))
+    machines = [run_machine(seed, work / f"machine-{seed}") for seed in seeds]
     words = " ".join(map(str, seeds))
     result = {**provenance(f"{PIPELINE} --seeds {words}", seeds[0]), "seeds": list(seeds), "machines": machines}
     report = REPORT if publish else work / "result.json"
@@ -59,6 +58,20 @@ def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
 
 
 def run_machine(seed: int, folder: Path) -> dict[str, Any]:
+    """The entry of one machine: its rounds, and other controllers beside them; what the folder has is not run again."""
+    found = kept(folder / "rounds.json", lambda: run_rounds(seed, folder))
+    return {**found, "compared": kept(folder / "compared.json", lambda: compare(seed, folder, found))}
+
+
+def kept(path: Path, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+    """The content of ``path``, which is made if it is missing."""
+    if not path.exists():
+        write_result(path, make())
+    content: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return content
+
+
+def run_rounds(seed: int, folder: Path) -> dict[str, Any]:
     """Draw and seal the machine of a seed, close its gap, and compare the names with the truth."""
     shutil.rmtree(folder, ignore_errors=True)
     machine = draw_machine(seed)
@@ -68,16 +81,24 @@ def run_machine(seed: int, folder: Path) -> dict[str, Any]:
     begin = time.perf_counter()
     rounds = close_gap(site, lambda text: print(f"seed {seed}, {text}", flush=True))
     seconds = time.perf_counter() - begin
-    hidden, nominal = read_truth(truth), site.nominal()
-    print(write_story(folder / "story.rrd", nominal.machine, rounds, f"closing the gap, seed {seed}"))
+    print(write_story(folder / "story.rrd", site.nominal().machine, rounds, f"closing the gap, seed {seed}"))
+    return {**machine_result(f"seed {seed}", read_truth(truth), rounds), "seconds": seconds}
+
+
+def compare(seed: int, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of the controllers of other plants on the machine of a seed, whose rounds are in ``folder``."""
+    machine = draw_machine(seed)
+    site = Site(machine, folder, runs=RUNS_OF_ROUNDS)
+    nominal, first = site.nominal(), site.workspace.dataset(found["rounds"][0]["dataset"])
     parked = {name: machine.visible.axis(name).park for name in AXES}
-    first = site.workspace.dataset(rounds[0].gap.dataset) if rounds[0].gap is not None else site.dataset()
-    compared = {
-        "lag_delay_gain": deployed(site, fixed_structure(nominal, first, LAG_DELAY_GAIN), "lag-delay-gain"),
-        "with_deadband": deployed(site, fixed_structure(nominal, first, WITH_DEADBAND), "with-deadband"),
-        "truth": deployed(site, true_plant(nominal, hidden, parked), "truth"),
+    hidden = read_truth(folder / "sealed" / "truth.json")
+    plants = {
+        "guessed": guessed_plant(nominal, np.random.default_rng([29, seed, 1])),
+        "lag_delay_gain": fixed_structure(nominal, first, LAG_DELAY_GAIN),
+        "with_deadband": fixed_structure(nominal, first, WITH_DEADBAND),
+        "truth": true_plant(nominal, hidden, parked),
     }
-    return {**machine_result(f"seed {seed}", hidden, rounds), "compared": compared, "seconds": seconds}
+    return {name: deployed(site, plant, name) for name, plant in plants.items()}
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
 .venv/bin/python pipelines/learning_tasks.py [--workspace DIR] [--moves N] [--seeds N] [--parts PART …]
 
-Needs the versions of `make demo`, and trains the policies of rl/autolog/tool.toml that are not there yet (two minutes of a
-core each). Writes reports/learning_tasks/result.json and the tables of docs/learning-tasks.md; with other numbers of moves or
-seeds than the published ones only into the workspace.
+Makes what is not there yet: the versions of `make demo` by pipelines/first_look.py, and the policies of rl/autolog/tool.toml
+(two minutes of a core each). Writes reports/learning_tasks/result.json and the tables of docs/learning-tasks.md; with other
+numbers of moves or seeds than the published ones only into the workspace.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import first_look
 from committed import provenance, write_result, write_tables
 from sysid.control.pendulum import pendulum_of
 from sysid.networks.policy import PolicyNetwork
@@ -46,7 +47,7 @@ Array = npt.NDArray[np.float64]
 
 def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS, parts: Sequence[str] = PARTS) -> Path:
     """Train what is not there, run the parts and write the result; the other parts stay as they were."""
-    registry = Registry(workspace)
+    registry = with_versions(workspace)
     plant, forward = load_versions(registry, PLANT, FORWARD)
     task = plan_tracking(plant, forward, "helix", full=True)
     published = (count, seeds) == (sway.MOVES, SEEDS)
@@ -95,6 +96,14 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS, parts: Se
         for name, text in page.tables(result).items():
             write_tables(PAGE, text, f"pipelines/learning_tasks.py: {name}")
     return report
+
+
+def with_versions(workspace: Path) -> Registry:
+    """The registry with plant and forward model of the shipped crane; the first-look pipeline makes them."""
+    registry = Registry(workspace)
+    if not {PLANT, FORWARD} <= {version.reference for version in registry.list()}:
+        first_look.main(workspace)
+    return registry
 
 
 @dataclass(frozen=True)

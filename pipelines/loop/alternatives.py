@@ -39,6 +39,8 @@ LAG_DELAY_GAIN = (
 )
 #: The same with one dead-band for both sides.
 WITH_DEADBAND = (*LAG_DELAY_GAIN, FreeParameter("valve_deadband", ("positive", "negative"), 0.0, 0.7, 5e-3))
+#: Half-width of the guessed randomisation, relative to the nominal value, and its number of samples.
+GUESS, SAMPLES = 0.2, 64
 #: Displacements over this time are compared [s]: over whole runs the errors of a wrong structure add up to a drift.
 SPAN_S = 1.0
 
@@ -79,6 +81,24 @@ def _fitted(plant: Plant, axis: Axis, recordings: Sequence[Recording], structure
 def _value(plant: Plant, free: FreeParameter, target: str) -> float:
     known = plant.effect(free.effect, target)
     return free.neutral if known is None else float(np.mean([np.mean(known.parameters[name]) for name in free.names]))
+
+
+def guessed_plant(nominal: Plant, draw: np.random.Generator) -> Plant:
+    """A plant whose controller is robust to a guess: the parameters of every valve are uncertain by :data:`GUESS`.
+
+    Of :data:`SAMPLES` plants it has the mean gain and dead-band, by which the controller inverts the valve, and the largest
+    dead time and lag, for which its feedback is stable.
+    """
+    plant = nominal
+    for axis in nominal.machine.axes:
+        for free in WITH_DEADBAND:
+            known = nominal.effect(free.effect, axis.name)
+            middle = {name: free.neutral if known is None else float(known.parameters[name]) for name in free.names}
+            factors = draw.uniform(1.0 - GUESS, 1.0 + GUESS, (SAMPLES, len(free.names)))
+            chosen = factors.max(axis=0) if free.effect in ("input_delay", "first_order_lag") else factors.mean(axis=0)
+            values = {name: middle[name] * float(factor) for name, factor in zip(free.names, chosen, strict=True)}
+            plant = plant.with_effect(KnownEffect(free.effect, axis.name, values))
+    return plant
 
 
 def true_plant(nominal: Plant, hidden: Sequence[Mapping[str, Any]], parked: Mapping[str, float]) -> Plant:

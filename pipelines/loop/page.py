@@ -31,6 +31,7 @@ def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mappin
     return {
         "nominal plant": [machine["rounds"][0] for machine in machines],
         "repaired plant, last round": [machine["rounds"][-1] for machine in machines],
+        "nominal plant, ±20 % guessed": [machine["compared"]["guessed"] for machine in machines],
         "dead time, lag and gain by least squares": [machine["compared"]["lag_delay_gain"] for machine in machines],
         "the same and one dead-band": [machine["compared"]["with_deadband"] for machine in machines],
         "true plant": [machine["compared"]["truth"] for machine in machines],
@@ -98,17 +99,17 @@ def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
 
 def _ratios(machines: Sequence[Mapping[str, Any]]) -> str:
     """Largest coordinate of the error on the helix after the last round, relative to other runs."""
-    head = ("machine", "before", "after", "after / simulated", "after / true plant", "one dead-band / after")
+    head = ("machine", "before", "after", "after / simulated", "after / true plant", "guessed / after", "one dead-band / after")
     rows = []
     for machine in machines:
         first, last, compared = machine["rounds"][0], machine["rounds"][-1], machine["compared"]
         after = max(last["helix"]["max_mm"])
         pairs = ((after, last["simulation"]["helix"]), (after, compared["truth"]["helix"]))
         ratios = [after / max(other["max_mm"]) for after, other in pairs]
-        one = compared["with_deadband"]["helix"].get("max_mm")
-        without = "refused" if one is None else f"{max(one) / after:.1f}"
+        others = [compared[name]["helix"].get("max_mm") for name in ("guessed", "with_deadband")]
+        without = ["refused" if worst is None else f"{max(worst) / after:.1f}" for worst in others]
         figures = (f"{max(first['helix']['max_mm']):.0f} mm", f"{after:.1f} mm", *(f"{ratio:.2f}" for ratio in ratios))
-        rows.append((machine["name"], *figures, without))
+        rows.append((machine["name"], *figures, *without))
     return markdown(head, rows, "l")
 
 

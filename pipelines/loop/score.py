@@ -60,6 +60,7 @@ def _round(each: Round) -> dict[str, Any]:
         return {**row, "named": [], "promoted": False}
     return {
         **row,
+        "dataset": gap.dataset,
         "named": [{"name": e.name, "target": e.target, "parameters": dict(e.given)} for e in gap.effects],
         "ambiguous": [[list(name) for name in tie] for tie in gap.ambiguous],
         "verdict": gap.verdict,

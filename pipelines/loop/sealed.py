@@ -1,8 +1,8 @@
 """Sealed machines: a crane as its owner describes it, and a real one that hides five kinds of errors, drawn from a seed.
 
-What is hidden: the sway of the gripper, backlash of two joints, unequal dead-bands of three valves, dead time of one valve, and
-an offset of one joint. The magnitudes are those of docs/machine-facts.md. ``write_site`` writes the owner's description,
-``write_truth`` the truth; the workflow reads the former only.
+What is hidden: the sway of the gripper, backlash of two joints, unequal dead-bands of three valves, dead time of two valves,
+and offsets of boom and stick, which hang lower than their sensors say. The magnitudes are those of docs/machine-facts.md.
+``write_site`` writes the owner's description, ``write_truth`` the truth; the workflow reads the former only.
 """
 
 from __future__ import annotations
@@ -30,6 +30,12 @@ OVERLAP = 0.10
 #: The valves of a 1:14 excavator have 0.43 to 0.67, sides differ by up to 0.09; the stick needs its speed on the helix.
 OVERLAPS = {"slew": (0.43, 0.50), "boom": (0.43, 0.50), "stick": (0.25, 0.30)}
 UNEQUAL = (0.04, 0.09)
+#: Dead time beyond the described one, of the slew or the boom, and of the stick, whose hoses are longest [s]. Small machines
+#: have up to 0.04 s altogether, a full-size excavator up to 0.7 s.
+LATE = (0.04, 0.07)
+STICK_LATE = (0.09, 0.12)
+#: Offset of boom and stick, downwards [°].
+LOWER = (0.7, 1.0)
 #: What the owner describes, over the shipped crane: no backlash, no hanging tool, one overlap for all valves.
 VISIBLE: Tables = {
     "name": "crane",
@@ -92,15 +98,14 @@ def _hidden(visible: Tables, draw: np.random.Generator) -> tuple[Tables, tuple[H
         bands = {"valve": {"deadband_positive": positive, "deadband_negative": negative}}
         axes = overlaid(axes, {name: bands})
 
-    slow = str(draw.choice(["slew", "boom"]))
-    delay = round(visible["axes"][slow]["valve"]["delay"] + _drawn(draw, 0.04, 0.07), 5)
-    hidden.append(HiddenEffect("input_delay", slow, {"delay": delay}))
-    axes = overlaid(axes, {slow: {"valve": {"delay": delay}}})
+    for name, range_s in ((str(draw.choice(["slew", "boom"])), LATE), ("stick", STICK_LATE)):
+        delay = round(visible["axes"][name]["valve"]["delay"] + _drawn(draw, *range_s), 5)
+        hidden.append(HiddenEffect("input_delay", name, {"delay": delay}))
+        axes = overlaid(axes, {name: {"valve": {"delay": delay}}})
 
-    bent, sign = str(draw.choice(["boom", "stick"])), float(draw.choice([-1.0, 1.0]))
-    offset = sign * _drawn(draw, np.radians(0.5), np.radians(1.0))
-    hidden.append(HiddenEffect("joint_offset", bent, {"offset": offset}))
-    return {"gripper": sway, "axes": axes, "build": {"joint_offset": {bent: offset}}}, tuple(hidden)
+    offsets = {name: -_drawn(draw, *np.radians(LOWER)) for name in ("boom", "stick")}
+    hidden += [HiddenEffect("joint_offset", name, {"offset": offset}) for name, offset in offsets.items()]
+    return {"gripper": sway, "axes": axes, "build": {"joint_offset": offsets}}, tuple(hidden)
 
 
 def _drawn(draw: np.random.Generator, low: float, high: float) -> float:

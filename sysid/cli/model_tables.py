@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
 from sysid.names import dotted
-from sysid.registry.effect_changes import effect_changes
+from sysid.registry.effect_changes import effect_changes, effect_interval, effect_value
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +61,7 @@ def show_model_lineage(out: Printer, found: ModelLineage) -> None:
 
 def show_model_diff(out: Printer, found: ModelDiff) -> None:
     """Differences of two versions, predictions first."""
-    from sysid.quantity import readable
+    from sysid.display import quantity
 
     out.line(f"{found.before} → {found.after}")
     if found.empty:
@@ -75,11 +75,11 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
         if not entry.points:
             at = "the fitted ranges do not overlap"
-        rows.append((entry.output, readable(entry.largest, entry.unit), readable(entry.rms, entry.unit), at))
+        rows.append((entry.output, quantity(entry.largest, entry.unit), quantity(entry.rms, entry.unit), at))
     if rows:
         out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
     if found.effects:
-        header = ("effect", "on", "parameter [SI]", "before", "after", "95 % interval")
+        header = ("effect", "on", "parameter", "before", "after", "95 % interval")
         out.table(header, [_effect_row(change) for change in found.effects], right=(3, 4))
     show_changes(out, "recipe", found.recipe)
     own = [change for change in found.lineage if change.what.split(".")[0] not in IN_JSON]
@@ -95,7 +95,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         out.line(f"geometry: {len(only)} parameters only in {who}")
     largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
-        (change.parameter, readable(change.before, change.unit), readable(change.after, change.unit), f"{change.sigmas:.1f}")
+        (change.parameter, quantity(change.before, change.unit), quantity(change.after, change.unit), f"{change.sigmas:.1f}")
         for change in largest[:MAX_PARAMETERS]
     ]
     if rows:
@@ -105,12 +105,8 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
 
 
 def _effect_row(change: EffectChange) -> tuple[str, ...]:
-    before, after = (_number(value) for value in (change.before, change.after))
-    return change.effect, change.target, change.parameter, before, after, " … ".join(map(_number, change.interval95))
-
-
-def _number(value: float | str | None) -> str:
-    return "none" if value is None else value if isinstance(value, str) else f"{value:.6g}"
+    before, after = (effect_value(value, change.unit) for value in (change.before, change.after))
+    return change.effect, change.target, change.parameter, before, after, effect_interval(change.interval95, change.unit)
 
 
 def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
@@ -142,7 +138,7 @@ def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
     effects = effect_changes({}, version.lineage)
     if effects:
         columns = [(row[0], row[1], row[2], row[4], row[5]) for row in map(_effect_row, effects)]
-        out.table(("effect", "on", "parameter [SI]", "value", "95 % interval"), columns, right=(3,))
+        out.table(("effect", "on", "parameter", "value", "95 % interval"), columns, right=(3,))
     if difference:
         out.block(difference)
     for decision in version.decisions:
@@ -180,8 +176,7 @@ def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -
 
 def show_drift(out: Printer, found: DriftReport) -> None:
     """The test for drift of each output."""
-    from sysid.quantity import readable
-    from sysid.reports.display import percent
+    from sysid.display import percent, quantity
     from sysid.versions.drift import OUTSIDE_SHARE
 
     rows = []
@@ -193,9 +188,9 @@ def show_drift(out: Printer, found: DriftReport) -> None:
                 entry.output,
                 entry.rows,
                 str(entry.inside),
-                readable(entry.own_rmse, entry.unit),
-                readable(entry.own_worst, entry.unit),
-                readable(entry.rmse, entry.unit),
+                quantity(entry.own_rmse, entry.unit),
+                quantity(entry.own_worst, entry.unit),
+                quantity(entry.rmse, entry.unit),
                 f"{entry.ratio:.2f} ({low:.2f} … {high:.2f})" if compared else "–",
                 ("< 0.001" if entry.p_value < 1e-3 else f"{entry.p_value:.3f}") if compared else "–",
                 entry.verdict,

@@ -12,13 +12,15 @@ from sysid.effects.compiled import inlined, loop
 from sysid.plant import chain
 from sysid.plant.axis_loop import begin, run
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.level import line, median, middle_and_spread, shift, squares
+from sysid.plant.level import first_motion, line, mean, median, middle_and_spread, shift
 from sysid.plant.machine_arrays import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.servo_start import start_servo
 from sysid.plant.valve_start import LEVEL_SECONDS, SPIKE, start_valve
 
 #: The speed of a force axis is estimated from this time [s], in this number of iterations.
 SPEED_WINDOW, SPEED_ROUNDS = 1.0, 6
+#: Iterations for the position of the drive in its backlash.
+SIDE_ROUNDS = 2
 
 
 @inlined
@@ -89,32 +91,20 @@ def _start_joint(p, arrays, i, s, start, command, joint, load, share, first, nea
 
 
 @loop
-def _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, net):
-    """Position in the backlash that fits the samples up to ``far`` best, for an axis whose joint is driven."""
+def _start_side(p, arrays, i, s, start, command, measured, load, share, first, moved, far, dt, out, behind, net):
+    """Position in the backlash of an axis whose joint is driven, so that the samples from ``moved`` to ``far`` have no offset.
+
+    Once the drive has crossed the backlash, the joint is displaced as much as the start of the drive is. Each round displaces
+    the start by the mean difference; the second corrects for the samples in which the first was not across yet.
+    """
     half = 0.5 * p[i * AXIS_WIDTH + AT.backlash_drive]
     middle = start[STATE.position]
     start[STATE.backlash_drive] = middle
-    low_cost, middle_cost, high_cost = 0.0, 0.0, 0.0
-    for side in range(3):
-        start[STATE.position] = middle + (side - 1.0) * half
+    for _ in range(SIDE_ROUNDS):
         _copy_state(s, start)
         run(p, arrays, i, s, command, load, share, first, far, dt, out, behind, net)
-        cost = squares(measured, behind, first, far)
-        if side == 0:
-            low_cost = cost
-        elif side == 1:
-            middle_cost = cost
-        else:
-            high_cost = cost
-    bend = low_cost - 2.0 * middle_cost + high_cost
-    share = 0.0
-    if bend > 0.0:
-        share = min(max(0.5 * (low_cost - high_cost) / bend, -1.0), 1.0)
-    elif low_cost < high_cost:
-        share = -1.0
-    elif high_cost < low_cost:
-        share = 1.0
-    start[STATE.position] = middle + share * half
+        place = start[STATE.position] + mean(measured, behind, moved, far)
+        start[STATE.position] = min(max(place, middle - half), middle + half)
 
 
 @loop
@@ -126,7 +116,7 @@ def find_start(
 
     Args:
         window: samples for the position of the joint behind a cylinder, and for that of a stretch that ``follows``.
-        settle: samples for the position of the drive in its backlash; those of the window do not show it.
+        settle: samples after the first motion for the position of the drive in its backlash; those before do not show it.
         follows: the stretch follows the one that ended in ``start``: the valve is known, only the position is estimated.
         held: the first command was held for a long time before: the valve is known as well.
         s, out, behind, scratch, work: used inside.
@@ -165,5 +155,6 @@ def find_start(
     if cylinder:
         _start_joint(p, arrays, i, s, start, command, joint, load, share, first, near, dt, out, behind, scratch, net)
     elif p[b + AT.backlash_drive] > 0.0:
-        far = min(first + settle, last)
-        _start_side(p, arrays, i, s, start, command, measured, load, share, first, far, dt, out, behind, net)
+        moved = first_motion(measured, first, last)
+        far = min(moved + settle, last)
+        _start_side(p, arrays, i, s, start, command, measured, load, share, first, moved, far, dt, out, behind, net)

@@ -1,4 +1,4 @@
-"""Differences between a simulated and a measured stretch: median, spread, mean, squares, line; compiled."""
+"""Levels of a measured stretch and its differences from a simulated one: median, spread, mean, line; compiled."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from sysid.effects.compiled import inlined, loop
 MEDIAN_SAMPLES = 64
 #: Distance between the quartiles of a normal distribution [standard deviations].
 INTERQUARTILE_RANGE = 1.349
+#: An axis has left its rest when it is away from it by this share of its range.
+MOVED = 0.05
 
 
 @inlined
@@ -66,13 +68,28 @@ def shift(measured, simulated, first, last, most, middle, bound):
 
 
 @loop
-def squares(measured, simulated, first, last):
-    """Sum of the squared differences."""
-    total = 0.0
+def first_motion(measured, first, last):
+    """First sample that is away from the first value by :data:`MOVED` of the range of the stretch; ``first`` of none."""
+    origin, low, high = np.nan, np.inf, -np.inf
     for k in range(first, last):
         if not np.isnan(measured[k]):
-            total += (measured[k] - simulated[k]) ** 2
-    return total
+            origin = measured[k] if np.isnan(origin) else origin
+            low, high = min(low, measured[k]), max(high, measured[k])
+    for k in range(first, last):
+        if abs(measured[k] - origin) > MOVED * (high - low):
+            return k
+    return first
+
+
+@loop
+def mean(measured, simulated, first, last):
+    """Mean of the differences measured − simulated; 0 of none."""
+    count, total = 0, 0.0
+    for k in range(first, last):
+        if not np.isnan(measured[k]):
+            count += 1
+            total += measured[k] - simulated[k]
+    return total / count if count else 0.0
 
 
 @loop

@@ -30,7 +30,7 @@ Segments = npt.NDArray[np.int64]
 #: The start of the backlash behind a measured cylinder, and the position of a run that follows another, are estimated from
 #: this time [s].
 START_WINDOW = 0.2
-#: The position of the drive in its backlash at the start of a free run is estimated from this time [s].
+#: The position of the drive in its backlash at the start of a free run is estimated from this time after the first motion [s].
 SETTLE_WINDOW = 10.0
 #: A command may be missing this long [s] before the free run restarts.
 COMMAND_GAP = 0.1

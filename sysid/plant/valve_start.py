@@ -33,6 +33,8 @@ PIECE, PIECES = 0.05, 8
 BIN, WIDER = 0.025, 0.125
 #: Most runs of the first seconds; a correction [standard deviations of the noise] that ends the iteration.
 ROUNDS, TOLERANCE = 6, 0.1
+#: A correction is kept if the squares about their mean fall by this share of what the linear formula promises.
+LEAST_SHARE = 0.1
 #: A difference above this [standard deviations of the noise] is an outlier.
 SPIKE = 8.0
 #: Least noise [share of the travel of an open valve in a step], so that the prior has a weight where the measurement has none.
@@ -195,7 +197,7 @@ def start_valve(p, arrays, i, s, start, command, measured, load, share, first, l
             work[VALUES, j] = held
         _edges(delay, dt, work, cells, pieces)
     middle, bound, noise = 0.0, 0.0, 0.0
-    least, final = np.inf, count == 1
+    least, promised, final = np.inf, 0.0, count == 1
     for iteration in range(ROUNDS):
         if count > 1:
             _fill(p, b, start, dt, work, cells, pieces)
@@ -219,7 +221,8 @@ def start_valve(p, arrays, i, s, start, command, measured, load, share, first, l
         cost = _compare(
             measured, simulated, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, iteration == 0
         )
-        if cost > least + noise * noise:  # the valve is too nonlinear: back to the better fit
+        # The valve is too nonlinear, or the joint rests in its backlash and shows nothing of the valve: back to the fit before.
+        if cost > least + noise * noise or cost > least - LEAST_SHARE * promised:
             final = True
             for j in range(1, count):
                 work[VALUES, j] = work[PREVIOUS, j]
@@ -227,7 +230,12 @@ def start_valve(p, arrays, i, s, start, command, measured, load, share, first, l
         least = min(cost, least)
         if iteration == 0:
             _factor(work, count)
+        for row in range(count):
+            work[COLUMN, row] = work[RIGHT, row]
         _solve(work, count)
+        promised = -(work[COLUMN, 0] * work[COLUMN, 0]) / (work[0, 0] * work[0, 0])
+        for row in range(count):
+            promised += work[COLUMN, row] * work[RIGHT, row]
         _move_to(start, start[STATE.position] + work[RIGHT, 0], low, high)
         changed = 0.0
         for j in range(1, count):

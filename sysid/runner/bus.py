@@ -12,12 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
+
 from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.logs.can_signals import load_database
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
+
+Array = npt.NDArray[np.float64]
 
 #: Auxiliary valve commands (ISO 11783-7) and their values.
 FIRST_PGN, LAST_PGN = 65072, 65079
@@ -200,13 +205,12 @@ class MachineBus:
         Args:
             answered: the machine's time that this set answers [s]; None: not known.
         """
-        enabled = enabled and all(math.isfinite(command) for command in commands)
+        enabled = enabled and _finite(commands)
+        safe = FAIL_SAFE_BLOCK if enabled else FAIL_SAFE_ERROR
         out = []
-        for message, command in zip(self._valves, commands, strict=True):
-            flow = round(min(abs(command), 1.0) * FULL) if enabled else 0
-            state = BLOCKED if flow == 0 else EXTEND if command > 0.0 else RETRACT
-            safe = FAIL_SAFE_BLOCK if enabled else FAIL_SAFE_ERROR
-            coded = {"flow": flow, "state": state, "fail_safe": safe}
+        for message, command in zip(self._valves, coded_commands(commands, enabled), strict=True):
+            state = BLOCKED if command == 0.0 else EXTEND if command > 0.0 else RETRACT
+            coded = {"flow": round(abs(command) * FULL), "state": state, "fail_safe": safe}
             if self.stamps:
                 coded[STAMP] = _stamp(message.get_signal_by_name(STAMP), answered)
             # Not strict: the stamp for "not known" is above the signal's maximum.
@@ -215,6 +219,17 @@ class MachineBus:
         coded = {COUNTER: self.sent_count, "enabled": ON if enabled else OFF}
         out.append((self._alive.frame_id, bytes(self._alive.encode(coded, scaling=False, padding=True))))
         return out
+
+
+def coded_commands(commands: Sequence[float] | Array, enabled: bool) -> list[float]:
+    """Commands in the steps of a valve command (0.4 %), limited to [-1, 1]; zeros if they are sent as not enabled."""
+    if not (enabled and _finite(commands)):
+        return [0.0] * len(commands)
+    return [math.copysign(round(min(abs(float(command)), 1.0) * FULL) / FULL, command) for command in commands]
+
+
+def _finite(commands: Sequence[float] | Array) -> bool:
+    return all(math.isfinite(command) for command in commands)
 
 
 def _stamp(signal: Signal, seconds: float | None) -> int:

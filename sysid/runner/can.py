@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, format_identifiers
+from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, coded_commands, format_identifiers
 from sysid.runner.clock import SECOND, Clock, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
 from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
@@ -247,7 +247,7 @@ class CanTransport:
         choices: Mapping[int, Any] = status.get_signal_by_name("fault").choices or {}
         return f"machine: {choices.get(code, code)}"
 
-    def write(self, commands: Array, enabled: bool) -> None:
+    def write(self, commands: Array, enabled: bool) -> Array:
         from can import Message
 
         if self._bus is None or self._send_fault:
@@ -264,6 +264,7 @@ class CanTransport:
             raise OSError(self._send_fault) from error
         if self.machine.echoes:
             self._round_trip.sent(self.machine.sent_count, self.now_ns())
+        return np.array(coded_commands(commands, enabled))
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         """Set the switches of a simulated test bench.

@@ -57,7 +57,7 @@ class Cycle:
         setpoints: after the supervisor, (A,).
         drive_setpoints: of what the commands drive, cylinder [m] or joint, (A,).
         commands_asked: of the cylinder controller, (A,).
-        commands: sent, (A,).
+        commands: sent, as the line carries them, (A,).
         enabled: whether the valves were enabled.
         verdicts: violations found by the supervisor.
         source: of the setpoints: policy, fallback, hold, stop, none …

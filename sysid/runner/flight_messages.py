@@ -25,7 +25,7 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-COMMAND_TYPE = f"""# Valve commands, stamped when they were sent; zeros while the valves are kept neutral.
+COMMAND_TYPE = f"""# Valve commands as the line carries them, stamped when sent; zeros while the valves are kept neutral.
 std_msgs/Header header
 string[] name
 float64[] command

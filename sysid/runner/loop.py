@@ -190,9 +190,13 @@ class Loop:
         if decision.enabled and (expired := self._expired(now)) is not None:
             verdicts.append(expired)
             dropped = self._drop(decision, expired, now)
-        if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
-            self.state_machine.fault(f"commands cannot be sent: {self._line_error}", now)
-            decision.enabled = False
+        if self.mode.writes and not dropped:
+            sent = self._send(decision.commands, decision.enabled)
+            if sent is None:
+                self.state_machine.fault(f"commands cannot be sent: {self._line_error}", now)
+                decision.enabled = False
+            elif decision.enabled:
+                decision.commands = sent
         moved = decision.commands if decision.enabled else self._zero
         self.estimator.step(moved)
         self._sent = moved
@@ -267,13 +271,14 @@ class Loop:
         self.chain.override(decision.commands)
         return still
 
-    def _send(self, commands: Array, enabled: bool) -> bool:
+    def _send(self, commands: Array, enabled: bool) -> Array | None:
+        """Send commands; returns them as the line carries them, None if it fails."""
         begin = self.transport.now_ns()
         try:
-            self.transport.write(commands, enabled)
+            sent = self.transport.write(commands, enabled)
         except Exception as error:  # see _update_estimate
             self._line_error = error_text(error)
             self._moved_ns = None if not enabled else self._moved_ns
-            return False
+            return None
         self._moved_ns = begin if enabled else None
-        return True
+        return sent

@@ -82,9 +82,10 @@ class SimulatedTransport:
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         return dict(self._readings), self._inputs
 
-    def write(self, commands: Array, enabled: bool) -> None:
+    def write(self, commands: Array, enabled: bool) -> Array:
         self.commands[:] = np.clip(np.nan_to_num(commands), -1.0, 1.0)
         self._enabled, self._written_ns = enabled, self._now
+        return self.commands.copy() if enabled else np.zeros(len(self.axes))
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         old = self._inputs

@@ -73,8 +73,11 @@ class Transport(Protocol):
         """Newest readings and inputs; never blocks. A signal without a value so far is missing."""
         ...
 
-    def write(self, commands: Array, enabled: bool) -> None:
+    def write(self, commands: Array, enabled: bool) -> Array:
         """Commands (axes,) in [-1, 1]; with ``enabled`` false the fail-safe state: valves neutral whatever the commands.
+
+        Returns:
+            The commands as the line carries them, (axes,): limited and rounded to its resolution; zeros while not enabled.
 
         Raises:
             OSError: they cannot be sent; the machine may not receive any further ones.

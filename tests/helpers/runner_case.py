@@ -86,9 +86,9 @@ class RealTime(Traced):
             time.sleep(left / 1e9)
         super().wait_until(self.now_ns())
 
-    def write(self, commands: Array, enabled: bool) -> None:
+    def write(self, commands: Array, enabled: bool) -> Array:
         super().wait_until(self.now_ns())
-        super().write(commands, enabled)
+        return super().write(commands, enabled)
 
 
 class Memory:

@@ -44,7 +44,7 @@ def test_a_seed_draws_one_machine(loop: Any) -> None:
 def test_every_machine_hides_all_kinds(loop: Any, seed: int) -> None:
     machine = loop.draw_machine(seed)
     names = [effect.name for effect in machine.hidden]
-    kinds = {"gripper_sway": 1, "backlash": 2, "valve_deadband": 3, "input_delay": 1, "joint_offset": 1}
+    kinds = {"gripper_sway": 1, "backlash": 2, "valve_deadband": 3, "input_delay": 2, "joint_offset": 2}
     assert {name: names.count(name) for name in kinds} == kinds
     for effect in machine.hidden:
         if effect.name == "valve_deadband":
@@ -74,11 +74,26 @@ def test_the_true_plant_moves_the_tip_as_the_machine_is_built(loop: Any, site: A
     hidden = [{"name": e.name, "target": e.target, "parameters": e.parameters} for e in machine.hidden]
     parked = {name: machine.visible.axis(name).park for name in AXES}
     true = loop.true_plant(nominal, hidden, parked)
-    (bent,) = [effect for effect in machine.hidden if effect.name == "joint_offset"]
     joints = np.array([list(parked.values())])
     moved = joints.copy()
-    moved[0, AXES.index(bent.target)] += bent.parameters["offset"]
+    for bent in (effect for effect in machine.hidden if effect.name == "joint_offset"):
+        moved[0, AXES.index(bent.target)] += bent.parameters["offset"]
     np.testing.assert_allclose(chain_of_plant(true).predict(joints), chain_of_plant(nominal).predict(moved), atol=1e-9)
+
+
+def test_a_guess_has_the_mean_of_what_is_inverted_and_the_worst_of_what_is_stabilised(loop: Any, site: Any) -> None:
+    nominal = site.nominal()
+    guessed = loop.guessed_plant(nominal, np.random.default_rng(0))
+    for name, key, low, high in (
+        ("input_delay", "delay", 1.15, 1.2),
+        ("first_order_lag", "time_constant", 1.15, 1.2),
+        ("valve_deadband", "positive", 0.94, 1.06),
+        ("valve_deadband", "negative", 0.94, 1.06),
+    ):
+        for axis in AXES:
+            ratio = guessed.effect(name, axis).parameters[key] / nominal.effect(name, axis).parameters[key]
+            assert low <= ratio <= high, (name, axis)
+    assert guessed.effect("gain_error", "boom").parameters["ratio"] == pytest.approx(1.0, abs=0.06)
 
 
 def test_the_forward_model_is_the_plants_kinematics(site: Any) -> None:
@@ -196,11 +211,16 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     json.dumps(found, allow_nan=False)
 
     refused = {path: {"ended": "refused", "why": "needs 110 % of the top speed of slew"} for path in flights}
-    compared = {"lag_delay_gain": refused, "with_deadband": found["rounds"][1], "truth": found["rounds"][1]}
+    compared = {
+        "guessed": found["rounds"][0],
+        "lag_delay_gain": refused,
+        "with_deadband": found["rounds"][1],
+        "truth": found["rounds"][1],
+    }
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
     assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
     assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
-    assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 |" in text
+    assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 | 1.0 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
     assert (
         "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -100,3 +101,19 @@ def test_the_page_is_that_of_the_result(study: ModuleType) -> None:
     text = study.PAGE.read_text("utf-8")
     assert len(study.page.tables(result)) == 5
     assert all(table in text for table in study.page.tables(result).values())
+
+
+def test_the_versions_of_the_crane_are_made_once(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Path] = []
+
+    def first_look(workspace: Path) -> None:
+        made.append(workspace)
+        registry = study.Registry(workspace)
+        for plant in (crane_plant(), PLANT):
+            registry.register("autolog", "plant", plant.to_files(), {}, {})
+        registry.register("autolog-forward", "forward", {"forward.json": b"{}"}, {}, {})
+
+    monkeypatch.setattr(study.first_look, "main", first_look)
+    for _ in range(2):
+        study.with_versions(tmp_path)
+    assert made == [tmp_path]

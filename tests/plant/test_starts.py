@@ -113,6 +113,26 @@ def test_other_effects_leave_no_offset(name: str) -> None:
     assert np.abs(offsets).max() < 0.5, offsets
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drive_anywhere_in_its_backlash_is_found_by_the_first_motion(seed: int) -> None:
+    """Ten seconds of rest, in which the joint shows nothing of its drive: no offset remains once it moves."""
+    noise, width, rate, first = 5e-4, 0.010, 100, 450
+    plant = nominal(
+        KnownEffect("first_order_lag", "slew", {"time_constant": 0.06}),
+        KnownEffect("input_delay", "slew", {"delay": 0.04}),
+        KnownEffect("backlash", "slew", {"width": width}),
+    )
+    inputs = arm_inputs("run", 40.0, seed)
+    command = inputs.values("slew.command").copy()
+    command[3 * rate : 13 * rate] = 0.0
+    inputs = replace(inputs, table=inputs.table.assign(**{"slew.command": command}))
+    joint = free_run(plant, inputs)["slew.joint"].to_numpy()
+    read = joint + np.random.default_rng(seed).normal(0.0, noise, len(joint))
+    whole = replace(inputs, table=inputs.table.assign(**{"slew.joint": read}))
+    left = free_run(plant, cut(whole, first))["slew.joint"].to_numpy() - joint[first:]
+    assert np.abs(left[9 * rate :]).max() < 0.2 * noise
+
+
 # -- force axes -----------------------------------------------------------------------------------------------------
 
 

@@ -34,13 +34,14 @@ def transport(live: Live) -> Iterator[CanTransport]:
     found.close()
 
 
-def drive(transport: CanTransport, commands: np.ndarray, seconds: float, enabled: bool = True) -> None:
-    """Commands every 10 ms for ``seconds``."""
+def drive(transport: CanTransport, commands: np.ndarray, seconds: float, enabled: bool = True) -> np.ndarray:
+    """Commands every 10 ms for ``seconds``; returns them as the transport says it sent them."""
     begin = transport.now_ns()
     for k in range(round(seconds * 100)):
         transport.wait_until(begin + k * 10_000_000)
         transport.read()
-        transport.write(commands, enabled)
+        sent = transport.write(commands, enabled)
+    return sent
 
 
 def until(met: Callable[[], bool]) -> bool:
@@ -79,8 +80,9 @@ def test_who_only_listens_sends_nothing_when_he_goes(live: Live) -> None:
 
 
 def test_negative_commands_and_steps_of_04_percent(live: Live, transport: CanTransport) -> None:
-    drive(transport, np.array([0.123456, -0.3, 0.001, -1.0]), 0.05)
+    sent = drive(transport, np.array([0.123456, -0.3, 0.001, -1.0]), 0.05)
     wanted = [0.124, -0.3, 0.0, -1.0]
+    assert sent.tolist() == wanted
     axes = ("slew", "boom", "stick", "telescope")
     assert until(lambda: [live.truth[f"{axis}.asked"][-1] for axis in axes] == wanted)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES, old_database
 
 from sysid.errors import SettingsError
-from sysid.runner.bus import BusSettings, MachineBus, bus_load, frame_bits
+from sysid.runner.bus import BusSettings, MachineBus, bus_load, coded_commands, frame_bits
 
 SETTINGS = BusSettings(DATABASE, SIGNALS, VALVES)
 BUS = MachineBus(SETTINGS, "runner.toml")
@@ -43,6 +43,14 @@ def test_nothing_leaves_the_range_and_no_number_enables_nothing(commands: list[f
         assert 0.0 <= valve["flow"] <= 100.0
         assert valve["fail_safe"] == (0 if fit else 2)
         assert fit or (valve["flow"], valve["state"]) == (0, 0)
+
+
+@given(st.lists(st.floats(), min_size=4, max_size=4), st.booleans())
+def test_coded_commands_are_those_in_the_frames(commands: list[float], enabled: bool) -> None:
+    frames = BUS.encode(commands, enabled)[:-1]
+    said = [DESCRIBED.decode_message(identifier, data, decode_choices=False) for identifier, data in frames]
+    decoded = [{0: 0.0, 1: 1.0, 2: -1.0}[valve["state"]] * valve["flow"] / 100.0 for valve in said]
+    assert coded_commands(commands, enabled) == pytest.approx(decoded, abs=1e-12)
 
 
 def test_the_alive_counter_goes_on() -> None:

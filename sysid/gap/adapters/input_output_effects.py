@@ -14,6 +14,7 @@ from sysid.effects import CATALOGUE
 from sysid.plant import chain, layout
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.level import first_motion
 from sysid.plant.machine_arrays import GAIN, KIND, VELOCITY, MachineArrays
 from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
 
@@ -113,8 +114,9 @@ def apply_output_effects(
             x = x + _median((seen - drive_to_joint(x, np.nan, rows))[:window], 0.0)
             middle = _median(x[:1])
             if half > 0.0:
+                far = first_motion(seen, 0, len(seen)) + settle
                 x = x + half * _initial_side(
-                    [_squares(seen[:settle] - drive_to_joint(x[:settle] + side * half, middle, rows)) for side in (-1, 0, 1)]
+                    [_squares(seen[:far] - drive_to_joint(x[:far] + side * half, middle, rows)) for side in (-1, 0, 1)]
                 )
             out[k, rows] = drive_to_joint(x, middle, rows)
     return out
