@@ -17,7 +17,7 @@ from sysid.effects import Effect
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
 from sysid.export.shipped_run import write_drive_model
-from sysid.export.target import Simulation, Start, Support, Target
+from sysid.export.target import Simulation, Start, Support
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -51,9 +51,6 @@ class FmuTarget:
         FmuBuilder.build_FMU(script, dest=folder, project_files=[folder / name for name in names])
         script.unlink()
         return FILE, *names
-
-    def fallback(self) -> Target | None:
-        return None
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return FmuSimulation(plant, folder / FILE)

@@ -9,7 +9,7 @@ from sysid.effects import Effect, effect_named
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
 from sysid.export.shipped_run import DriveModelSimulation, load_module, write_drive_model
-from sysid.export.target import Simulation, Support, Target
+from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
 #: File with the effects and their units.
@@ -42,9 +42,6 @@ class JsonTarget:
             }
         (folder / FILE).write_text(json.dumps(content, indent=1, ensure_ascii=False), "utf-8")
         return FILE, *write_drive_model(plant, rate_hz, folder)
-
-    def fallback(self) -> Target | None:
-        return None
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return DriveModelSimulation(plant, load_module(folder / MODULE).load())

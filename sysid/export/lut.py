@@ -19,7 +19,7 @@ from sysid.export.drive_module import PARTS
 from sysid.export.shipped_run import DriveModelSimulation
 from sysid.export.standalone.assembly import assemble
 from sysid.export.standalone.command_parts import Part
-from sysid.export.target import Simulation, Support, Target
+from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -81,9 +81,6 @@ class LutTarget:
                 files += [_write(folder / f"{name}_linkage.csv", header, zip(places, link["joints"], strict=True))]
         _write(folder / NUMBERS, ("axis", "block", "quantity", "value"), numbers)
         return tuple(files)
-
-    def fallback(self) -> Target | None:
-        return None
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         """The written tables between the standard blocks."""

@@ -95,9 +95,6 @@ class MjcfTarget:
         (folder / ROBOT).write_text(inspect.getsource(mujoco_robot), "utf-8")
         return FILE, f"{Path(FILE).stem}.json", ROBOT, *write_drive_model(plant, rate_hz, folder)
 
-    def fallback(self) -> MjcfTarget | None:
-        return MjcfTarget(False) if self.composed else None
-
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
 

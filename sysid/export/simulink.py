@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.lut import LutTarget, numbers_of, simulation_of_tables, tables
-from sysid.export.target import Simulation, Support, Target
+from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -53,9 +53,6 @@ class SimulinkTarget:
         savemat(folder / FILE, {NAME: content}, oned_as="column", long_field_names=True)
         (folder / FUNCTION).write_text(_FUNCTION, "utf-8")
         return FILE, FUNCTION
-
-    def fallback(self) -> Target | None:
-        return None
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         from scipy.io import loadmat

@@ -84,10 +84,6 @@ class Target(Protocol):
         """
         ...
 
-    def fallback(self) -> Target | None:
-        """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
-        ...
-
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         """The files in their simulator; None where it cannot run here."""
         ...

@@ -14,7 +14,7 @@ from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
-from sysid.export.target import Simulation, Start, Support, Target
+from sysid.export.target import Simulation, Start, Support
 from sysid.export.urdf_text import END_EFFECTOR, joint_values, urdf_of
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
@@ -55,9 +55,6 @@ class UrdfTarget:
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         (folder / FILE).write_text(urdf_of(plant), "utf-8")
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
-
-    def fallback(self) -> Target | None:
-        return None
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return UrdfSimulation(plant, load_module(folder / MODULE).load(), (folder / FILE).read_text("utf-8"))
