@@ -47,7 +47,7 @@ class SdfTarget:
     title = "Gazebo (SDFormat 1.11)"
     modules: tuple[str, ...] = ()
     notes: tuple[str, ...] = (
-        f"The link `{WORLD}` is fixed to the world: its frame is the measured one. Link `{END_EFFECTOR}` is the measured point.",
+        f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
         "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "
         "`effects.csv`. Shapes are not copied.",
         f"`{MODULE}` computes the joints from the commands, for the set-points of a joint position controller.",

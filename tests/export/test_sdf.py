@@ -88,7 +88,8 @@ def test_friction_is_the_mean_of_both_directions(tmp_path: Path) -> None:
 def test_a_passive_joint_mimics() -> None:
     urdf = urdf_tree(
         """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
-        <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint>
+        <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+          <limit lower="-1" upper="1"/></joint>
         <joint name="k" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/>
           <mimic joint="j" multiplier="-1" offset="0.5"/></joint></robot>"""
     )
