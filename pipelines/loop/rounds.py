@@ -37,6 +37,7 @@ class Round:
         flights, simulated: path → run on the machine, and on the plant of the deployment.
         gap: result of the gap workflow on all logs so far; None after the last round.
         seconds: wall time of the steps.
+        cpu_seconds: processor time of all steps.
     """
 
     plant: str
@@ -44,6 +45,7 @@ class Round:
     simulated: Mapping[str, Flight]
     gap: GapResult | None
     seconds: Mapping[str, float]
+    cpu_seconds: float = float("nan")
 
 
 @dataclass
@@ -125,12 +127,12 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
     """Rounds until the gap workflow promotes no repair, at most :data:`MOST` repairs."""
     plant, rounds = site.nominal(), []
     for number in range(MOST + 1):
-        begin = time.perf_counter()
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         flights, simulated = fly_paths(site, plant, PATHS), simulate_paths(site, plant)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
         if number == MOST:
-            rounds.append(Round(plant.reference, flights, simulated, None, seconds))
+            rounds.append(Round(plant.reference, flights, simulated, None, seconds, time.process_time() - cpu_begin))
             return rounds
         begin = time.perf_counter()
         dataset = site.dataset()
@@ -138,7 +140,7 @@ def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
         gap = find_gap(dataset, plant, site.workspace.models, add=True, world=False)
         site.workspace.keep_gap(dataset, gap)
         seconds["gap"] = time.perf_counter() - begin
-        rounds.append(Round(plant.reference, flights, simulated, gap, seconds))
+        rounds.append(Round(plant.reference, flights, simulated, gap, seconds, time.process_time() - cpu_begin))
         show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
         if gap.promotion is None or not gap.promotion.promoted:
             return rounds
