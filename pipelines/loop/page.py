@@ -1,4 +1,4 @@
-"""Tables of docs/closing-the-gap.md from the result."""
+"""Tables of docs/closing-the-gap.md from the result; the goals are in :mod:`loop.goals`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from committed import markdown
+from loop.goals import goals
 
 #: Columns of the errors at the tool.
 ERRORS = ("helix, max", "helix, RMSE", "circle, max")
 
 
 def tables(result: Mapping[str, Any]) -> str:
-    """Tracking errors by round, names by machine, other controllers beside them, and the gap by round."""
+    """Goals, tracking errors by round, names by machine, other controllers beside them, and the gap by round."""
     machines = result["machines"]
-    return "\n\n".join(part(machines) for part in (_tracking, _names, _compared, _ratios, _gaps))
+    return "\n\n".join(part(machines) for part in (goals, _tracking, _names, _compared, _ratios, _gaps))
 
 
 def summary(result: Mapping[str, Any]) -> str:
@@ -52,6 +53,7 @@ def _tracking(machines: Sequence[Mapping[str, Any]]) -> str:
         "circle, max",
         "helix simulated, max",
         "wall time",
+        "processor time",
     )
     rows = [
         (
@@ -62,11 +64,12 @@ def _tracking(machines: Sequence[Mapping[str, Any]]) -> str:
             shown(row["circle"].get("max_mm")),
             shown(row["simulation"]["helix"].get("max_mm")),
             f"{sum(row['seconds'].values()):.0f} s",
+            f"{row['cpu_seconds']:.0f} s" if "cpu_seconds" in row else "–",
         )
         for machine in machines
         for number, row in enumerate(machine["rounds"])
     ]
-    return markdown(head, rows, "llllllll")
+    return markdown(head, rows, "lllllll")
 
 
 def _names(machines: Sequence[Mapping[str, Any]]) -> str:

@@ -45,7 +45,7 @@ class Round:
     simulated: Mapping[str, Flight]
     gap: GapResult | None
     seconds: Mapping[str, float]
-    cpu_seconds: float = float("nan")
+    cpu_seconds: float
 
 
 @dataclass

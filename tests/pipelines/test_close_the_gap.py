@@ -197,7 +197,10 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
         effect("stiction", "boom"),
         written=(WrittenEffect("input_delay", "boom", "adjusted", {"delay": 0.1}),),
     )
-    rounds = [Round("crane@1", flights, flights, first, {"gap": 2.0}), Round("crane@2", flights, flights, None, {})]
+    rounds = [
+        Round("crane@1", flights, flights, first, {"gap": 2.0}, 1.5),
+        Round("crane@2", flights, flights, None, {"deploy": 3.0}, 1.0),
+    ]
     hidden = [
         {"name": name, "target": target, "parameters": {}}
         for name, target in (("backlash", "slew"), ("joint_offset", "stick"), ("input_delay", "boom"), ("backlash", "stick"))
@@ -221,6 +224,12 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
     assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
     assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 | 1.0 |" in text
+    assert "| error after, largest coordinate | ≤ 20 mm | 30.0 mm | 0 of 1 |" in text
+    assert "| beside the repaired simulation | ≤ 1.3 | 1.00 | 1 of 1 |" in text
+    assert "| hidden effects named | all, none wrong | 2 of 4, 1 wrong | 0 of 1 |" in text
+    assert "| naming beside a guess of ±20 % | ≥ 2 times better | 1.0 times | 0 of 1 |" in text
+    assert "| naming beside least squares without dead-bands | ≥ 2 times better | refused | 1 of 1 |" in text
+    assert "| wall time from first to second deployment | ≤ 30 min | 5 s | 1 of 1 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
     assert (
         "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text
@@ -236,8 +245,8 @@ def test_the_story_shows_both_rounds_and_the_findings(loop: Any, site: Any, tmp_
     zero, joints = np.zeros((101, 3)), np.tile([0.0, 0.5, -1.2, 0.05], (101, 1))
     far = Flight("helix", time, zero, zero + 0.01, np.tile([0.06, 0.0, 0.0], (101, 1)), joints, "done", "")
     near = Flight("helix", time, zero, zero, np.tile([0.0, 0.005, 0.0], (101, 1)), joints, "done", "")
-    rounds = [Round("crane@1", {"helix": far}, {}, gap_result(effect("backlash", "slew")), {})]
-    rounds.append(Round("crane@2", {"helix": near}, {}, None, {}))
+    rounds = [Round("crane@1", {"helix": far}, {}, gap_result(effect("backlash", "slew")), {}, 1.0)]
+    rounds.append(Round("crane@2", {"helix": near}, {}, None, {}, 1.0))
     found = curves(write_story(tmp_path / "story.rrd", site.nominal().machine, rounds, "story"))
     np.testing.assert_allclose(found["/error/x/before"][1], 60.0)
     np.testing.assert_allclose(found["/error/y/after"][1], 5.0)
