@@ -18,8 +18,11 @@ LOOP_S = 1800.0
 
 
 def goals(machines: Sequence[Machine]) -> str:
-    """A row for each goal: what was to reach, the figure of every machine, and the number of machines that reach it."""
-    after = [max(_last(machine)) for machine in machines]
+    """A row for each goal: what was to reach, the figure of every machine, and the number of machines that reach it.
+
+    Errors after the loop are those of the plant of the last round in the comparison of controllers under the same noise.
+    """
+    after = [max(_other(machine, "repaired")) for machine in machines]
     simulated = [value / max(_last_simulated(machine)) for value, machine in zip(after, machines, strict=True)]
     truth = [value / max(_other(machine, "truth")) for value, machine in zip(after, machines, strict=True)]
     between = [_to_second(machine) for machine in machines]
@@ -74,10 +77,6 @@ def _count(reached: Any) -> str:
 
 def _first(machine: Machine) -> Sequence[float]:
     return _max_mm(machine["rounds"][0])
-
-
-def _last(machine: Machine) -> Sequence[float]:
-    return _max_mm(machine["rounds"][-1])
 
 
 def _last_simulated(machine: Machine) -> Sequence[float]:

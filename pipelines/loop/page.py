@@ -16,7 +16,7 @@ ERRORS = ("helix, max", "helix, RMSE", "circle, max")
 def tables(result: Mapping[str, Any]) -> str:
     """Goals, tracking errors by round, names by machine, other controllers beside them, and the gap by round."""
     machines = result["machines"]
-    return "\n\n".join(part(machines) for part in (goals, _tracking, _names, _compared, _ratios, _gaps))
+    return "\n\n".join(part(machines) for part in (goals, rounds_table, _names, _compared, _gaps))
 
 
 def summary(result: Mapping[str, Any]) -> str:
@@ -30,8 +30,8 @@ def summary(result: Mapping[str, Any]) -> str:
 def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Controller → its runs on each machine."""
     return {
-        "nominal plant": [machine["rounds"][0] for machine in machines],
-        "repaired plant, last round": [machine["rounds"][-1] for machine in machines],
+        "nominal plant": [machine["compared"]["nominal"] for machine in machines],
+        "repaired plant, last round": [machine["compared"]["repaired"] for machine in machines],
         "nominal plant, ±20 % guessed": [machine["compared"]["guessed"] for machine in machines],
         "dead time, lag and gain by least squares": [machine["compared"]["lag_delay_gain"] for machine in machines],
         "the same and one dead-band": [machine["compared"]["with_deadband"] for machine in machines],
@@ -43,33 +43,26 @@ def _worst(row: Mapping[str, Any]) -> str:
     return "path refused" if row["helix"]["ended"] == "refused" else shown(row["helix"].get("max_mm"))
 
 
-def _tracking(machines: Sequence[Mapping[str, Any]]) -> str:
-    head = (
-        "machine",
-        "round",
-        "named afterwards",
-        "helix, max",
-        "helix, RMSE",
-        "circle, max",
-        "helix simulated, max",
-        "wall time",
-        "processor time",
-    )
-    rows = [
-        (
-            machine["name"],
-            str(number),
-            ", ".join(f"`{each['name']}` {each['target']}" for each in row["named"]) or "–",
+def rounds_table(machines: Sequence[Mapping[str, Any]]) -> str:
+    """Tracking errors by round, what was named after it, and its time; proposed recordings where there are any."""
+    rows = [(machine["name"], str(number), row) for machine in machines for number, row in enumerate(machine["rounds"])]
+    head = ["machine", "round", *ERRORS, "helix simulated, max", "named afterwards", "wall time", "processor time"]
+    proposed = any(row.get("experiments") for _, _, row in rows)
+    cells = [
+        [
+            name,
+            number,
             *(shown(row["helix"].get(key)) for key in ("max_mm", "rmse_mm")),
             shown(row["circle"].get("max_mm")),
             shown(row["simulation"]["helix"].get("max_mm")),
+            ", ".join(f"`{each['name']}` {each['target']}" for each in row["named"]) or "–",
             f"{sum(row['seconds'].values()):.0f} s",
             f"{row['cpu_seconds']:.0f} s" if "cpu_seconds" in row else "–",
-        )
-        for machine in machines
-        for number, row in enumerate(machine["rounds"])
+            *([", ".join(row["experiments"]) or "–"] if proposed else []),
+        ]
+        for name, number, row in rows
     ]
-    return markdown(head, rows, "lllllll")
+    return markdown([*head, *(["proposed recordings made"] if proposed else [])], cells, "lllllll" + "rr" + "l")
 
 
 def _names(machines: Sequence[Mapping[str, Any]]) -> str:
@@ -98,22 +91,6 @@ def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
             refused = row["helix"]["ended"] == "refused"
             rows.append((machine["name"], name, *((f"refused: {row['helix']['why']}", "–", "–") if refused else figures)))
     return markdown(head, rows, "lllll")
-
-
-def _ratios(machines: Sequence[Mapping[str, Any]]) -> str:
-    """Largest coordinate of the error on the helix after the last round, relative to other runs."""
-    head = ("machine", "before", "after", "after / simulated", "after / true plant", "guessed / after", "one dead-band / after")
-    rows = []
-    for machine in machines:
-        first, last, compared = machine["rounds"][0], machine["rounds"][-1], machine["compared"]
-        after = max(last["helix"]["max_mm"])
-        pairs = ((after, last["simulation"]["helix"]), (after, compared["truth"]["helix"]))
-        ratios = [after / max(other["max_mm"]) for after, other in pairs]
-        others = [compared[name]["helix"].get("max_mm") for name in ("guessed", "with_deadband")]
-        without = ["refused" if worst is None else f"{max(worst) / after:.1f}" for worst in others]
-        figures = (f"{max(first['helix']['max_mm']):.0f} mm", f"{after:.1f} mm", *(f"{ratio:.2f}" for ratio in ratios))
-        rows.append((machine["name"], *figures, *without))
-    return markdown(head, rows, "l")
 
 
 def _gaps(machines: Sequence[Mapping[str, Any]]) -> str:

@@ -56,6 +56,7 @@ def _round(each: Round) -> dict[str, Any]:
         "simulation": figures_of(each.simulated),
         "seconds": dict(each.seconds),
         "cpu_seconds": each.cpu_seconds,
+        "experiments": list(each.experiments),
     }
     if gap is None:
         return {**row, "named": [], "promoted": False}
