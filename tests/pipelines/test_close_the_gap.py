@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -181,6 +182,39 @@ def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> 
     signals = [f"{point}.{letter}" for point in ("ee", "tool") for letter in "xyz"]
     none = Gap(*(dict.fromkeys(signals, value) for value in (0.1, 0.01, 0.005)))
     return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
+
+
+@pytest.mark.parametrize("excitation", [False, True])
+def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest.MonkeyPatch, excitation: bool) -> None:
+    """A repair that is not promoted is deployed too; a proposed experiment is made in the next round."""
+    from types import SimpleNamespace
+
+    import loop.rounds as rounds
+
+    wanted = SimpleNamespace(name="slew-taps", repeats=2)
+    none = replace(gap_result(), experiments=(wanted,) if excitation else ())
+    gaps = [gap_result(effect("backlash", "slew")), none, gap_result()]
+    flown: list[str] = []
+    monkeypatch.setattr(rounds, "fly_paths", lambda site, plant, paths: {"helix": SimpleNamespace(figures=dict)})
+    monkeypatch.setattr(rounds, "simulate_paths", lambda site, plant: {})
+    monkeypatch.setattr(rounds, "find_gap", lambda *given, **named: gaps.pop(0))
+    monkeypatch.setattr(rounds, "named_part", lambda plant, gap: plant)
+    monkeypatch.setattr(rounds, "write_experiment", lambda folder, experiment: folder / f"{experiment.name}.toml")
+    plant = SimpleNamespace(reference="crane@1")
+    site = SimpleNamespace(
+        nominal=lambda: plant,
+        registered=lambda plant, lineage: SimpleNamespace(reference="crane@3"),
+        plant=lambda reference: plant,
+        dataset=lambda: None,
+        deployment=lambda plant: None,
+        fly=lambda deployment, task: flown.append(Path(task["experiment"]["file"]).stem),
+        folder=Path("machine"),
+        workspace=SimpleNamespace(models=None, keep_gap=lambda dataset, gap: None),
+    )
+    found = rounds.close_gap(site, lambda text: None)
+    assert [each.plant for each in found] == ["crane@1", "crane@3", "crane@3"][: 3 if excitation else 2]
+    assert [each.experiments for each in found] == [(), (), ("slew-taps",) * 2][: len(found)]
+    assert flown == ["slew-taps"] * (2 if excitation else 0)
 
 
 def test_names_are_compared_with_the_truth(loop: Any) -> None:
