@@ -21,10 +21,10 @@ import pandas as pd
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.tables import show_gap, show_repair
 from sysid.datasets import Recording, ingest
+from sysid.display import fixed
 from sysid.gap import find_gap
 from sysid.plant import Plant, free_run
 from sysid.reports import write_report
-from sysid.reports.display import fixed
 from sysid.workspace import open_workspace
 
 Array = npt.NDArray[np.float64]

@@ -20,8 +20,11 @@ EXTRAS: dict[str, str] = {
     "asammdf": "mf4",
     "pinocchio": "dynamics",
     "mujoco": "mujoco",
+    "fmpy": "export",
+    "pythonfmu": "export",
     "onnx": "onnx",
     "onnxruntime": "onnx",
+    "distributed": "cluster",
     "tensorboard": "tensorboard",
 }
 

@@ -36,6 +36,7 @@ VERBS: dict[str, Verb] = {
     "validate": Verb("sysid.cli.validate:validate", "Evaluate a fitted network on held-out recordings."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
+    "fleet": Verb("sysid.cli.fleet:fleet", "Compare many machines of one type, and watch them for drift."),
     "export": Verb("sysid.cli.export:export", "Write a plant for another simulator, with its replay."),
     "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
     "track": Verb("sysid.cli.track:track", "Follow a path with a policy, or with inverse kinematics."),

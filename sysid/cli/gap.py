@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import click
 
+from sysid.cli.gap_mujoco import repaired_path, write_model
 from sysid.cli.gap_tables import entry
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
+from sysid.cli.own_simulator import MUJOCO, open_simulator
 from sysid.cli.tables import show_gap, show_localised, show_repair, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
@@ -19,8 +22,16 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @click.option(
     "--simulator",
     default=None,
-    metavar="FILE.py:NAME",
-    help="Test a simulator of your own: an object with simulate(recording), or its class.",
+    metavar="FILE.py:NAME|mujoco:FILE.xml",
+    help="Test a simulator of your own: an object with simulate(recording), or its class; or a MuJoCo model.",
+)
+@click.option(
+    "--out",
+    "out_file",
+    default=None,
+    metavar="FILE.xml",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --simulator mujoco:FILE.xml: write the repaired model here. --add: beside the model, as FILE.repaired.xml.",
 )
 @click.option("--localise", is_flag=True, help="Only locate the gap.")
 @click.option(
@@ -52,6 +63,7 @@ def gap(
     reference: str,
     plant: str | None,
     simulator: str | None,
+    out_file: Path | None,
     localise: bool,
     add: bool,
     world: bool | None,
@@ -76,26 +88,30 @@ def gap(
             "one of them",
             "A residual network is fitted to the error that the search leaves.",
         )
+    mjcf = None if simulator is None or not simulator.startswith(MUJOCO) else Path(simulator.removeprefix(MUJOCO))
+    if out_file is not None and mjcf is None:
+        raise SettingsError("sysid gap", "--out without a MuJoCo model", "--simulator mujoco:FILE.xml")
+    if mjcf is not None and add and out_file is None:
+        out_file = repaired_path(mjcf)
     out = Printer(json_file)
     dataset = Store(location).load(reference)
     check_needs(dataset)  # before anything is compiled
     checked(out, dataset, accept)
     with progress_bar("gap") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
-        from sysid.cli.own_simulator import load_simulator
-        from sysid.gap import find_gap
+        from sysid.gap import SimulatorAdapter, find_gap
         from sysid.gap.experiment import Planning
         from sysid.plant import Plant
         from sysid.reports import write_report
         from sysid.workspace import open_workspace
 
         workspace = open_workspace(location)
-        tested = load_simulator(simulator) if simulator is not None else workspace.plant(dataset, plant)
+        tested = open_simulator(simulator, dataset) if simulator is not None else workspace.plant(dataset, plant)
         result = find_gap(
             dataset,
             tested,
             registry=workspace.models,
-            add=add,
+            add=add and mjcf is None,
             world=world,
             localise_only=localise,
             carry=carry,
@@ -135,4 +151,7 @@ def gap(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
-    write_json(json_file, result.to_json(folder))
+    written = result.to_json(folder)
+    if isinstance(tested, SimulatorAdapter) and out_file is not None and not localise:
+        written["model"] = write_model(out, tested, result, dataset, out_file)
+    write_json(json_file, written)

@@ -32,8 +32,8 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """One row for every parameter that the repair writes into the plant: named, adjusted without a name, changed."""
     if not result.written:
         return
+    from sysid.display import NOTHING, percent
     from sysid.effects import inertial_error
-    from sysid.reports.display import NOTHING, percent
     from sysid.reports.words import effect_place
 
     rows: list[tuple[str, ...]] = []
@@ -67,7 +67,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
 
 def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
-    from sysid.reports.display import quantity
+    from sysid.display import quantity
 
     def change(ends: tuple[float, float]) -> str:
         texts = [quantity(value, "s") for value in ends]
@@ -194,8 +194,8 @@ def plain_reason(why: str) -> str:
 
 def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
     """A value with the known one that it replaces, and its interval."""
+    from sysid.display import NOTHING, digits_for, interval
     from sysid.effects.units import parameter_unit
-    from sysid.reports.display import NOTHING, digits_for, interval
     from sysid.reports.effect_units import shown
 
     machine, units = dataset.machine, dataset.units
@@ -222,7 +222,7 @@ def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
 
 
 def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
-    from sysid.reports.display import digits_for
+    from sysid.display import digits_for
     from sysid.reports.effect_units import shown
 
     def text(value: float, digits: int) -> str:

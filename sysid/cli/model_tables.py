@@ -61,7 +61,7 @@ def show_model_lineage(out: Printer, found: ModelLineage) -> None:
 
 def show_model_diff(out: Printer, found: ModelDiff) -> None:
     """Differences of two versions, predictions first."""
-    from sysid.quantity import readable
+    from sysid.display import quantity
 
     out.line(f"{found.before} → {found.after}")
     if found.empty:
@@ -75,7 +75,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
         if not entry.points:
             at = "the fitted ranges do not overlap"
-        rows.append((entry.output, readable(entry.largest, entry.unit), readable(entry.rms, entry.unit), at))
+        rows.append((entry.output, quantity(entry.largest, entry.unit), quantity(entry.rms, entry.unit), at))
     if rows:
         out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
     if found.effects:
@@ -95,7 +95,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         out.line(f"geometry: {len(only)} parameters only in {who}")
     largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
-        (change.parameter, readable(change.before, change.unit), readable(change.after, change.unit), f"{change.sigmas:.1f}")
+        (change.parameter, quantity(change.before, change.unit), quantity(change.after, change.unit), f"{change.sigmas:.1f}")
         for change in largest[:MAX_PARAMETERS]
     ]
     if rows:
@@ -180,8 +180,7 @@ def show_exported(out: Printer, folder: Path, files: tuple[ExportedFile, ...]) -
 
 def show_drift(out: Printer, found: DriftReport) -> None:
     """The test for drift of each output."""
-    from sysid.quantity import readable
-    from sysid.reports.display import percent
+    from sysid.display import percent, quantity
     from sysid.versions.drift import OUTSIDE_SHARE
 
     rows = []
@@ -193,9 +192,9 @@ def show_drift(out: Printer, found: DriftReport) -> None:
                 entry.output,
                 entry.rows,
                 str(entry.inside),
-                readable(entry.own_rmse, entry.unit),
-                readable(entry.own_worst, entry.unit),
-                readable(entry.rmse, entry.unit),
+                quantity(entry.own_rmse, entry.unit),
+                quantity(entry.own_worst, entry.unit),
+                quantity(entry.rmse, entry.unit),
                 f"{entry.ratio:.2f} ({low:.2f} … {high:.2f})" if compared else "–",
                 ("< 0.001" if entry.p_value < 1e-3 else f"{entry.p_value:.3f}") if compared else "–",
                 entry.verdict,

@@ -1,4 +1,4 @@
-"""``--simulator FILE.py:NAME``: loads a user's simulator."""
+"""``--simulator FILE.py:NAME`` or ``mujoco:FILE.xml``: loads a user's simulator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,25 @@ from typing import TYPE_CHECKING
 from sysid.errors import InputError, SettingsError, nearest
 
 if TYPE_CHECKING:
+    from sysid.datasets.recording import Dataset
     from sysid.gap import Simulator
+
+#: Prefix of an MJCF.
+MUJOCO = "mujoco:"
+
+
+def open_simulator(place: str, dataset: Dataset) -> Simulator:
+    """The simulator of a Python file or of an MJCF, for a dataset.
+
+    Raises:
+        SettingsError: neither ``FILE.py:NAME`` nor ``mujoco:FILE.xml``, or a model that does not fit the machine.
+        InputError: no such file, an error in it, or no simulator.
+    """
+    if not place.startswith(MUJOCO):
+        return load_simulator(place)
+    from sysid.gap.adapters.mujoco.repair import open_mujoco
+
+    return open_mujoco(Path(place.removeprefix(MUJOCO)), dataset)
 
 
 def load_simulator(place: str) -> Simulator:
@@ -28,7 +46,9 @@ def load_simulator(place: str) -> Simulator:
     file, _, name = place.rpartition(":")
     path = Path(file)
     if path.suffix != ".py" or not name.isidentifier():
-        raise SettingsError(f"--simulator {place}", "not a file and a name in it", "FILE.py:NAME, as in crane.py:Crane")
+        raise SettingsError(
+            f"--simulator {place}", "not a file and a name in it", "FILE.py:NAME, as in crane.py:Crane, or mujoco:FILE.xml"
+        )
     if not path.is_file():
         raise InputError(f"--simulator {path}", "no such file", "a Python file")
     spec = importlib.util.spec_from_file_location(path.stem, path)

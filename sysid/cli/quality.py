@@ -56,7 +56,7 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
 
 def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> None:
     """Commands and motion of each axis, coverage of the joint space, phases of rest, noise."""
-    from sysid.reports.display import percent, quantity
+    from sysid.display import percent, quantity
 
     spans = {span.axis: span for span in evidence.spans}
     rows = []

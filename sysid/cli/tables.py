@@ -54,7 +54,7 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
     ``paper`` adds a column with a published maximum [SI] by output.
     """
-    from sysid.reports.display import shown_unit
+    from sysid.display import shown_unit
 
     rows = []
     for entry in (entry for report in reports for entry in report.outputs):
@@ -75,7 +75,7 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
 def show_directions(out: Printer, report: ValidationReport) -> None:
     """Errors of actuator networks by the direction of motion, which indicate backlash or hysteresis."""
-    from sysid.reports.display import shown_unit
+    from sysid.display import shown_unit
 
     rows = []
     for entry in report.outputs if report.kind in ("actuator", "history") else ():
@@ -108,7 +108,7 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
-    from sysid.reports.display import percent, quantity, ratio
+    from sysid.display import percent, quantity, ratio
     from sysid.reports.sections.where import above_floor, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
@@ -140,8 +140,9 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
+    from sysid.gap.headline import headline
     from sysid.reports.effect_units import shown_parameters
-    from sysid.reports.words import effect_place, effect_sentence, headline
+    from sysid.reports.words import effect_place, effect_sentence
 
     machine = dataset.machine
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
@@ -166,7 +167,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Residual networks: held-out error of the stage without and with each, or why there is none."""
-    from sysid.reports.display import quantity
+    from sysid.display import quantity
 
     for item in result.carried:
         if not item.accepted:
@@ -182,7 +183,7 @@ def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> N
 
 def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
     """Per measured signal: RMSE before and after, noise floor, closed share; in mm and degrees."""
-    from sysid.reports.display import NOTHING, percent, quantity
+    from sysid.display import NOTHING, percent, quantity
 
     rows = []
     for name, before in result.gap.before.items():
@@ -237,7 +238,7 @@ def show_repair(
 
 def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """The held-out gap in the PyBullet world and with the compiled plant, before and after."""
-    from sysid.reports.display import quantity
+    from sysid.display import quantity
 
     found = result.world_gap
     if found is None:

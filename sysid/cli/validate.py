@@ -57,7 +57,7 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
 
 
 def _show(out: Printer, report: ValidationReport) -> None:
-    from sysid.reports.display import percent, quantity, shown_unit
+    from sysid.display import percent, quantity, shown_unit
 
     show_errors(out, report)
     show_directions(out, report)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sysid.effects.compiled import inlined
@@ -9,6 +11,8 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 #: Faster than any log can show: the effect is absent.
 ABSENT = 1e4
+#: A shorter lag, in steps, has settled at the end of a step.
+SHORT = 0.03
 
 EFFECT = Effect(
     name="command_rate_limit",
@@ -56,3 +60,28 @@ def step(u, p, i, s, j, dt):
     if np.isnan(s[j + 1]):
         s[j + 1] = 1.0 / reach if reach > 0.0 else 0.0
     return u - 0.5 * change * abs(change) * s[j + 1]
+
+
+@inlined
+def held(u, lag, p, i, s, j, dt):
+    """Input that has the effect of the ramp on a lag of time constant ``lag`` at the end of the step, if held over it.
+
+    From L to L' in the time r, the lag goes from 0 to x = L' − ρT − (L − ρT)·e^(−r/T), ρ = (L' − L)/r, and then to
+    L' + (x − L')·e^(−(dt − r)/T). Without a lag it is the end of the ramp.
+    """
+    if np.isnan(s[j]):
+        s[j] = u
+    before = s[j]
+    if p[i] >= ABSENT or u == before:
+        s[j] = u
+        return u
+    reach = p[i] * dt
+    end = before + min(max(u - before, -reach), reach)
+    s[j] = end
+    if lag < SHORT * dt or end == before:
+        return end
+    slope = math.copysign(p[i], u - before)
+    ramp = (end - before) / slope
+    x = end - slope * lag - (before - slope * lag) * math.exp(-ramp / lag)
+    x = end + (x - end) * math.exp(-(dt - ramp) / lag)
+    return x / (1.0 - math.exp(-dt / lag))

@@ -9,6 +9,9 @@ import numpy as np
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
+#: Smaller time constants are no lag [s].
+ABSENT = 1e-6
+
 EFFECT = Effect(
     name="first_order_lag",
     title="First-order lag",
@@ -44,7 +47,7 @@ def step(u, p, i, s, j, dt):
     if np.isnan(s[j]):
         s[j] = u
     constant = p[i]
-    if constant < 1e-6:
+    if constant < ABSENT:
         s[j] = u
         return u
     if np.isnan(s[j + 1]):

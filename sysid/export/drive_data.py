@@ -43,8 +43,8 @@ VELOCITY_ORDER = (
     "first_order_lag", "gain_error", "asymmetric_gain", "temperature_drift", "load_dependent_flow", "nominal_gain",
     "internal_leakage", "stiction", "oil_compressibility",
 )  # fmt: skip
-#: The same of a position axis, whose parts give the value at the end of a step.
-POSITION_ORDER = ("input_delay", "command_rate_limit", "first_order_lag", "second_order_lag")
+#: The same of a position axis, whose parts give the value at the end of a step; a ramp begins with its step.
+POSITION_ORDER = ("command_rate_limit", "input_delay", "first_order_lag", "second_order_lag")
 FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smooth_coulomb_friction")
 
 
@@ -115,8 +115,11 @@ def _command(plant: Plant, name: str) -> list[Part]:
             parts.append((part, {"gain": axis.gain}))
         elif values := _slots(plant, part, name):
             extra: dict[str, Any] = {}
-            if axis.actuation == "position" and part in ("command_rate_limit", "first_order_lag"):
+            if axis.actuation == "position" and part == "first_order_lag":
                 extra = {"at_end": True}
+            if axis.actuation == "position" and part == "command_rate_limit":
+                lag, spring = (_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
+                extra = {"at_end": True, "lag": lag} if lag >= 1e-6 or spring < 1e-6 else {}
             if part == "stiction":
                 extra = {"gain": axis.gain, "least": stiction.REST}
             if part == "second_order_lag" and values["time_constant"] < 1e-6:

@@ -22,6 +22,7 @@ class JsonTarget:
     name = "json"
     title = "JSON and a Python module"
     modules: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def support(self, effect: Effect) -> Support:
         if effect.name in WITHOUT_PART:

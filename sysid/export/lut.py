@@ -6,7 +6,7 @@ The simulation of an axis: opening table, dead time, ramp, lag, speed table, osc
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,10 @@ class LutTarget:
     name = "lut"
     title = "lookup tables (CSV)"
     modules: tuple[str, ...] = ()
+    notes: tuple[str, ...] = (
+        "Order of a velocity axis: opening table, dead time, ramp, lag, speed table, oscillation of the oil, integration "
+        "between the end stops, linkage table. Tables are linear between their points and beyond them.",
+    )
 
     def support(self, effect: Effect) -> Support:
         if effect.name in OPENING:
@@ -65,7 +69,7 @@ class LutTarget:
         data, files, numbers = drive_data(plant, rate_hz), [NUMBERS], []
         for axis in data["axes"]:
             name, unit = axis["name"], "m" if axis["drives"] == "cylinder" else "rad or m"
-            numbers += [(name, *row) for row in _numbers(axis)]
+            numbers += [(name, *row) for row in numbers_of(axis)]
             if axis["actuation"] == "velocity":
                 opening, speed = tables(axis, 1.0 / rate_hz)
                 files += [_write(folder / f"{name}_opening.csv", ("command [1]", "opening [1]"), opening)]
@@ -80,27 +84,41 @@ class LutTarget:
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         """The written tables between the standard blocks."""
-        data = drive_data(nominal_geometry(plant), plant.machine.rate_hz)
-        data |= {"pump_limit": None, "sway": None, "sensors": {}}
-        data["axes"] = [_by_tables(axis, folder) for axis in data["axes"]]
-        return DriveModelSimulation(plant, assemble(data, {**PARTS, "table": Table}))
+
+        def read(axis: str) -> tuple[Array, Array]:
+            return _read(folder / f"{axis}_opening.csv"), _read(folder / f"{axis}_speed.csv")
+
+        return simulation_of_tables(plant, read)
 
 
-def _numbers(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
+def simulation_of_tables(plant: Plant, read: Callable[[str], tuple[Array, Array]]) -> Simulation:
+    """Tables of command → opening and opening → speed, (n, 2) each, between the standard blocks.
+
+    Args:
+        read: the two tables of a velocity axis.
+    """
+    data = drive_data(nominal_geometry(plant), plant.machine.rate_hz)
+    data |= {"pump_limit": None, "sway": None, "sensors": {}}
+    data["axes"] = [_by_tables(axis, read) for axis in data["axes"]]
+    return DriveModelSimulation(plant, assemble(data, {**PARTS, "table": Table}))
+
+
+def numbers_of(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
     """Block, quantity and value of all numbers of an axis."""
     rows = [("end_stop", end, axis[end]) for end in ("low", "high")] + [("joint_offset", "offset", axis["offset"])]
-    rows += [(part, key, value) for part, values in axis["command"] if part in BLOCKS for key, value in values.items()]
+    blocks = [(part, values) for part, values in axis["command"] if part in BLOCKS]
+    rows += [(part, key, value) for part, values in blocks for key, value in values.items() if key not in ("at_end", "lag")]
     if axis["actuation"] == "force":
         rows += [("inertia", "mass", axis["mass"]), ("load_bias", "force", axis["bias"])]
         rows += [(law, key, value) for law, values in axis["frictions"] for key, value in values.items() if law in BLOCKS]
     return rows
 
 
-def _by_tables(axis: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _by_tables(axis: dict[str, Any], read: Callable[[str], tuple[Array, Array]]) -> dict[str, Any]:
     """Drive data of an axis with its written tables in place of the static curves, without what tables do not have."""
     found = axis | dict.fromkeys(("drive_backlash", "structure_backlash", "drive_compliance", "structure_compliance"), 0.0)
     if axis["actuation"] == "velocity":
-        opening, speed = (_read(folder / f"{axis['name']}_{what}.csv") for what in ("opening", "speed"))
+        opening, speed = read(axis["name"])
         blocks = [part for part in axis["command"] if part[0] in BLOCKS and part[0] != "oil_compressibility"]
         behind = [part for part in axis["command"] if part[0] == "oil_compressibility"]
         found["command"] = [("table", {"points": opening}), *blocks, ("table", {"points": speed}), *behind]

@@ -53,6 +53,9 @@ class MjcfTarget:
     name = "mjcf"
     title = "MuJoCo"
     modules: tuple[str, ...] = ("mujoco",)
+    notes: tuple[str, ...] = (
+        "`robot.json` states for each axis whether its actuator takes the command or follows the drive model.",
+    )
 
     def support(self, effect: Effect) -> Support:
         if effect.name in _ELEMENTS:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.machine.kinematics import Joint, Kinematics, rotation_about
+from sysid.export.geometry import base_pose, stretched, tip_offset
+from sysid.machine.kinematics import Joint, Kinematics
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
@@ -41,14 +42,8 @@ def add_bodies(spec: Any, plant: Plant) -> Bodies:
     kinematics = plant.machine.kinematics()
     if kinematics is None or plant.machine.urdf_text is None:
         return _plain_bodies(spec, plant)
-    base = plant.effect("base_misalignment", "base")
-    turn = np.eye(3)
-    root = spec.worldbody.add_body(name=kinematics.chain[0].parent)
-    if base is not None:
-        rotation = np.asarray(base.parameters["rotation"], dtype=np.float64)
-        angle = float(np.linalg.norm(rotation))
-        turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else turn
-        root.pos, root.quat = np.asarray(base.parameters["translation"], dtype=np.float64), quaternion(turn)
+    turn, place = base_pose(plant)
+    root = spec.worldbody.add_body(name=kinematics.chain[0].parent, pos=place, quat=quaternion(turn))
     spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
     _children(spec, root, kinematics.chain[0].parent, plant, kinematics, _inertias(plant.machine.urdf_text))
     joints = tuple(str(axis.joint) for axis in plant.machine.axes)
@@ -67,12 +62,12 @@ def _children(
     body.fullinertia = [moments[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     if link == kinematics.tip:
         site = body.add_site(name="ee")
-        site.pos = _tip_offset(plant, kinematics)
+        site.pos = tip_offset(plant, kinematics)
     for joint in kinematics.joints.values():
         if joint.parent != link:
             continue
         child = body.add_body(name=joint.child)
-        child.pos, child.quat = _stretched(joint, plant, kinematics), quaternion(joint.origin[:3, :3])
+        child.pos, child.quat = stretched(joint, plant, kinematics), quaternion(joint.origin[:3, :3])
         length = float(np.linalg.norm(child.pos))
         if length > DRAWN:
             body.add_geom(type=_mujoco().mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], size=[DRAWN, 0.0, 0.0],
@@ -92,50 +87,6 @@ def _joint(spec: Any, child: Any, joint: Joint, kinematics: Kinematics) -> None:
         equality = spec.add_equality(name=f"{joint.name}_follows", name1=joint.name, name2=master)
         equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
         equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
-
-
-def _stretched(joint: Joint, plant: Plant, kinematics: Kinematics) -> Array:
-    """Place of a joint's frame, with the length error of the link that the joint before it in the chain moves.
-
-    Fixed joints in between belong to that link: each is stretched by the same share.
-    """
-    place = joint.origin[:3, 3].copy()
-    names = [j.name for j in kinematics.chain]
-    if joint.name not in names:
-        return place
-    moved = [j for j in kinematics.chain[: names.index(joint.name)] if j.name in kinematics.drives]
-    if not moved or moved[-1].name not in kinematics.actuated:
-        return place
-    target = plant.machine.axis_names[kinematics.actuated.index(moved[-1].name)]
-    error = plant.effect("link_length_error", target)
-    length = link_length(kinematics, moved[-1].name)
-    if error is None or length < 1e-9:
-        return place
-    return place * (1.0 + float(np.asarray(error.parameters["error"])) / length)
-
-
-def link_length(kinematics: Kinematics, joint: str) -> float:
-    """Distance from the frame of a joint of the chain to that of the next joint that moves, or to the tip [m]."""
-    names = [j.name for j in kinematics.chain]
-    frame = np.eye(4)
-    for step in kinematics.chain[names.index(joint) + 1 :]:
-        frame = frame @ step.origin
-        if step.name in kinematics.drives:
-            break
-    return float(np.linalg.norm(frame[:3, 3]))
-
-
-def _tip_offset(plant: Plant, kinematics: Kinematics) -> Array:
-    """Offset of the tip in the frame of its link, (3,) [m]; the effect has it in the frame that the last joint moves."""
-    item = plant.effect("tip_offset", "ee")
-    if item is None:
-        return np.zeros(3)
-    turn = np.eye(3)
-    for joint in reversed(kinematics.chain):
-        if joint.name in kinematics.drives:
-            break
-        turn = joint.origin[:3, :3] @ turn
-    return np.asarray(turn.T @ np.asarray(item.parameters["translation"], dtype=np.float64))
 
 
 def _inertias(urdf: str) -> dict[str, tuple[Array, ...]]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.display import quantity
 from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
@@ -15,7 +16,6 @@ from sysid.export.replay import ROUNDING, SHARE, Replay
 from sysid.export.target import Target
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
-from sysid.quantity import readable
 from sysid.signals import split_signal
 
 KINDS = {
@@ -44,7 +44,9 @@ def export_page(
         f"- Units are SI: m, rad, s, N, N·m, kg. A sample is {1.0 / rate_hz:g} s.",
         "- Frame: that in which the end effector was measured; z is up in the base frame of the URDF. Joint values are those",
         "  of the URDF, positive about or along its axes. `joint_offset`: structure = sensor + offset.",
-        "- Commands are those of `machine.toml`: " + "; ".join(map(_command, plant.machine.axes)) + ".\n",
+        "- Commands are those of `machine.toml`: " + "; ".join(map(_command, plant.machine.axes)) + ".",
+        *(f"- {note}" for note in target.notes),
+        "",
         "## Effects\n",
         *_effects(plant, target),
         "## Replay\n",
@@ -111,7 +113,7 @@ def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> l
 
 def shown(value: float, unit: str) -> str:
     """A figure with its unit; a difference by rounding is zero, what is not measured a dash."""
-    return readable(value if abs(value) > ROUNDING else 0.0, unit) if np.isfinite(value) else "–"
+    return quantity(value if abs(value) > ROUNDING else 0.0, unit) if np.isfinite(value) else "–"
 
 
 def unit_of(signal: str, units: Mapping[str, str]) -> str:

@@ -56,7 +56,8 @@ class Target(Protocol):
     Attributes:
         name: as in ``sysid export --to NAME``.
         title: of the simulator, for people.
-        extra: modules that it needs beside the core (:mod:`sysid.extras`).
+        modules: that it needs beside the core (:mod:`sysid.extras`).
+        notes: on its use, for the page of an export.
     """
 
     @property
@@ -67,6 +68,9 @@ class Target(Protocol):
 
     @property
     def modules(self) -> tuple[str, ...]: ...
+
+    @property
+    def notes(self) -> tuple[str, ...]: ...
 
     def support(self, effect: Effect) -> Support:
         """How it represents an effect."""

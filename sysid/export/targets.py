@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from sysid.errors import SettingsError, nearest
+from sysid.export.fmu import FmuTarget
 from sysid.export.json_target import JsonTarget
 from sysid.export.lut import LutTarget
 from sysid.export.mjcf import MjcfTarget
+from sysid.export.simulink import SimulinkTarget
 from sysid.export.target import Target
+from sysid.export.urdf import UrdfTarget
 
-TARGETS: tuple[Target, ...] = (MjcfTarget(), LutTarget(), JsonTarget())
+TARGETS: tuple[Target, ...] = (MjcfTarget(), UrdfTarget(), FmuTarget(), SimulinkTarget(), LutTarget(), JsonTarget())
 
 
 def target_named(name: str) -> Target:

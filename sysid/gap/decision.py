@@ -74,6 +74,7 @@ REPAIRS = "it may compensate for the formula of a similar effect"
 PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
+FILTERS = "noise of its measured input, or what the clock alignment leaves open, explains a change of its size"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
@@ -222,9 +223,10 @@ def decide(
     servo = fewest is not None and not exact and not integrates
     if not accumulates:
         acceptable = likely if fewest is None or not servo else list(fewest(likely[0]))
+        acceptable, filters = _without_filters(acceptable, rope, without)
         model = acceptable[0]
     else:
-        acceptable = _nearest(models, unsure, free, own_evidence)
+        acceptable, filters = _nearest(models, unsure, free, own_evidence), []
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
@@ -242,13 +244,15 @@ def decide(
         for c in model.candidates:
             if not lacking[c.key] and less(model, c).left <= EXPLAINED * max(model.left, 1.0):
                 lacking[c.key] = LITTLE
+    alone = model
     if servo and without is not None:
-        lacking |= dict.fromkeys(_beyond_price(model, lacking, nothing, without), LITTLE)
+        lost, alone = _beyond_price(model, lacking, nothing, without)
+        lacking |= dict.fromkeys(lost, LITTLE)
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
     certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
-    worth = exact or integrates or pays(reference, model.left, max(certain, 1))
+    worth = exact or integrates or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -264,8 +268,9 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
+    near += [miss for miss in filters if all(miss.candidate.key != c.key for c in model.candidates)]
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
-    seen = {c.key for c in model.candidates}
+    seen = {c.key for c in (*model.candidates, *(miss.candidate for miss in filters))}
     for other in (*acceptable, *survivors):
         for candidate in other.candidates:
             if candidate.key not in seen:
@@ -288,6 +293,28 @@ def _likely(
     return [chosen, *(f for f in minimal if f is not chosen and _is_alternative(f, chosen, rope))]
 
 
+def _without_filters(
+    acceptable: Sequence[ModelFit],
+    rope: Mapping[Key, float],
+    without: Callable[[ModelFit, Candidate], ModelFit] | None,
+) -> tuple[list[ModelFit], list[NearMiss]]:
+    """The acceptable sets without effects that are not certainly larger than ``rope``, the others refitted; and these effects.
+
+    A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
+    value describes the recordings, not the machine.
+    """
+    found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
+    for model in acceptable:
+        small = [c for c in model.candidates if c.key in rope and _reaches(c, model, np.array(rope[c.key]))]
+        rest = model
+        for candidate in small if without is not None else ():
+            values, deviations = model.values_of(candidate), model.deviations_of(candidate)
+            filters += [NearMiss(candidate, values, deviations, FILTERS)] if model is acceptable[0] else []
+            rest = without(rest, candidate)  # type: ignore[misc]
+        found.setdefault(rest.labels, rest)
+    return list(found.values()), filters
+
+
 def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
     """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
     likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
@@ -297,20 +324,24 @@ def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Call
 
 def _beyond_price(
     model: ModelFit, lacking: Mapping[Key, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
-) -> list[Key]:
-    """The certain effects that leave least without them, until the others alone are worth the price of their number."""
-    certain = [c for c in model.candidates if not lacking[c.key]]
-    certain.sort(key=lambda c: without(model, c).left)
-    lost = list[Key]()
-    while certain:
-        alone = model
-        for candidate in model.candidates:
-            if candidate not in certain:
-                alone = without(alone, candidate)
-        if pays(nothing, alone.left, len(certain)):
+) -> tuple[list[Key], ModelFit]:
+    """Certain effects that are not worth a name, and the set of the others alone.
+
+    One by one, the effect that leaves least without it: while the others alone leave at most a tenth more, since effects that
+    are not certain may exchange with it (a dead time with a lag), and until the others are worth the price of their number.
+    """
+    lost, alone = list[Key](), model
+    for candidate in model.candidates:
+        if lacking[candidate.key]:
+            alone = without(alone, candidate)
+    while alone.candidates:
+        first = min(alone.candidates, key=lambda c: without(alone, c).left)
+        less = without(alone, first)
+        if less.left > EXPLAINED * max(alone.left, 1.0) and pays(nothing, alone.left, len(alone.candidates)):
             break
-        lost.append(certain.pop(0).key)
-    return lost
+        lost.append(first.key)
+        alone = less
+    return lost, alone
 
 
 def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
@@ -507,10 +538,12 @@ def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float
 
     They include what the discrepancy could do in its place.
     """
-    here = model.rows_of(candidate)
-    values, reach = model.values_of(candidate), Z * np.hypot(model.deviations_of(candidate), model.confounded[here])
-    response = model.response[here]
-    seen = equivalent_change(model.left) / np.maximum(response, 1e-300)
-    half = np.maximum(seen, rope.get(candidate.key, 0.0))
+    seen = equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300)
+    return _reaches(candidate, model, np.maximum(seen, rope.get(candidate.key, 0.0)))
+
+
+def _reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
+    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
+    reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
     nominal = np.array([u.nominal for u in candidate.unknowns])
-    return bool((np.abs(values - nominal) - reach <= half).all())
+    return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import norm
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
@@ -30,13 +31,14 @@ from sysid.gap.decision import (
 )
 from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
-from sysid.gap.intervals import known_of
+from sysid.gap.intervals import jackknifed, known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
+from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
@@ -232,16 +234,24 @@ def _with_intervals(case: Case, stage: Stage) -> Stage:
     result = stage.found
     if not result.named or result.stage_fit is None:
         return stage
-    limits = _limits(result)
     regression = is_pose_set(case.dataset) or stage.problem.stage == "links"  # smooth: the posterior is exact
     if case.adapter is not None or regression:
-        return replace(stage, result=replace(result, limits=limits))
+        return replace(stage, result=replace(result, limits=_limits(result)))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    limits = _limits(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
     fit = known.fit if EXPLAINED * after < before else result.fit
     return replace(stage, result=replace(result, fit=fit, limits=limits))
+
+
+def _spread_of_parts(seen: Data, theta: Array, fitted: StageFit) -> Array | None:
+    """Half-widths of the least-squares values by the jackknife, where formulas are wrong: the best values depend on motion."""
+    alone = fitted.least_squares
+    if fitted.decision.exact or not alone.unknowns:
+        return None
+    return jackknifed(seen, theta, alone.unknowns, alone.values)
 
 
 def _accumulates(result: StageResult) -> bool:
@@ -426,20 +436,23 @@ def _near_misses(stage: Stage) -> list[str]:
     return found
 
 
-def _limits(result: StageResult) -> Array:
+def _limits(result: StageResult, spread: Array | None = None) -> Array:
     """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds.
 
     The hull of the interval of the stage's likelihood and that of the free run with the named effects alone, which differ where
     the formulas are wrong. Where their errors accumulate, of the likelihood only the estimate counts.
+
+    Args:
+        spread: half-widths of the latter by the differences between parts of the recordings.
     """
     fitted = result.stage_fit
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
-    limits = _interval(model)
+    limits, least = (_interval(f, fitted.decision.exact, wide) for f, wide in ((model, None), (alone, spread)))
     accumulates = _accumulates(result)
     for candidate in alone.candidates:
         if candidate.label in model.labels:
-            here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]
+            here, there = model.rows_of(candidate), least[alone.rows_of(candidate)]
             kept = np.repeat(model.values[here, None], 2, axis=1) if accumulates else limits[here]
             limits[here, 0], limits[here, 1] = np.minimum(kept[:, 0], there[:, 0]), np.maximum(kept[:, 1], there[:, 1])
     low = np.array([u.bounds[0] for u in model.unknowns])
@@ -454,9 +467,14 @@ def _may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> 
     return bool(((here[:, 0] <= nominal) & (nominal <= here[:, 1])).all())
 
 
-def _interval(model: ModelFit) -> Array:
-    """95 % intervals of a normal posterior, (k, 2)."""
-    return np.asarray(model.values[:, None] + Z * np.sqrt(np.diag(model.covariance))[:, None] * [-1.0, 1.0])
+def _interval(model: ModelFit, exact: bool, spread: Array | None) -> Array:
+    """95 % intervals of a normal posterior, (k, 2), at least ``spread`` to both sides.
+
+    Where the formulas are wrong, they include what the discrepancy could do in place of an effect.
+    """
+    half = Z * np.hypot(np.sqrt(np.diag(model.covariance)), 0.0 if exact else model.confounded)
+    half = half if spread is None else np.maximum(half, spread)
+    return np.asarray(model.values[:, None] + half[:, None] * [-1.0, 1.0])
 
 
 def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
@@ -480,7 +498,8 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
     undetermined: list[str] = []
     for parameter in candidate.form.parameters:
         here = slice(begin, begin + len(parameter.components))
-        value, low, high = (tuple(map(float, column)) for column in (fit.values[here], limits[here, 0], limits[here, 1]))
+        ends = simultaneous(fit.values[here], limits[here])
+        value, low, high = (tuple(map(float, column)) for column in (fit.values[here], ends[:, 0], ends[:, 1]))
         single = len(value) == 1
         parameters[parameter.name] = value[0] if single else value
         interval[parameter.name] = (low[0], high[0]) if single else (low, high)
@@ -499,6 +518,12 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
         evidence=kept.evidence,
         undetermined=tuple(undetermined),
     )
+
+
+def simultaneous(values: Array, limits: Array) -> Array:
+    """Intervals (n, 2) that contain all ``n`` components of a vector with 95 % (Bonferroni), from those of each component."""
+    wider = norm.ppf(1.0 - 0.025 / len(values)) / Z
+    return np.asarray(values[:, None] + wider * (limits - values[:, None]))
 
 
 def _share(stage: Stage, candidate: Candidate) -> float:

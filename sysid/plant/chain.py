@@ -73,10 +73,14 @@ def position_stage(u, p, b, s, m, size, load, dt):
     """Commanded position → position of a servo axis at the end of the step (the other stages take means over the step).
 
     Under a ``load`` the servo is a spring; its sag, which :func:`joint_stage` subtracts, follows the load through its loop.
+    The rate limit commutes with the dead time. It comes first, so that a ramp begins with its step.
     """
+    limit, ramp, lag = b + AT.command_rate_limit, m + STATE.command_rate_limit, p[b + AT.first_order_lag]
+    if lag < first_order_lag.ABSENT and p[b + AT.second_order_lag] >= second_order_lag.ABSENT:
+        u = command_rate_limit.step(u, p, limit, s, ramp, dt)
+    else:
+        u = command_rate_limit.held(u, lag, p, limit, s, ramp, dt)
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
-    command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
-    u = s[m + STATE.command_rate_limit]
     first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
     u = s[m + STATE.first_order_lag]
     second_order_lag.follow_load(load, p, b + AT.second_order_lag, s, m + STATE.second_order_lag, dt)

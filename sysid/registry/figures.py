@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sysid.quantity import readable
+from sysid.display import quantity
 from sysid.registry.version import ModelVersion
 
 
@@ -32,5 +32,5 @@ def held_out_figures(version: ModelVersion) -> tuple[OutputFigures, ...]:
         signal, _, rows = output.rpartition(".")
         if figure in ("rmse", "p95", "max") and signal:
             unit = "rad" if signal.endswith(".joint") else "m"
-            found.setdefault((signal, "poses" if rows == "poses" else "motion"), {})[figure] = readable(value, unit)
+            found.setdefault((signal, "poses" if rows == "poses" else "motion"), {})[figure] = quantity(value, unit)
     return tuple(OutputFigures(signal, rows, **figures) for (signal, rows), figures in found.items())

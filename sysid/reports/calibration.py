@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sysid.display import NOTHING, digits_for, fixed, quantity
 from sysid.networks import Calibration
-from sysid.reports.display import NOTHING, digits_for, fixed, quantity
 
 #: Optional parameters, as sentences name them.
 KINDS = {

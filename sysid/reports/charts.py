@@ -9,8 +9,8 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
+from sysid import display
 from sysid.pictures import ticks
-from sysid.reports import display
 
 Array = npt.NDArray[np.float64]
 Scale = Callable[[float], float]

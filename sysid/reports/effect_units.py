@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from sysid import display
 from sysid.effects.units import parameter_unit
 from sysid.machine import Machine
-from sysid.reports import display
 
 #: Text for a parameter that the recordings do not determine.
 UNDETERMINED = "not determined"

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
+from sysid import display
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.decision import decision_row
 from sysid.registry.figures import held_out_figures
-from sysid.reports import display
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import SiteBar, page
 from sysid.reports.words import signal_name
@@ -131,9 +131,9 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
     found = []
     numbers, names = np.arange(len(versions), dtype=np.float64), [f"@{version.version}" for version in versions]
     for (unit, _), own in groups.items():
-        label = "mrad" if unit == "rad" else "mm"
+        factor, label = display.shown_unit(unit)
         lines = [
-            ChartCurve(np.array([1e3 * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
+            ChartCurve(np.array([factor * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
             for key, look in zip(own, LINE_CLASSES, strict=False)
         ]
         legend = "".join(

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid import display
 from sysid.gap.result import GapResult, Traces
-from sysid.reports import display
+from sysid.gap.worst_row import worst_row
 from sysid.reports.charts import WIDE, ChartCurve, chart
 
 Array = npt.NDArray[np.float64]
 
+VERSIONS = ("before", "after")
 #: Length of the shown window [s], and its number of points.
 WINDOW, POINTS = 8.0, 200
 #: Below this share of the signal's range, errors are shown in the place of curves.
@@ -40,21 +42,13 @@ def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment 
     for trace in traces:
         if signal not in trace.measured or signal not in trace.before or signal not in trace.after:
             continue
-        measured = _column(trace.measured[signal])
-        errors = {v: np.abs(_column(getattr(trace, v)[signal]) - measured) for v in ("before", "after")}
-        if not np.isfinite(errors[version]).any():
+        worst = worst_row(getattr(trace, version)[signal], trace.measured[signal])
+        if worst is None or (found is not None and abs(worst[1]) <= getattr(found, version)):
             continue
-        row = int(np.nanargmax(errors[version]))
-        worst = float(errors[version][row])
-        if found is None or worst > getattr(found, version):
-            found = Moment(
-                signal,
-                trace.recording,
-                float(_column(trace.measured["time"])[row]),
-                float(errors["before"][row]),
-                float(errors["after"][row]),
-                row,
-            )
+        row = worst[0]
+        before, after = (abs(_column(getattr(trace, v)[signal])[row] - _column(trace.measured[signal])[row]) for v in VERSIONS)
+        time = float(_column(trace.measured["time"])[row])
+        found = Moment(signal, trace.recording, time, float(before), float(after), row)
     return found
 
 

@@ -108,14 +108,30 @@
   }
 
   const drawn = new Set();
+  const drawOnce = (element) => {
+    if (drawn.has(element)) return;
+    drawn.add(element);
+    drawings.get(element)();
+  };
   const seen = new IntersectionObserver((entries) => {
-    for (const { isIntersecting, target } of entries) {
-      if (!isIntersecting || drawn.has(target)) continue;
-      drawn.add(target);
-      drawings.get(target)();
-    }
+    for (const { isIntersecting, target } of entries) if (isIntersecting) drawOnce(target);
   }, { rootMargin: "600px" });
   for (const element of drawings.keys()) seen.observe(element);
+  // On paper folded sections are shown: they are unfolded now, so that their figures are drawn at their size.
+  const paper = 860;  // [px], of a sheet of A4 with the margins of a browser, at the zoom of the style sheet
+  let unfolded = [];
+  addEventListener("beforeprint", () => {
+    unfolded = [...document.querySelectorAll("details:not([open])")];
+    for (const folded of unfolded) folded.open = true;
+    for (const element of drawings.keys()) {
+      drawOnce(element);
+      Plotly.relayout(element, { autosize: false, width: Math.min(paper, element.clientWidth) });
+    }
+  });
+  addEventListener("afterprint", () => {
+    for (const folded of unfolded) folded.open = false;
+    for (const element of drawings.keys()) Plotly.relayout(element, { autosize: true, width: null });
+  });
   // The link to the section in view.
   const links = new Map([...document.querySelectorAll("nav a")].map((link) => [link.hash.slice(1), link]));
   const sections = [...document.querySelectorAll("main > section")];

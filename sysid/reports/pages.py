@@ -10,8 +10,9 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from sysid import display
 from sysid.files import written_whole
-from sysid.reports import display, words
+from sysid.reports import words
 
 FOLDER = Path(__file__).parent
 #: Styles of pages that are part of a site.

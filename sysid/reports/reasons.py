@@ -7,10 +7,11 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from sysid import display
 from sysid.effects import BY_NAME
 from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 
 #: ``backlash(slew, drive)``: effect, target and further qualifiers; ``~`` marks effects that are only refitted.
 LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)(?P<refitted> ~)?")

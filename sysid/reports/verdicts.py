@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from sysid import display
 from sysid.gap.experiment.excitation_verdict import ExcitationVerdict, RecordingRequest
 from sysid.machine import Axis, Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.signals import axis_signal
 
 #: Side of the joint sensor → text.

@@ -20,21 +20,12 @@ STAGES: dict[str, tuple[str, str]] = {
 
 OWNERS = {"ee": "tip", "tool": "tool", "machine": "whole machine", "base": "base"}
 
-HEADLINES = {
-    "no_gap": "The simulation agrees with the machine to within sensor noise.",
-    "unnamed": "The simulation has an error that none of the known effects explains.",
-    "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
-    "insufficient_excitation": "Simulation and machine disagree, but the excitation is not sufficient to identify the cause.",
-}
-
 ADVICE = {
     "no_gap": "No effect was added. Effects that the recordings do not excite may still be present; they are listed below.",
     "unnamed": "No effect was named. The properties of the remaining error are listed below.",
     "ambiguous": "No effect was selected. A recording that distinguishes them is described under “What to record next”.",
     "insufficient_excitation": "The recordings that are needed are described under “What to record next”.",
 }
-
-_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 def effect_title(name: str, target: str = "", machine: Machine | None = None) -> str:
@@ -88,11 +79,3 @@ def localised(places: list[str]) -> str:
         return "At every stage the simulation agrees with the machine to within sensor noise."
     listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")
     return f"Simulation and machine disagree at: {listed}."
-
-
-def headline(verdict: str, effects: int) -> str:
-    """The verdict as a sentence."""
-    if verdict != "named":
-        return HEADLINES.get(verdict, verdict)
-    count = _COUNTS[effects] if effects < len(_COUNTS) else str(effects)
-    return f"{count} effect{' is' if effects == 1 else 's are'} missing from the simulation."

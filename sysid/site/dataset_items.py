@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
-from sysid.reports.display import fixed
+from sysid.display import fixed
 from sysid.site.item import Fact, Item
 
 #: Group of the facts that give each signal's SI unit.

@@ -11,13 +11,12 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid.datasets.versions.manifest import Manifest
-from sysid.reports.display import NOTHING, fixed, number, percent, quantity
+from sysid.display import NOTHING, fixed, number, percent, quantity
+from sysid.reports.clock_summary import clock_summary
 from sysid.reports.pages import SiteBar, page
 from sysid.site.dataset_items import ROLES
 from sysid.site.item import Item
 
-#: An offset whose 95 % interval is wider than this is of no use at the usual rate of 100 Hz: half a sample [s].
-COARSE_S = 0.005
 STYLES = ("page.css", "site.css")
 
 
@@ -29,7 +28,6 @@ def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, 
         command: that computes one.
     """
     flags = list(manifest["quality"].get("flags", []))
-    clocks = [_clock(record) for record in manifest["clocks"]]
     return page(
         "dataset.html",
         STYLES,
@@ -43,8 +41,8 @@ def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, 
         command=command,
         recordings=list(_recordings(manifest, Counter(flag["recording"] for flag in flags))),
         signals=list(_signals(manifest)),
-        clocks=clocks,
-        clock_verdict=_clock_verdict(clocks),
+        clocks=[_clock(record) for record in manifest["clocks"]],
+        clock_summary=clock_summary((c["recording"], c["applied"], 0.5 * _width(c)) for c in manifest["clocks"]),
         flags=flags,
         files=manifest["sources"],
         machine=list(manifest["machine"].items()),
@@ -99,27 +97,19 @@ def _value(value: float | None) -> float:
 
 
 def _clock(record: Mapping[str, Any]) -> dict[str, Any]:
-    low, high = record["offset_interval95"]
-    half = (high - low) / 2.0
     how = record["reason"][:1].upper() + record["reason"][1:]
     return {
         "recording": record["recording"],
         "stream": record["stream"],
         "offset": fixed(record["offset_s"], 6),
-        "half": number(1e3 * half),
+        "half": number(0.5e3 * _width(record)),
         "skew": fixed(record["skew_ppm"], 1),
         "how": how if record["applied"] else f"Not applied. {how}",
         "warning": not record["applied"],
-        "coarse": half > COARSE_S,
     }
 
 
-def _clock_verdict(clocks: list[dict[str, Any]]) -> str:
-    """How many clocks are aligned, and which are not."""
-    fine = [clock for clock in clocks if not clock["warning"] and not clock["coarse"]]
-    coarse = [clock["recording"] for clock in clocks if clock["coarse"] and not clock["warning"]]
-    left = [clock["recording"] for clock in clocks if clock["warning"]]
-    parts = [f"{len(fine)} of {len(clocks)} clocks are aligned to within {1e3 * COARSE_S:.0f} ms"]
-    parts += [f"{', '.join(coarse)}: known less exactly"] if coarse else []
-    parts += [f"{', '.join(left)}: not aligned"] if left else []
-    return "; ".join(parts) + "."
+def _width(record: Mapping[str, Any]) -> float:
+    """Width of the 95 % interval of a clock's offset [s]."""
+    low, high = record["offset_interval95"]
+    return float(high - low)

@@ -13,7 +13,7 @@ from sysid.site.graph import layers, positions, with_waypoints
 from sysid.site.item import Item
 
 #: Size of a box, and distances of their left upper corners [px].
-WIDTH, HEIGHT, COLUMN, ROW = 182.0, 58.0, 226.0, 74.0
+WIDTH, HEIGHT, COLUMN, ROW = 182.0, 58.0, 214.0, 74.0
 MARGIN = 10.0
 #: Characters that fit into a box.
 LONGEST = 23

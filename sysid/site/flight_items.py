@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from sysid.display import fixed
 from sysid.errors import StoreError
 from sysid.parse import parse_json
-from sysid.reports.display import fixed
 from sysid.root import Root
 from sysid.site.item import Fact, Item
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid.display import NOTHING, fixed
 from sysid.errors import StoreError
 from sysid.reports.charts import WIDE, ChartCurve, chart
-from sysid.reports.display import NOTHING, fixed
 from sysid.reports.pages import SiteBar, page
 from sysid.site.flight_items import ended
 from sysid.site.item import Item

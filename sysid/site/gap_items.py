@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+from sysid.display import interval, quantity
 from sysid.errors import StoreError
+from sysid.gap.headline import headline
 from sysid.parse import parse_json
 from sysid.reports.archive import RESULT
-from sysid.reports.display import interval, quantity
-from sysid.reports.words import effect_title, headline, signal_name
+from sysid.reports.words import effect_title, signal_name
 from sysid.root import Root
 from sysid.site.item import Fact, Item
 

@@ -27,7 +27,7 @@ WORDS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Fact:
-    """One property of an item, for the search and the comparison: ``Fact("Held-out RMSE", "boom joint", "0.7 mrad")``."""
+    """One property of an item, for the search and the comparison: ``Fact("Held-out RMSE", "boom joint", "0.0402°")``."""
 
     group: str
     name: str

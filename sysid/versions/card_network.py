@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from sysid.display import quantity
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
-from sysid.quantity import readable
 from sysid.registry import ModelVersion
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import CardBlock
@@ -36,7 +36,7 @@ def what_network(model: Model | None) -> Iterator[str]:
             yield "Its joints deflect under the weight of the links."
         if model.members:
             size = "-".join(map(str, model.members[0].hidden))
-            yield f"{len(model.members)} perceptrons ({size}) correct its position by at most {readable(model.bound, 'm')}."
+            yield f"{len(model.members)} perceptrons ({size}) correct its position by at most {quantity(model.bound, 'm')}."
     elif isinstance(model, ForwardNetwork):
         size = "-".join(map(str, model.members[0].hidden))
         many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
@@ -98,7 +98,7 @@ def network_limits(model: Model | None, report: ValidationReport | None) -> Iter
         spikes = sorted(((e, s) for e in report.outputs for s in e.spikes), key=lambda pair: -pair[1].sigmas)
         for entry, spike in spikes[:3]:
             where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause.replace('_', ' ')})"
-            yield f"Among its largest errors: {entry.output} {readable(spike.error, entry.unit)} at {where}."
+            yield f"Among its largest errors: {entry.output} {quantity(spike.error, entry.unit)} at {where}."
     yield "The evaluation is of the machine at that time: `sysid validate` with newer recordings tests whether it still fits."
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from sysid.display import quantity
 from sysid.networks.uncertainty import FALSE_FLAGS
-from sysid.quantity import readable
 from sysid.validate import OutputReport, ValidationReport
 from sysid.versions.card_block import CardBlock
 from sysid.versions.policy import ROWS
@@ -24,11 +24,11 @@ def figures(report: ValidationReport) -> CardBlock:
         rows.append(
             (
                 f"{entry.output} {ROWS[entry.rows]}",
-                readable(metrics.rmse, unit),
-                readable(metrics.p95, unit),
-                readable(metrics.max, unit),
-                "–" if entry.noise_floor is None else readable(entry.noise_floor, unit),
-                "–" if best is None else f"{best}: {readable(entry.baselines[best].rmse, unit)}",
+                quantity(metrics.rmse, unit),
+                quantity(metrics.p95, unit),
+                quantity(metrics.max, unit),
+                "–" if entry.noise_floor is None else quantity(entry.noise_floor, unit),
+                "–" if best is None else f"{best}: {quantity(entry.baselines[best].rmse, unit)}",
             )
         )
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
@@ -47,8 +47,8 @@ def baselines(report: ValidationReport) -> Iterator[CardBlock]:
     rows = tuple(
         (
             f"{entry.output} {ROWS[entry.rows]}",
-            readable(entry.metrics.rmse, entry.unit),
-            *(readable(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
+            quantity(entry.metrics.rmse, entry.unit),
+            *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
         )
         for entry in report.outputs
     )
@@ -68,7 +68,7 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
                 f"{name} {edges[k]:.3g} … {edges[k + 1]:.3g} {unit}"
                 for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
             )
-            size, count = readable(first.rmse[a][b], entry.unit), str(first.count[a][b])
+            size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
             rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
     if rows:
         header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
@@ -87,7 +87,7 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
         rows.append(
             (
                 f"{entry.output} {ROWS[entry.rows]}",
-                f"± {readable(found.half_width, entry.unit)}",
+                f"± {quantity(found.half_width, entry.unit)}",
                 f"{100.0 * found.covered:.1f} %",
                 "–" if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
                 f"{100.0 * found.flagged:.1f} %",

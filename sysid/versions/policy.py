@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from sysid.config import Strict, load_settings
+from sysid.display import quantity
 from sysid.errors import InputError, SettingsError, nearest
-from sysid.quantity import readable
 from sysid.registry import NETWORKS
 from sysid.registry.decision import Check
 from sysid.units import si_factor
@@ -150,11 +150,11 @@ def _limits(part: KindPolicy, report: ValidationReport, where: str) -> Iterator[
 
 def _limit(entry: OutputReport, figure: Figure, most: float) -> Check:
     value = _figure(entry, figure)
-    what = f"{_name(entry)}: {figure} {readable(value, entry.unit)}"
+    what = f"{_name(entry)}: {figure} {quantity(value, entry.unit)}"
     name = f"limit on {figure} of {_name(entry)}"
     if value <= most:
-        return Check(name, "passed", f"{what}, at most {readable(most, entry.unit)} allowed")
-    return Check(name, "failed", f"{what}, {readable(value - most, entry.unit)} above the {readable(most, entry.unit)} allowed")
+        return Check(name, "passed", f"{what}, at most {quantity(most, entry.unit)} allowed")
+    return Check(name, "failed", f"{what}, {quantity(value - most, entry.unit)} above the {quantity(most, entry.unit)} allowed")
 
 
 def _baseline(entry: OutputReport, margin: float) -> Check:
@@ -163,8 +163,8 @@ def _baseline(entry: OutputReport, margin: float) -> Check:
         return Check(name, "left out", f"{_name(entry)}: no simple model to compare with")
     title, best = min(entry.baselines.items(), key=lambda item: item[1].rmse)
     ours, theirs = entry.metrics.rmse, best.rmse
-    what = f"{_name(entry)}: rmse {readable(ours, entry.unit)}"
-    text = f"{what}, {_compared(ours, theirs)} the {readable(theirs, entry.unit)} of the best simple model ({title})"
+    what = f"{_name(entry)}: rmse {quantity(ours, entry.unit)}"
+    text = f"{what}, {_compared(ours, theirs)} the {quantity(theirs, entry.unit)} of the best simple model ({title})"
     return _within_margin(name, ours, theirs, margin, text)
 
 
@@ -190,8 +190,8 @@ def _against(part: KindPolicy, report: ValidationReport, champion: ValidationRep
 def _figure_against(ours: OutputReport, theirs: OutputReport, figure: Figure, margin: float, champion: str) -> Check:
     mine, other = _figure(ours, figure), _figure(theirs, figure)
     name = f"champion in {figure} of {_name(ours)}"
-    what = f"{_name(ours)}: {figure} {readable(mine, ours.unit)}"
-    text = f"{what}, {_compared(mine, other)} the {readable(other, ours.unit)} of {champion}"
+    what = f"{_name(ours)}: {figure} {quantity(mine, ours.unit)}"
+    text = f"{what}, {_compared(mine, other)} the {quantity(other, ours.unit)} of {champion}"
     return _within_margin(name, mine, other, margin, text)
 
 

@@ -9,22 +9,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sysid.display import interval, quantity
 from sysid.effects import BY_NAME
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
+from sysid.gap.headline import headline
 from sysid.gap.result import GapResult, NamedEffect
+from sysid.gap.worst_row import worst_row
 from sysid.machine import Machine
-from sysid.quantity import readable
 from sysid.view.drawing import TIMELINE, sdk
 
 ENTITY, MOMENTS = "findings", "moments"
-VERDICTS = {
-    "named": "Missing from the simulation",
-    "no_gap": "The simulation agrees with the machine to within sensor noise",
-    "unnamed": "An error that no known effect explains",
-    "ambiguous": "The recordings cannot distinguish the candidates",
-    "insufficient_excitation": "The excitation does not identify the cause",
-}
 
 
 @dataclass(frozen=True)
@@ -47,10 +42,9 @@ def worst_moments(tables: Mapping[str, pd.DataFrame]) -> list[WorstMoment]:
         for signal in table.columns:
             if signal == "time" or signal.endswith(".command") or signal not in measured:
                 continue
-            error = (table[signal] - measured[signal]).to_numpy(dtype=np.float64)
-            if np.isfinite(error).any():
-                row = int(np.nanargmax(np.abs(error)))
-                found.append(WorstMoment(signal, version, float(measured["time"].iloc[row]), float(error[row])))
+            worst = worst_row(table[signal], measured[signal])
+            if worst is not None:
+                found.append(WorstMoment(signal, version, float(measured["time"].iloc[worst[0]]), worst[1]))
     return found
 
 
@@ -65,7 +59,7 @@ def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapp
     rr.log(ENTITY, rr.TextDocument(text, media_type="text/markdown"), static=True, recording=stream)
     for moment in sorted(moments, key=lambda item: item.time):
         rr.set_time(TIMELINE, duration=moment.time, recording=stream)
-        size = readable(abs(moment.error), units.get(moment.signal, "1"))
+        size = quantity(abs(moment.error), units.get(moment.signal, "1"))
         level = "WARN" if moment.version == "before" else "INFO"
         text = f"{moment.version}: largest error of {moment.signal}, {size}"
         rr.log(MOMENTS, rr.TextLog(text, level=level), recording=stream)
@@ -73,7 +67,7 @@ def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapp
 
 
 def _lines(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Iterator[str]:
-    yield f"## {VERDICTS.get(gap.verdict, gap.verdict)}\n"
+    yield f"## {headline(gap.verdict, len(gap.effects))}\n"
     for effect in gap.effects:
         values = ", ".join(_value(effect, name, machine) for name in effect.parameters)
         title = title_of(BY_NAME[effect.name], effect.target, machine) if effect.name in BY_NAME else effect.name
@@ -85,7 +79,7 @@ def _lines(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Iterat
     yield "| --- | --- | --- | --- |"
     for signal, before in gap.gap.before.items():
         figures = (before, gap.gap.after.get(signal, before), gap.gap.noise_floor.get(signal, np.nan))
-        texts = (readable(value, units.get(signal, "1")) if np.isfinite(value) else "–" for value in figures)
+        texts = (quantity(value, units.get(signal, "1")) if np.isfinite(value) else "–" for value in figures)
         yield f"| {signal} | {' | '.join(texts)} |"
 
 
@@ -95,5 +89,5 @@ def _value(effect: NamedEffect, name: str, machine: Machine) -> str:
     if not isinstance(value, int | float):
         return f"{name.replace('_', ' ')} {value}"
     low, high = effect.interval95.get(name, (np.nan, np.nan))
-    spread = f" ({readable(low, unit, 4)} to {readable(high, unit, 4)})" if np.isfinite(low) and np.isfinite(high) else ""
-    return f"{name.replace('_', ' ')} {readable(value, unit, 4)}{spread}"
+    spread = f" ({interval(low, high, unit, 4)})" if np.isfinite(low) and np.isfinite(high) else ""
+    return f"{name.replace('_', ' ')} {quantity(value, unit, 4)}{spread}"

@@ -70,7 +70,7 @@ def test_the_gate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "`crane-actuator` alone now means crane-actuator@1." in shown
     assert run(*ws, "models", "promote", "crane-actuator@2", "--policy", place / "p.toml", "--json", place / "r.json") == 2
     shown, error = capsys.readouterr()
-    assert re.search(r"failed    boom.joint in motion: bias 2\.\d\d mrad, 1\.\d\d mrad above the 1\.00 mrad allowed", shown)
+    assert re.search(r"failed    boom.joint in motion: bias 0\.1\d+°, 0\.0\d+° above the 0\.0573° allowed", shown)
     assert re.search(r"failed    boom.joint in motion: rmse .* % above the .* of crane-actuator@1; 5 % allowed", shown)
     assert "`crane-actuator` alone still means crane-actuator@1" in shown
     assert re.search(r"not promoted: \d of \d+ conditions do not hold.* models promote crane-actuator@2 --anyway 'WHY'", error)
@@ -148,7 +148,7 @@ def test_diff(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {change["what"] for change in found["figures"]} >= {"boom.joint.motion.rmse"}
     assert run(*ws, "crane-forward@1", "crane-forward@2", "--json", place / "g.json") == 0
     shown = capsys.readouterr().out
-    assert re.search(r"boom_joint\.offset\s+-?[\d.]+ mrad\s+-?[\d.]+ mrad\s+[\d.]+", shown)
+    assert re.search(r"boom_joint\.offset\s+−?[\d.]+°\s+−?[\d.]+°\s+[\d.]+", shown)
     geometry = json.loads((place / "g.json").read_text())["geometry"]
     assert all(change["sigmas"] > 0.0 for change in geometry)
     assert run(*ws, "crane-forward@1", "crane-forward@1") == 0
@@ -175,7 +175,7 @@ def test_export_and_card(place: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert run(*ws, "promote", "crane-actuator@1", "--anyway", "<b>first</b>") == 0
     assert run(*ws, "card", "crane-actuator") == 0
     text = (place / "cards/crane-actuator@1.md").read_text()
-    assert re.search(r"\| boom\.joint in motion \| [\d.]+ mrad \| .* \| (polynomial, degree \d|linkage geometry): ", text)
+    assert re.search(r"\| boom\.joint in motion \| [\d.]+° \| .* \| (polynomial, degree \d|linkage geometry): ", text)
     assert "| raw file | run-1/log.csv | 10 bytes | abababababab |" in text
     assert 'open_workspace("./workspace").network("crane-actuator@1")' in text
     page = (place / "cards/crane-actuator@1.html").read_text()

@@ -16,8 +16,8 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("release", "errors", "foreign", "parse", "children", "lazy", "extras"),
-    ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers", "quantity"),
-    ("config", "root", "location"),
+    ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers", "display"),
+    ("config", "root", "location", "execution"),
     ("logs", "machine"),
     ("effects",),
     ("datasets",),
@@ -28,7 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("reports", "view", "export"),
     ("rl",),
     ("workspace",),
-    ("model_versions",),
+    ("model_versions", "fleet"),
     ("site",),
     ("runner",),
     ("cli",),

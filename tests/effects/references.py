@@ -121,7 +121,6 @@ def servo_axis(
         for _ in range(PARTS):
             room = rate * h
             ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
-        for _ in range(PARTS):
             slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
             if second_order is not None:
                 away, speed = _spring(place - slow, speed, 1.0 / second_order[0], second_order[1], h)

@@ -161,6 +161,20 @@ def test_position_axis(effect: str, values: dict[str, float], keyword: str) -> N
     assert np.abs(run(effect, "wrist", dict(values))[:, 0] - expected).max() < 2e-3 * np.ptp(expected)
 
 
+@pytest.mark.parametrize("rate", [20.0, 110.0, 400.0])
+def test_a_lag_behind_a_fast_rate_limit(rate: float) -> None:
+    """Steps of 0.2 to 0.9 rad: the ramps of the last two end within a sample, and delay the lag by less than one."""
+    command = np.repeat([0.0, 0.9, 0.4, -0.5, -0.3], 40)
+    recording = replace(RECORDING, table=RECORDING.table.iloc[: len(command)].assign(**{"wrist.command": command}))
+    machine = replace(probe_machine(), effects=(KnownEffect("first_order_lag", "wrist", {"time_constant": 0.025}),))
+    limited = nominal_plant(machine).with_effect(KnownEffect("command_rate_limit", "wrist", {"rate": rate}))
+    out = free_run(compile_plant(limited), recording)["wrist.joint"].to_numpy()
+    expected = references.servo_axis(command, DT, rate=rate, lag=0.025)
+    without = references.servo_axis(command, DT, lag=0.025)
+    # The reference takes the ramp at the end of a hundredth of a step.
+    assert np.abs(out - expected)[1:].max() < 0.06 * np.abs(without - expected).max()
+
+
 FORCE = [
     ("coulomb_friction", {"force": 1.5}, {"coulomb": (1.5, 1.5)}),
     ("coulomb_friction", {"positive": 1.0, "negative": 2.0}, {"coulomb": (1.0, 2.0)}),

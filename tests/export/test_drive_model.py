@@ -98,6 +98,15 @@ def test_equals_the_plant(item: KnownEffect, tmp_path: Path) -> None:
     assert_same(plant, shipped(plant, tmp_path))
 
 
+@pytest.mark.parametrize("lag", ["first_order_lag", "second_order_lag"])
+@pytest.mark.parametrize("rate", [0.5, 60.0])
+def test_a_ramp_of_a_servo_before_its_dead_time_and_lag(lag: str, rate: float, tmp_path: Path) -> None:
+    slow = {"time_constant": 0.04} | ({"damping_ratio": 0.5} if lag == "second_order_lag" else {})
+    values: dict[str, Any] = {"command_rate_limit": {"rate": rate}, "input_delay": {"delay": 0.034}, lag: slow}
+    plant = probe_plant(*(KnownEffect(name, "wrist", each) for name, each in values.items()))
+    assert_same(plant, shipped(plant, tmp_path))
+
+
 #: Every effect that the model has at once, small enough that all of them act.
 TOGETHER = {
     "gain_curve": {"exponent": 1.2},

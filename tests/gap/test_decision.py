@@ -101,6 +101,49 @@ def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     assert unsure.named == ()
 
 
+def test_what_noise_of_the_input_explains_leaves_the_model_and_the_rest_is_refitted() -> None:
+    """A backlash within the noise of its input filters that noise; the plant without that noise must not contain it."""
+    both, alone = model(BAND, DELAY, away=0.1), model(BAND, worse=0.5, away=0.12)
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return alone if fit is both and candidate is DELAY else NOTHING
+
+    models = [NOTHING, both, model(DELAY, worse=3.0, left=3.0)]
+    small = decide(models, ALL, {DELAY.key: 0.2}, integrates=False, without=without)
+    assert small.model is alone
+    assert small.acceptable == (alone,)
+    assert small.named == (BAND,)
+    (near,) = small.near_misses
+    assert (near.candidate, near.lacks) == (DELAY, decision.FILTERS)
+    assert near.values == pytest.approx(both.values_of(DELAY))
+    large = decide(models, ALL, {DELAY.key: 0.05}, integrates=False, without=without)
+    assert large.model is both
+
+
+def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_servo() -> None:
+    """A dead time and a lag fit fast errors; beside the sag alone neither reduces the error, which is worth its price."""
+    remains = {
+        (): 15.9,
+        (BAND,): 2.9,
+        (LAG,): 15.9,
+        (DELAY,): 19.1,
+        (BAND, LAG): 3.0,
+        (BAND, DELAY): 11.2,
+        (LAG, DELAY): 16.3,
+        (BAND, LAG, DELAY): 4.5,
+    }
+    fits = {frozenset(c.label for c in some): model(*some, left=left, worse=0.1 * left) for some, left in remains.items()}
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    nothing, whole = fits[frozenset()], fits[frozenset({BAND.label, LAG.label, DELAY.label})]
+    best = model(*whole.candidates, left=whole.left)
+    found = decide([nothing, best], ALL, integrates=False, without=without, fewest=lambda fit: [fit])
+    assert found.named == (BAND,)
+    assert {near.candidate for near in found.near_misses} == {LAG, DELAY}
+
+
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)

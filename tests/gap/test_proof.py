@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, proof
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import comparisons_without, with_intervals_of, without_cheap_names
+from sysid.gap.proof import comparisons_without, simultaneous, with_intervals_of, without_cheap_names
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
@@ -194,3 +194,13 @@ def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
         {} if kept else {"oil(boom)": "on held-out recordings it reduces the error by too little compared with what remains"}
     )
     assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]
+
+
+def test_the_interval_of_a_vector_holds_for_all_components_together() -> None:
+    """The largest of three independent normal errors exceeds 1.96 standard deviations in 14 % of the cases."""
+    rng = np.random.default_rng(3)
+    limits = np.array([[-1.959964, 1.959964]] * 3)
+    (low, high) = simultaneous(np.zeros(3), limits).T
+    errors = rng.normal(size=(4000, 3))
+    assert 0.94 < np.mean(((low < errors) & (errors < high)).all(axis=1)) < 0.96
+    assert simultaneous(np.zeros(1), limits[:1]) == pytest.approx(limits[:1], rel=1e-6)

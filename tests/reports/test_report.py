@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 from sample_crane import sample_gap, sample_unnamed
 
+from sysid import display
 from sysid.datasets.recording import Dataset
 from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.gap.result import Check, EffectEvidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant
-from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
+from sysid.reports import ReportInputs, VersionNote, build_report, write_report
 from sysid.reports.moments import worst_moment
 from sysid.reports.picture import machine_picture
 from sysid.reports.places import Mark

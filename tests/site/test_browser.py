@@ -178,6 +178,24 @@ def test_print_shows_what_is_folded(browser: Browser, site: Path) -> None:
     context.close()
 
 
+def test_figures_that_were_never_in_view_are_printed(browser: Browser, site: Path) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto((site / "reports/autolog@1.html").as_uri())
+    count = page.locator("[data-figure], #traces-figure").count()
+    assert count > page.locator(".js-plotly-plot .main-svg:first-child").count(), "some are below the window"
+    closed = page.locator("details:not([open])").count()
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.locator(".js-plotly-plot").count() == count
+    widths = page.evaluate("[...document.querySelectorAll('.js-plotly-plot .main-svg:first-child')].map((e) => e.clientWidth)")
+    assert len(widths) == count
+    assert min(widths) > 200, "a figure in a folded section would have no width"
+    assert max(widths) <= 860, "wider than the paper"
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.locator("details:not([open])").count() == closed
+    context.close()
+
+
 @pytest.mark.skipif(not AXE, reason="axe-core is not here: AXE_CORE=/path/axe.min.js")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 390])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,10 @@ def in_motion(report: ValidationReport) -> ValidationReport:
     return replace(report, outputs=tuple(entry for entry in report.outputs if entry.rows == "motion"))
 
 
+def degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.3g}°"
+
+
 def policy(tmp_path: Path, text: str) -> PromotionPolicy:
     path = tmp_path / "policy.toml"
     path.write_text(f"schema = 1\n{text}")
@@ -46,8 +51,7 @@ def test_a_limit_in_any_unit(tmp_path: Path, off: ValidationReport) -> None:
     assert [check.status for check in policy_checks(passes, off)] == ["passed", "left out"]
     fails = policy(tmp_path, '[actuator.limits]\n"*.joint" = {max = "1 mrad", rows = "motion"}')
     (text,) = failed(policy_checks(fails, off))
-    above = f"{1e3 * largest - 1.0:.2f}"
-    assert text == f"boom.joint in motion: max {1e3 * largest:.2f} mrad, {above} mrad above the 1.00 mrad allowed"
+    assert text == f"boom.joint in motion: max {degrees(largest)}, {degrees(largest - 1e-3)} above the {degrees(1e-3)} allowed"
 
 
 def test_not_worse_than_the_champion(exact: ValidationReport, off: ValidationReport) -> None:

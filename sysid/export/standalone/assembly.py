@@ -19,7 +19,8 @@ def assemble(data: dict[str, Any], parts: dict[str, Any]) -> DriveModel:
     sway = None if data["sway"] is None else GripperSway(dt, **data["sway"])
     sensors = {signal: SensorReading(**values) for signal, values in data["sensors"].items()}
     limit = math.inf if data["pump_limit"] is None else data["pump_limit"]
-    return DriveModel(names, signals, [_axis(dt, axis, parts) for axis in data["axes"]], limit, kinematics, sway, sensors)
+    axes = [_axis(dt, axis, parts) for axis in data["axes"]]
+    return DriveModel(dt, names, signals, axes, limit, kinematics, sway, sensors)
 
 
 def read_model(path: str | Path, parts: dict[str, Any]) -> DriveModel:

@@ -91,10 +91,14 @@ class InputDelay(Part):
 
 
 class CommandRateLimit(Part):
-    """|dy/dt| ≤ rate [1/s, or the unit of a position per s]; the mean over the step, or the value at its end."""
+    """|dy/dt| ≤ rate [1/s, or the unit of a position per s].
 
-    def __init__(self, dt: float, rate: float, at_end: bool = False) -> None:
-        self.reach, self.at_end = rate * dt, at_end
+    The mean over the step; ``at_end``, the held input with the same effect at the end of the step on a lag of time constant
+    ``lag`` [s]: the end of the ramp where there is none.
+    """
+
+    def __init__(self, dt: float, rate: float, at_end: bool = False, lag: float = 0.0) -> None:
+        self.dt, self.rate, self.reach, self.at_end, self.lag = dt, rate, rate * dt, at_end, lag
         self.reset()
 
     def reset(self) -> None:
@@ -105,10 +109,19 @@ class CommandRateLimit(Part):
         change = min(max(u - before, -self.reach), self.reach)
         self.y = u if abs(u - before) <= self.reach else before + change
         if self.at_end:
-            return self.y
+            return self._held(before)
         if abs(u - before) > self.reach:
             return before + 0.5 * change
         return u - 0.5 * change * abs(change) / self.reach if self.reach > 0.0 else u
+
+    def _held(self, before: float) -> float:
+        if self.y == before or self.lag < 0.03 * self.dt:
+            return self.y
+        slope = math.copysign(self.rate, self.y - before)
+        ramp = (self.y - before) / slope
+        x = self.y - slope * self.lag - (before - slope * self.lag) * math.exp(-ramp / self.lag)
+        x = self.y + (x - self.y) * math.exp(-(self.dt - ramp) / self.lag)
+        return x / (1.0 - math.exp(-self.dt / self.lag))
 
 
 class FirstOrderLag(Part):

@@ -155,16 +155,17 @@ class DriveModel:
     """All axes of a machine.
 
     Args:
-        names: of the axes.
+        dt: length of a sample [s].
+        names: of the axes; ``signals``: what their commands move.
         pump_limit: largest sum over the velocity axes of |speed|/gain; infinite without one.
         sensors: signal → its reading; other signals are ideal.
     """
 
     def __init__(
-        self, names: list[str], signals: list[str], axes: list[Axis], pump_limit: float, kinematics: Kinematics | None,
-        sway: GripperSway | None, sensors: dict[str, SensorReading],
+        self, dt: float, names: list[str], signals: list[str], axes: list[Axis], pump_limit: float,
+        kinematics: Kinematics | None, sway: GripperSway | None, sensors: dict[str, SensorReading],
     ) -> None:  # fmt: skip
-        self.names, self.signals, self.axes, self.pump_limit = names, signals, axes, pump_limit
+        self.dt, self.names, self.signals, self.axes, self.pump_limit = dt, names, signals, axes, pump_limit
         self.kinematics, self.sway, self.sensors = kinematics, sway, sensors
         self.load = np.zeros(len(axes))
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import SettingsError, nearest
+from sysid.errors import SettingsError
 from sysid.foreign import shown
 from sysid.machine.description import KnownEffect
 from sysid.machine.sources.draft import WITHOUT_STOPS, AxisDraft, MachineDraft, axis_names, summarised
 from sysid.machine.sources.mjcf_actuator import Drive, drive_of
-from sysid.machine.sources.mjcf_chain import Chain, crossed_joints, find_chain
-from sysid.machine.sources.mjcf_model import actuator_name, body_name, joint_name, load_mjcf, mujoco_library, path_to
+from sysid.machine.sources.mjcf_chain import Chain, crossed_joints, find_chain, named_point
+from sysid.machine.sources.mjcf_model import actuator_name, joint_name, load_mjcf, mujoco_library, path_to
 from sysid.machine.sources.mjcf_urdf import write_urdf
 
 #: A kind of part that ``machine.toml`` does not contain, and the name of one.
@@ -36,7 +36,8 @@ def mjcf_draft(path: Path, tip: str | None = None, tool: str | None = None) -> M
     """The machine that an MJCF describes.
 
     Args:
-        tip: site or body of the end effector; else the end of the longest driven chain. ``tool``: body of a hanging tool.
+        tip: site or body of the end effector; else the end of the longest driven chain.
+        tool: site or body of a hanging tool.
 
     Raises:
         InputError: not a file that MuJoCo compiles.
@@ -46,19 +47,20 @@ def mjcf_draft(path: Path, tip: str | None = None, tool: str | None = None) -> M
     chain = find_chain(model, source, tip)
     drives = [drive_of(model, joint.actuator, source) for joint in chain.driven if joint.actuator is not None]
     names = axis_names([joint_name(model, drive.joint) for drive in drives], source)
-    urdf, link, notes = write_urdf(model, chain, path.stem)
+    hanging = None if tool is None else named_point(model, tool, f"{source}: tool")
+    if hanging is not None and chain.bodies[0] not in path_to(model, hanging[0]):
+        raise SettingsError(
+            f"{source}: tool", f"{shown(tool or '')} does not hang on the chain", "a site or body that it moves"
+        )
+    urdf, (link, hung), notes = write_urdf(model, chain, path.stem, hanging)
     axes, beyond = [], list[Note]()
     for drive in drives:
         axis, missing = _axis(model, drive, names[joint_name(model, drive.joint)])
         axes.append(axis)
         beyond += missing
     beyond += _beside(model, chain)
-    if tool is not None:
-        bodies = [body_name(model, k) for k in range(chain.bodies[0], model.nbody) if chain.bodies[0] in path_to(model, k)]
-        if tool not in bodies:
-            raise SettingsError(f"{source}: tool", f"unknown body {shown(tool)}", nearest(tool, bodies))
     notes = [*_gravity_notes(model, chain, drives, source), *notes, *summarised(beyond)]
-    return MachineDraft(source, tuple(axes), urdf, link, tool, tuple(notes))
+    return MachineDraft(source, tuple(axes), urdf, link, hung, tuple(notes))
 
 
 def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:

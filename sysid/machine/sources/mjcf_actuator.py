@@ -2,7 +2,7 @@
 
 The force of an actuator is ``gain·(ctrl or act) + b₀ + b₁·length + b₂·rate``, with ``length = gear·q``; joint force =
 gear·force (MuJoCo 4, *Computation*, actuation model). With ``b₁ = −gain`` the control is a position (or, integrated, a
-speed), with ``b₂ = −gain`` and ``b₁ = 0`` a speed, without bias a force.
+speed), with ``b₂ = −gain`` and ``b₁ = 0``, or declared as one, a speed, without bias a force.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def drive_of(model: Any, actuator: int, source: str) -> Drive:
         return Drive(actuator, joint, "integrated speed", full * _sign(gear), full / abs(gear), **shared)
     if b1 == -k:
         return Drive(actuator, joint, "position", gear, **shared, bias=b0 * gear)
-    if b1 == 0.0 and b2 == -k:
+    if b1 == 0.0 and b2 < 0.0 and (b2 == -k or mujoco.mj_actuatorInputName(model, actuator, 0) == "vel"):
         full = _full(model, actuator)
-        return Drive(actuator, joint, "speed", full * _sign(gear), full / abs(gear), **shared, bias=b0 * gear)
+        return Drive(actuator, joint, "speed", full * _sign(gear), full / abs(gear) * k / -b2, **shared, bias=b0 * gear)
     if b1 == 0.0:
         return Drive(actuator, joint, "force", 1.0 / (k * gear), **shared, bias=b0 * gear)
     raise SettingsError(where, f"gain {k:g} and bias {b0:g} {b1:g} {b2:g}", "b₁ = −gain (position) or b₁ = 0 (speed, force)")

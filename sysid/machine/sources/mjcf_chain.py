@@ -46,7 +46,7 @@ def find_chain(model: Any, source: str, tip: str | None = None) -> Chain:
         SettingsError: it contains what ``machine.toml`` cannot express; the message names it.
     """
     mujoco, drivers = mujoco_library(), joint_actuators(model)
-    body, site = _tip(model, drivers, source) if tip is None else _named_tip(model, tip, source)
+    body, site = _tip(model, drivers, source) if tip is None else named_point(model, tip, f"{source}: tip")
     bodies = path_to(model, body)
     joints = [joint for each in bodies for joint in joints_of(model, each)]
     found = []
@@ -88,14 +88,19 @@ def joint_actuators(model: Any) -> dict[int, list[int]]:
     return found
 
 
-def _named_tip(model: Any, tip: str, source: str) -> tuple[int, int | None]:
+def named_point(model: Any, name: str, where: str) -> tuple[int, int | None]:
+    """A site with its body, or a body.
+
+    Raises:
+        SettingsError: neither has that name.
+    """
     sites = {str(model.site(k).name): k for k in range(model.nsite)}
     bodies = {body_name(model, k): k for k in range(1, model.nbody)}
-    if tip in sites:
-        return int(model.site_bodyid[sites[tip]]), sites[tip]
-    if tip not in bodies:
-        raise SettingsError(f"{source}: tip", f"unknown site or body {shown(tip)}", nearest(tip, [*sites, *bodies]))
-    return bodies[tip], None
+    if name in sites:
+        return int(model.site_bodyid[sites[name]]), sites[name]
+    if name not in bodies:
+        raise SettingsError(where, f"unknown site or body {shown(name)}", nearest(name, [*sites, *bodies]))
+    return bodies[name], None
 
 
 def _tip(model: Any, drivers: dict[int, list[int]], source: str) -> tuple[int, int | None]:

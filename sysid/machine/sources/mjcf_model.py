@@ -5,6 +5,7 @@ Source: MuJoCo 4 documentation, *XML reference* and *Computation*.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,23 @@ def load_mjcf(path: Path) -> Any:
     Raises:
         InputError: no such file, or MuJoCo refuses it.
     """
-    mujoco = mujoco_library()
+    return _read(mujoco_library().MjModel.from_xml_path, path)
+
+
+def load_spec(path: Path) -> Any:
+    """The ``mujoco.MjSpec`` of a file, which can be changed before it is compiled.
+
+    Raises:
+        InputError: no such file, or MuJoCo refuses it.
+    """
+    return _read(mujoco_library().MjSpec.from_file, path)
+
+
+def _read(reader: Callable[[str], Any], path: Path) -> Any:
     if not path.is_file():
         raise InputError(path, "no such file", "an MJCF file")
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        return reader(str(path))
     except ValueError as error:
         raise InputError(path, shown(" ".join(str(error).split()))[1:-1][:_MESSAGE], "an MJCF that MuJoCo compiles") from None
 

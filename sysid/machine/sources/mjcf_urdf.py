@@ -27,13 +27,20 @@ ROOT = "world"
 _UNLIMITED = {"velocity": "1000", "effort": "1000000"}
 
 
-def write_urdf(model: Any, chain: Chain, name: str) -> tuple[str, str, list[str]]:
-    """(text, link of the tip, what could not be written)."""
+def write_urdf(
+    model: Any, chain: Chain, name: str, tool: tuple[int, int | None] | None = None
+) -> tuple[str, tuple[str, str | None], list[str]]:
+    """(text, links of the tip and of the tool, what could not be written).
+
+    Args:
+        tool: its body, and the site on it that is meant, if it is one.
+    """
     writer = _Writer(model, {joint_name(model, j.joint): j.follows for j in chain.joints if j.follows is not None}, name)
     writer.add(chain.bodies[0], ROOT, np.eye(4))
-    tip = writer.fixed(chain)
+    tip = writer.point(chain.bodies[-1], chain.site)
+    hung = None if tool is None else writer.point(*tool)
     indent(writer.root)
-    return tostring(writer.root, encoding="unicode") + "\n", tip, writer.notes
+    return tostring(writer.root, encoding="unicode") + "\n", (tip, hung), writer.notes
 
 
 class _Writer:
@@ -73,13 +80,13 @@ class _Writer:
             if int(model.body_parentid[child]) == body:
                 self.add(child, own, frame)
 
-    def fixed(self, chain: Chain) -> str:
-        """The link of the tip: that of its body, or one that is fixed to it."""
-        model, body = self.model, chain.bodies[-1]
+    def point(self, body: int, site: int | None) -> str:
+        """The link whose origin is a site, or the origin of a body: that of the body, or one that is fixed to it."""
+        model = self.model
         frame, name = self.frame_of[body], body_name(model, body)
-        if chain.site is not None:
-            frame = frame @ _pose(model.site_pos[chain.site], model.site_quat[chain.site])
-            name = str(model.site(chain.site).name) or "tip"
+        if site is not None:
+            frame = frame @ _pose(model.site_pos[site], model.site_quat[site])
+            name = str(model.site(site).name) or "tip"
         if np.array_equal(frame, np.eye(4)):
             return self.link_of[body]
         link = self._name(name if name not in self.taken else f"{name}_tip")

@@ -6,9 +6,10 @@ from typing import Any
 
 from markupsafe import Markup
 
+from sysid import display
 from sysid.datasets.clocks.residual import ClockResidual, PairResidual
 from sysid.datasets.recording import Dataset
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from sysid import display
 from sysid.datasets.recording import Dataset
 from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.reasons import RejectedEffect, label_of, least_error, outcome, rejected

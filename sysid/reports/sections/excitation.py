@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from sysid import display
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.verdicts import SIDES, amount, by_reason, request_text
 from sysid.signals import split_signal

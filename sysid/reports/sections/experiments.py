@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from sysid import display
 from sysid.gap.result import EXPERIMENTS
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.effect_units import remainder_unit
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.reasons import with_titles

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from sysid import display
 from sysid.networks import PAPER_MAX
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.figures import figure, packed
 from sysid.reports.inputs import ReportInputs
 from sysid.validate import OutputReport, ValidationReport

@@ -8,11 +8,12 @@ from typing import Any, Literal, cast
 
 from markupsafe import Markup
 
+from sysid import display
 from sysid.effects.units import parameter_unit
 from sysid.gap.result import NamedEffect
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import effects_toml
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.effect_units import UNDETERMINED, shown
 from sysid.reports.inputs import ReportInputs
 

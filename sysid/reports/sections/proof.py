@@ -7,9 +7,10 @@ from typing import Any
 
 from markupsafe import Markup
 
+from sysid import display
 from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.sections.summary import dumbbells, signal_gaps
 

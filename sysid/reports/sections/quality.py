@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid import display
 from sysid.datasets.plausibility import check_plausibility
 from sysid.datasets.quality import DatasetEvidence, evidence_of
 from sysid.datasets.quality.coverage import PairMap
 from sysid.datasets.quality.use import AxisUse
 from sysid.datasets.recording import ClockRecord, Dataset, Recording
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.charts import SMALL, WIDE
+from sysid.reports.clock_summary import clock_summary
 from sysid.reports.coverage_pictures import command_picture, map_picture
 from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.inputs import ReportInputs
@@ -51,6 +53,9 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
         "ranges": _ranges(evidence, dataset),
         "clocks": [_clock(clock) for clock in dataset.clocks],
+        "clock_summary": clock_summary(
+            (c.recording, c.applied, float(np.ptp(c.offset_interval95)) / 2) for c in dataset.clocks
+        ),
         "sources": [
             {
                 "path": s.path,

@@ -9,9 +9,11 @@ from typing import Any
 
 from markupsafe import Markup
 
+from sysid import display
+from sysid.gap.headline import headline
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
@@ -61,9 +63,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
-        "headline": words.localised([_place(item) for item in found])
-        if only
-        else words.headline(gap.verdict, len(gap.effects)),
+        "headline": words.localised([_place(item) for item in found]) if only else headline(gap.verdict, len(gap.effects)),
         "advice": f"To name causes: sysid gap {inputs.dataset.reference}" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "sentences": _sentences(gap, lines),

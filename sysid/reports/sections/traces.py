@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid import display
 from sysid.gap.result import Traces
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.figures import embed, packed, thin
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.moments import error_chart, largest_error_signals, moment_chart, worst_moment

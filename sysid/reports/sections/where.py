@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from sysid import display
 from sysid.gap.result import GapResult, Map, Share, StageGap
-from sysid.reports import display, words
+from sysid.reports import words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import point_signals

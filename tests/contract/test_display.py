@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.reports.display import MINUS, decimals_for, fixed, interval, number, percent, quantity, ratio, shown_unit
+from sysid.display import MINUS, decimals_for, fixed, interval, number, percent, quantity, ratio, shown_unit
 from sysid.reports.words import effect_sentence
 
 

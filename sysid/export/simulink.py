@@ -1,0 +1,150 @@
+"""``simulink``: a ``.mat`` file with tables and numbers of every axis, and a MATLAB function that steps an axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.export.drive_data import drive_data
+from sysid.export.lut import LutTarget, numbers_of, simulation_of_tables, tables
+from sysid.export.target import Simulation, Support
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+FILE, FUNCTION = "machine.mat", "step_axis.m"
+#: Struct in the file.
+NAME = "machine"
+
+
+class SimulinkTarget:
+    """MATLAB and Simulink."""
+
+    name = "simulink"
+    title = "MATLAB and Simulink"
+    modules: tuple[str, ...] = ()
+    notes: tuple[str, ...] = (
+        "`load machine.mat` gives the struct `machine`: `sample_time` and one struct for each axis, with `opening` and `speed` "
+        "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "
+        "Rate Limiter, Transfer Fcn, Discrete-Time Integrator with its limits).",
+        "`step_axis.m` steps a velocity or position axis. MATLAB is not installed here: the tables were replayed in Python, "
+        "the function was not run.",
+    )
+
+    def support(self, effect: Effect) -> Support:
+        found = LutTarget().support(effect)
+        how = {"native": f"`{FILE}`"}.get(found.kind, found.how)
+        return Support(found.kind, how)
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        from scipy.io import savemat
+
+        data = drive_data(plant, rate_hz)
+        content: dict[str, Any] = {
+            "sample_time": 1.0 / rate_hz,
+            "plant": plant.reference,
+            "axes": list(plant.machine.axis_names),
+        }
+        for axis in data["axes"]:
+            content[field_name(axis["name"])] = _fields(axis, 1.0 / rate_hz)
+        savemat(folder / FILE, {NAME: content}, oned_as="column", long_field_names=True)
+        (folder / FUNCTION).write_text(_FUNCTION, "utf-8")
+        return FILE, FUNCTION
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        from scipy.io import loadmat
+
+        stored = loadmat(folder / FILE, simplify_cells=True)[NAME]
+
+        def read(axis: str) -> tuple[Array, Array]:
+            fields = stored[field_name(axis)]
+            return np.asarray(fields["opening"], dtype=np.float64), np.asarray(fields["speed"], dtype=np.float64)
+
+        return simulation_of_tables(plant, read)
+
+
+def field_name(axis: str) -> str:
+    """The name of an axis as a field of a struct: a letter first, then letters, digits and underscores."""
+    return "axis_" + "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in axis)
+
+
+def _fields(axis: dict[str, Any], dt: float) -> dict[str, Any]:
+    fields: dict[str, Any] = {"actuation": axis["actuation"], "drives": axis["drives"]}
+    for block, quantity, value in numbers_of(axis):
+        fields.setdefault(block, {})[quantity] = _number(value, quantity)
+    if axis["actuation"] == "velocity":
+        fields["opening"], fields["speed"] = tables(axis, dt)
+    if axis["linkage"] is not None:
+        link = axis["linkage"]
+        fields["linkage"] = np.column_stack([link["low"] + link["step"] * np.arange(len(link["joints"])), link["joints"]])
+    return fields
+
+
+def _number(value: float | None, quantity: str) -> float:
+    """A number; an end stop that is not there is infinite."""
+    if value is None:
+        return -np.inf if quantity == "low" else np.inf
+    return float(value)
+
+
+_FUNCTION = """function [position, state] = step_axis(axis, command, state, dt)
+%STEP_AXIS  One sample of a velocity or position axis of machine.mat.
+%   [position, state] = step_axis(machine.axis_boom, command, state, machine.sample_time)
+%   position  of the drive after the sample [m or rad]; the joint behind a cylinder is
+%             interp1(axis.linkage(:,1), axis.linkage(:,2), position, 'linear', 'extrap')
+%   state     struct('position', p0) before the first sample: the command was held since long before.
+u = command;
+velocity = strcmp(axis.actuation, 'velocity');
+if ~velocity && isfield(axis, 'command_rate_limit')   % of a servo, at the end of the sample
+    reach = axis.command_rate_limit.rate * dt;
+    if ~isfield(state, 'ramp'), state.ramp = u; end
+    state.ramp = state.ramp + min(max(u - state.ramp, -reach), reach); u = state.ramp;
+end
+if isfield(axis, 'opening')
+    u = interp1(axis.opening(:,1), axis.opening(:,2), u, 'linear', 'extrap');
+end
+if isfield(axis, 'input_delay')
+    samples = axis.input_delay.delay / dt; whole = floor(samples); rest = samples - whole;
+    if ~isfield(state, 'past'), state.past = repmat(u, whole + 2, 1); end
+    state.past = [state.past(2:end); u];
+    u = (1 - rest) * state.past(end - whole) + rest * state.past(end - whole - 1);
+end
+if velocity && isfield(axis, 'command_rate_limit')
+    reach = axis.command_rate_limit.rate * dt;
+    if ~isfield(state, 'ramp'), state.ramp = u; end
+    before = state.ramp; change = u - before;
+    state.ramp = before + min(max(change, -reach), reach);
+    if abs(change) > reach, u = before + 0.5 * sign(change) * reach;
+    else, u = u - 0.5 * change * abs(change) / reach;
+    end
+end
+if isfield(axis, 'first_order_lag') && axis.first_order_lag.time_constant > 1e-6
+    T = axis.first_order_lag.time_constant; decay = exp(-dt / T);
+    if ~isfield(state, 'lag'), state.lag = u; end
+    away = state.lag - u; state.lag = u + away * decay;
+    if velocity, u = u + away * (1 - decay) * T / dt; else, u = state.lag; end
+end
+if isfield(axis, 'second_order_lag')
+    T = axis.second_order_lag.time_constant; z = axis.second_order_lag.damping_ratio;
+    A = expm([0 1; -1/T^2, -2*z/T] * dt);
+    if ~isfield(state, 'second'), state.second = [u; 0]; end
+    state.second = [u; 0] + A * (state.second - [u; 0]); u = state.second(1);
+end
+if velocity
+    u = interp1(axis.speed(:,1), axis.speed(:,2), u, 'linear', 'extrap');
+    if isfield(axis, 'oil_compressibility')
+        w = 2 * pi * axis.oil_compressibility.frequency; z = axis.oil_compressibility.damping_ratio;
+        A = expm([0 1; -w^2, -2*z*w] * dt);
+        if ~isfield(state, 'oil'), state.oil = [u; 0]; end
+        x = state.oil - [u; 0]; after = A * x; state.oil = [u; 0] + after;
+        u = u - ((after(2) - x(2)) + 2 * z * w * (after(1) - x(1))) / (w^2 * dt);
+    end
+    u = state.position + dt * u;
+end
+state.position = min(max(u, axis.end_stop.low), axis.end_stop.high);
+position = state.position;
+end
+"""

@@ -1,0 +1,123 @@
+"""The effects of a fleet, estimated on every recording of one machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.effects.units import parameter_unit
+from sysid.fleet.effects import FleetEffect, ParameterHistory
+from sysid.gap.candidates import Candidate
+from sysid.gap.case import Case, Stage, open_case, stage_candidates
+from sysid.gap.data import Data
+from sysid.gap.fit import Fit, fit_candidates, starting_values
+from sysid.gap.intervals.criterion import criterion_at
+from sysid.gap.intervals.curvature import curvature_at
+from sysid.plant import Plant
+from sysid.progress import Progress, part, silent
+
+Array = npt.NDArray[np.float64]
+
+#: A standard deviation above so many negligible changes: the recording does not determine the parameter. The prior of an
+#: unknown in the curvature of a fit is a thousand of them wide.
+UNDETERMINED = 100.0
+#: 97.5 % quantile of the normal distribution.
+_Z = float(stats.norm.ppf(0.975))
+
+
+def estimate(
+    dataset: Dataset, plant: Plant, effects: Sequence[FleetEffect], seed: int = 0, progress: Progress = silent
+) -> tuple[ParameterHistory, ...]:
+    """Values of the effects in every recording that determines them.
+
+    The effects of a stage are fitted together to all recordings of the machine, and from there to each recording alone, with
+    the covariance of its own residuals (:mod:`sysid.gap.intervals.curvature`).
+
+    Args:
+        plant: the simulation of the type, the same for all machines.
+
+    Raises:
+        ExcitationError: no stage is measured at both ends.
+    """
+    case, stages = open_case(dataset, plant, seed)
+    ordered = _in_time(case)
+    hours = np.cumsum([len(r) / r.rate_hz for r in ordered]) / 3600.0
+    ends = {recording.name: float(end) for recording, end in zip(ordered, hours, strict=True)}
+    found: list[ParameterHistory] = []
+    for number, stage in enumerate(stages):
+        chosen = _chosen(case, stage, effects)
+        if chosen:
+            own = part(progress, number / len(stages), (number + 1) / len(stages))
+            found += _of_stage(case, stage, chosen, ordered, ends, own)
+    progress(1.0, "estimated")
+    return tuple(found)
+
+
+def _in_time(case: Case) -> tuple[Recording, ...]:
+    """The recordings of motion, of all roles, in the order of time; without stamps in the order of the dataset."""
+    motion = (*case.split.seen, *case.split.held_out)
+    names = [recording.name for recording in case.dataset.recordings]
+    return tuple(sorted(motion, key=lambda r: (r.start_ns, names.index(r.name))))
+
+
+def _chosen(case: Case, stage: Stage, effects: Sequence[FleetEffect]) -> list[tuple[FleetEffect, Candidate]]:
+    """The effects that belong to a stage, each with its candidate."""
+    candidates = stage_candidates(case, stage)
+    pairs = []
+    for effect in effects:
+        same = [c for c in candidates if c.key == effect.key]
+        exact = [c for c in same if set(effect.parameters) <= set(c.form.names)]
+        if same:
+            pairs.append((effect, (exact or same)[0]))
+    return pairs
+
+
+def _of_stage(
+    case: Case,
+    stage: Stage,
+    chosen: Sequence[tuple[FleetEffect, Candidate]],
+    ordered: Sequence[Recording],
+    ends: dict[str, float],
+    progress: Progress,
+) -> list[ParameterHistory]:
+    candidates = [candidate for _, candidate in chosen]
+    problem = stage.problem
+    recordings = [r for r in ordered if problem.only is None or r.name in problem.only]
+    progress(0.0, f"{stage.label}: all recordings")
+    whole = fit_candidates(
+        Data(problem, recordings, stage.sigma), stage.theta, candidates, starting_values(candidates, [], case.seed)
+    )
+    values, deviations = np.full((2, len(recordings), len(whole.unknowns)), np.nan)
+    for k, recording in enumerate(recordings):
+        progress((k + 1) / (len(recordings) + 1), f"{stage.label}: {recording.name}")
+        values[k], deviations[k] = _of_recording(Data(problem, (recording,), stage.sigma), stage.theta, whole)
+    found = []
+    for effect, candidate in chosen:
+        rows = whole.rows_of(candidate)
+        for unknown, at in zip(candidate.unknowns, range(rows.start, rows.stop), strict=True):
+            known = deviations[:, at] <= UNDETERMINED * unknown.negligible
+            kept = [r.name for r, there in zip(recordings, known, strict=True) if there]
+            unit = parameter_unit(
+                effect.name, unknown.key.partition("[")[0], effect.target, case.plant.machine, case.dataset.units
+            )
+            found.append(
+                ParameterHistory(
+                    case.dataset.name, effect, unknown.key, unit, unknown.negligible, tuple(kept),
+                    tuple(ends[name] for name in kept), tuple(map(float, values[known, at])),
+                    tuple(map(float, deviations[known, at])),
+                )
+            )  # fmt: skip
+    return found
+
+
+def _of_recording(data: Data, theta: Array, whole: Fit) -> tuple[Array, Array]:
+    """Values (k,) fitted to one recording, from those of all, and their standard deviations; NaN if it has no measurement."""
+    if all(np.isnan(data.problem.measured(recording)).all() for recording in data.recordings):
+        return np.full(len(whole.unknowns), np.nan), np.full(len(whole.unknowns), np.nan)
+    fit = fit_candidates(data, theta, whole.candidates, [whole.values])
+    curvature = curvature_at(criterion_at(data, theta, fit.unknowns, fit.values), fit.values)
+    return fit.values, curvature.halves / _Z

@@ -1,0 +1,129 @@
+"""The gap workflow over the machines of a fleet: names, values by recording, differences, drifts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import SettingsError
+from sysid.execution import Executor, LocalExecutor
+from sysid.fleet.differences import differences
+from sysid.fleet.drift import drifts, since_last_change
+from sysid.fleet.effects import FleetEffect, ParameterHistory, union
+from sysid.fleet.result import FleetMachine, FleetResult
+from sysid.machine import Machine
+from sysid.progress import Progress, part, silent
+from sysid.workspace import Workspace, open_workspace
+
+#: Accepted false alarms of drift for each machine, in 1000 hours of recorded motion.
+FALSE_ALARMS = 1.0
+
+
+def fleet_gap(
+    location: str | Path,
+    references: Sequence[str],
+    plant: str | None = None,
+    executor: Executor | None = None,
+    *,
+    false_alarms_per_1000_hours: float = FALSE_ALARMS,
+    progress: Progress = silent,
+) -> FleetResult:
+    """Name the effects that the simulation of a type lacks, on which of its machines they differ, and which of them drift.
+
+    Args:
+        location: the workspace, which every worker must reach.
+        references: one dataset for each machine, ``name`` or ``name@version``.
+        plant: the simulation; by default the nominal one of each dataset.
+        executor: where the machines are evaluated; by default one after another in this process.
+
+    Raises:
+        SettingsError: no machine, one that is named twice, or machines of different types; a rate that is not positive.
+    """
+    begin = time.perf_counter()
+    if not false_alarms_per_1000_hours > 0.0:
+        raise SettingsError("fleet", f"{false_alarms_per_1000_hours} false alarms in 1000 h", "a positive rate")
+    executor = executor or LocalExecutor()
+    place, text = open_workspace(location), str(location)
+    exact = _machines(place, references)
+    calls = [(text, reference, plant) for reference in exact]
+    machines = [FleetMachine.from_json(values) for values in executor.run(name_effects, calls, part(progress, 0.0, 0.7))]
+    effects = union(machine.effects for machine in machines)
+    histories: list[ParameterHistory] = []
+    if effects:
+        chosen = [effect.to_json() for effect in effects]
+        fits = [(text, reference, plant, chosen) for reference in exact]
+        for rows in executor.run(estimate_effects, fits, part(progress, 0.7, 1.0)):
+            histories += map(ParameterHistory.from_json, rows)
+    progress(1.0, "done")
+    changes = drifts(histories, false_alarms_per_1000_hours / 1000.0)
+    return FleetResult(
+        tuple(machines),
+        effects,
+        tuple(histories),
+        differences([since_last_change(history, changes) for history in histories]),
+        changes,
+        false_alarms_per_1000_hours,
+        time.perf_counter() - begin,
+    )
+
+
+def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+    """Task: the gap of one machine, from the stored result of this dataset version and plant if there is one."""
+    from sysid.gap import find_gap
+
+    place = open_workspace(location)
+    dataset = place.dataset(reference)
+    result = place.gap(dataset)
+    if result is None or (plant is not None and result.plant_before != place.models.find(plant).reference):
+        result = find_gap(dataset, place.plant(dataset, plant), place.models)
+        if plant is None:
+            place.keep_gap(dataset, result)
+    effects = tuple(map(FleetEffect.of, result.effects))
+    return FleetMachine(dataset.reference, result.verdict, effects).to_json()
+
+
+def estimate_effects(
+    location: str, reference: str, plant: str | None, effects: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Task: the values of the fleet's effects in every recording of one machine."""
+    from sysid.fleet.estimates import estimate
+
+    place = open_workspace(location)
+    dataset = place.dataset(reference)
+    found = estimate(dataset, place.plant(dataset, plant), [FleetEffect.from_json(effect) for effect in effects])
+    return [history.to_json() for history in found]
+
+
+def _machines(place: Workspace, references: Sequence[str]) -> list[str]:
+    """The exact dataset versions.
+
+    Raises:
+        SettingsError: see :func:`fleet_gap`.
+    """
+    if not references:
+        raise SettingsError("fleet", "no machine", "the dataset of at least one")
+    exact: list[str] = []
+    first: Machine | None = None
+    for reference in references:
+        manifest = place.datasets.load(reference)
+        if manifest.name in {other.partition("@")[0] for other in exact}:
+            raise SettingsError("fleet", f"{manifest.name} twice", "one dataset for each machine")
+        if first is not None and _type_of(manifest.machine) != _type_of(first):
+            raise SettingsError(
+                f"fleet: {manifest.reference}", f"axes {_words(manifest.machine)}", f"those of {exact[0]}: {_words(first)}",
+                "Compare machines of one type.",
+            )  # fmt: skip
+        first = first or manifest.machine
+        exact.append(manifest.reference)
+    return exact
+
+
+def _type_of(machine: Machine) -> tuple[tuple[str, str, str], ...]:
+    """What machines of one type share: axes with their actuation and what it drives."""
+    return tuple((axis.name, axis.actuation, axis.drives) for axis in machine.axes)
+
+
+def _words(machine: Machine) -> str:
+    return ", ".join(f"{axis.name} ({axis.actuation}, {axis.drives})" for axis in machine.axes)

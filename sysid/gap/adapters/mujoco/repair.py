@@ -1,0 +1,182 @@
+"""The repaired MJCF: effects in their native places, the others in a file beside it, and its gap after it is loaded again.
+
+The search applies effects at the sample rate of the recordings; inside the model they act at its time step. What has a native
+place is therefore fitted once more in place, from the values found, by least squares on the fit and selection recordings.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+
+from sysid.datasets.recording import Dataset
+from sysid.effects import effect_named
+from sysid.errors import InputError, SettingsError
+from sysid.files import written_whole
+from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
+from sysid.gap.adapters.mujoco.axes import drives_of
+from sysid.gap.adapters.mujoco.native import Change, write_native
+from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file, write_side_file
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
+from sysid.gap.localise import run_rmse
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import split_of
+from sysid.gap.result import Gap, WrittenEffect
+from sysid.machine import KnownEffect
+from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
+from sysid.plant.plant import effect_key
+
+Array = npt.NDArray[np.float64]
+
+#: Largest error of a loaded model beyond the promised one: a share of what the repair removes, or one noise floor.
+TOLERANCE = 0.01
+#: Most evaluations of the fit in place.
+EVALUATIONS = 30
+
+
+@dataclass(frozen=True)
+class RepairedModel:
+    """A repaired MJCF.
+
+    Args:
+        path, side_path: the model, and the file of the effects beside it, if there are any.
+        native: effects in the model; ``beside``: those in the file.
+        gap: free runs on held-out recordings: ``before`` of the model under test, ``after`` of the file, loaded again.
+    """
+
+    path: Path
+    side_path: Path | None
+    native: tuple[Change, ...]
+    beside: tuple[KnownEffect, ...]
+    gap: Gap
+
+
+def open_mujoco(path: Path, dataset: Dataset) -> SimulatorAdapter:
+    """The simulator of an MJCF with the effects in the file beside it.
+
+    Raises:
+        InputError, SettingsError: as of :class:`MujocoSimulator` and :func:`read_side_file`.
+    """
+    return adapt_simulator(MujocoSimulator(path, dataset.machine), dataset, read_side_file(path))
+
+
+def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]) -> tuple[KnownEffect, ...]:
+    """Input and output effects after a repair: those of the simulation under test, changed and completed by ``written``."""
+    effects = {effect_key(item): item for item in adapter.effects}
+    for row in written:
+        item = KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]
+        effects[effect_key(item)] = item
+    return tuple(effects.values())
+
+
+def write_repaired(
+    adapter: SimulatorAdapter, effects: Sequence[KnownEffect], out: Path, dataset: Dataset, promised: Gap
+) -> RepairedModel:
+    """Write the model with ``effects`` to ``out``, load it again and measure its gap.
+
+    Args:
+        adapter: the simulation under test, of :func:`open_mujoco`.
+        promised: the gap of the repaired simulation on held-out recordings.
+
+    Raises:
+        InputError: the gap of the written model is larger than promised, by more than its noise floor and :data:`TOLERANCE`.
+        SettingsError: ``out`` is the model itself.
+    """
+    simulator = adapter.runs.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    if out.exists() and out.samefile(simulator.path):
+        raise SettingsError(f"--out {out}", "the model under test", "another file")
+    native, beside = _write(simulator, effects, out)
+    if native:
+        effects = [*_fitted_in_place(simulator, [change.effect for change in native], beside, out, dataset), *beside]
+        native, beside = _write(simulator, effects, out)
+    loaded = open_mujoco(out, dataset)
+    measured = run_rmse([(recording, loaded.simulate(recording)) for recording in split_of(dataset).held_out])
+    gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
+    _check(gap, promised, out)
+    return RepairedModel(out, side_file(out) if beside else None, tuple(native), tuple(beside), gap)
+
+
+def _write(simulator: MujocoSimulator, effects: Sequence[KnownEffect], out: Path) -> tuple[list[Change], list[KnownEffect]]:
+    """Write the model and the file beside it; what went where."""
+    spec, machine = load_spec(simulator.path), simulator.machine
+    drives = dict(zip(machine.axis_names, drives_of(load_mjcf(simulator.path), machine, simulator.name), strict=True))
+    native, beside = write_native(spec, drives, effects)
+    _relocate(spec, simulator.path, out)
+    spec.compile()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(out) as half:
+        half.write_text(spec.to_xml(), "utf-8")
+    write_side_file(out, beside)
+    return native, beside
+
+
+def _fitted_in_place(
+    simulator: MujocoSimulator, native: Sequence[KnownEffect], beside: Sequence[KnownEffect], out: Path, dataset: Dataset
+) -> list[KnownEffect]:
+    """The native effects with the values that fit best inside the model."""
+    places = [(k, name) for k, item in enumerate(native) for name in item.parameters]
+    parameters = [_parameter(native[k].name, name) for k, name in places]
+    start = np.array([float(native[k].parameters[name]) for k, name in places])  # type: ignore[arg-type]
+    scale = np.array([parameter.negligible for parameter in parameters])
+    low, high = (np.array([parameter.bounds[end] for parameter in parameters]) for end in (0, 1))
+    noise, recordings = noise_levels(dataset), split_of(dataset).seen
+    signals = [f"{axis.name}.{axis.drives}" for axis in dataset.machine.axes if axis.driven in noise]
+
+    def with_values(values: Array) -> list[KnownEffect]:
+        changed = [dict(item.parameters) for item in native]
+        for (k, name), value in zip(places, values, strict=True):
+            changed[k][name] = float(value)
+        return [replace(item, parameters=own) for item, own in zip(native, changed, strict=True)]
+
+    def residuals(values: Array) -> Array:
+        _write(simulator, [*with_values(values), *beside], out)
+        model = open_mujoco(out, dataset)
+        parts = []
+        for recording in recordings:
+            table = model.simulate(recording)
+            parts += [(table[s].to_numpy() - recording.values(s)) / noise[s] for s in signals if s in table]
+        return np.nan_to_num(np.concatenate(parts))
+
+    found = least_squares(
+        residuals,
+        np.clip(start, low, high),
+        bounds=(low, high),
+        x_scale=scale,
+        diff_step=np.full(len(start), 1e-3),
+        max_nfev=EVALUATIONS,
+    )
+    return with_values(found.x)
+
+
+def _parameter(effect: str, name: str) -> Any:
+    return next(p for form in effect_named(effect).forms for p in form.parameters if p.name == name)
+
+
+def _relocate(spec: Any, source: Path, out: Path) -> None:
+    """Folders of meshes and textures, seen from the folder of the written file."""
+    for key in ("meshdir", "texturedir"):
+        folder = source.parent / str(getattr(spec, key) or "")
+        setattr(spec, key, os.path.relpath(folder.resolve(), out.parent.resolve()))
+
+
+def _check(gap: Gap, promised: Gap, out: Path) -> None:
+    """Whether the loaded model does as promised.
+
+    Raises:
+        InputError: it does not.
+    """
+    for signal, value in gap.after.items():
+        removed = max(promised.before[signal] - promised.after[signal], 0.0)
+        allowed = promised.after[signal] + max(TOLERANCE * removed, promised.noise_floor[signal])
+        if value > allowed:
+            raise InputError(
+                out, f"{signal}: the error of the written model is {value:.3g}", f"at most {allowed:.3g}, as promised"
+            )

@@ -1,0 +1,245 @@
+"""A MuJoCo model as a simulator of a machine: commands in, joints, end effector and tool out.
+
+A command is held over its sample, as a controller holds it. The time step of the model is shortened to the largest one that
+divides the sample and is not above the model's own. Joints start at their measured position and at rest, activations and
+delayed controls at the first command, and passive joints in their equilibrium.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.errors import InputError
+from sysid.gap.adapters.mujoco.axes import Point, drives_of, idle_controls, point_of
+from sysid.gap.adapters.simulator import starting_value
+from sysid.machine import Machine
+from sysid.machine.sources.mjcf_actuator import Drive
+from sysid.machine.sources.mjcf_model import load_mjcf, load_spec, mujoco_library
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+#: Rows that one call of the library runs, so that its outputs stay small.
+CHUNK_ROWS = 512
+#: Time in which passive joints come to rest, and the share of their speed that is kept in a step of it.
+SETTLE_S, SETTLE_KEPT = 5.0, 0.98
+#: Inertia of a driven joint while passive ones come to rest: it does not move [kg·m² or kg].
+HELD = 1e9
+#: Name of the sensors that are added to the model.
+_SENSOR = "sysid"
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A model compiled for one sample rate: ``substeps`` of its time step in a sample; ``columns`` of its sensor data."""
+
+    model: Any
+    drives: tuple[Drive, ...]
+    substeps: int
+    columns: Mapping[str, int]
+
+
+@dataclass
+class MujocoSimulator:
+    """The simulator of an MJCF for a machine.
+
+    Args:
+        path: of the MJCF.
+        machine: whose axes are joints of the model with one actuator each; its ``tip`` and ``tool`` are sites or bodies.
+        threads: in which lanes run at the same time; by default one a processor.
+
+    Raises:
+        InputError: not a file that MuJoCo compiles.
+        SettingsError: the model does not fit the machine.
+    """
+
+    path: Path
+    machine: Machine
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    _compiled: dict[float, Compiled] = field(default_factory=dict, repr=False)
+    _starts: dict[tuple[int, float], tuple[Recording, Array]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        model = load_mjcf(self.path)
+        drives_of(model, self.machine, self.name)
+        self._points = {
+            owner: point
+            for owner, link in (("ee", self.machine.tip), ("tool", self.machine.tool))
+            if (point := point_of(model, link, self.name)) is not None
+        }
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def simulate(self, recording: Recording) -> pd.DataFrame:
+        """Signals for the commands of a recording; axes without a command hold their starting position, speed or no force."""
+        names = [axis_signal(axis, "command") for axis in self.machine.axis_names]
+        present = {name: recording.values(name)[None] for name in names if not np.isnan(recording.values(name)).all()}
+        return pd.DataFrame({signal: values[0] for signal, values in self.simulate_many(recording, present).items()})
+
+    def simulate_many(self, recording: Recording, commands: Mapping[str, Array]) -> Mapping[str, Array]:
+        """``<axis>.command`` → (lanes, n) to signal → (lanes, n).
+
+        Raises:
+            InputError: the simulation is unstable at the time step of the model.
+        """
+        compiled = self.compiled(recording.rate_hz)
+        lanes, rows = next(iter(commands.values())).shape
+        controls = self._controls(compiled, recording, commands, lanes, rows)
+        sensors = self._rollout(compiled, recording, controls)
+        found = {signal: sensors[:, :, column] for signal, column in compiled.columns.items()}
+        if not all(np.isfinite(values).all() for values in found.values()):
+            expected = "a stable simulation"
+            raise InputError(
+                f"simulator {self.name}, recording {recording.name}", "it diverges", expected, "Shorten its time step."
+            )
+        return found
+
+    def start_positions(self, recording: Recording) -> Array:
+        """Joint positions (nq,) at the first row: measured ones of the axes, passive ones in equilibrium."""
+        return self._positions(self.compiled(recording.rate_hz), recording)
+
+    def compiled(self, rate_hz: float) -> Compiled:
+        """The model for a sample rate [Hz]."""
+        if rate_hz not in self._compiled:
+            self._compiled[rate_hz] = compile_for(self.path, self.machine, self._points, rate_hz)
+        return self._compiled[rate_hz]
+
+    def _controls(
+        self, compiled: Compiled, recording: Recording, commands: Mapping[str, Array], lanes: int, rows: int
+    ) -> Array:
+        """Controls (lanes, n, nu)."""
+        model = compiled.model
+        controls = np.tile(idle_controls(model, compiled.drives), (lanes, rows, 1))
+        for axis, drive in zip(self.machine.axes, compiled.drives, strict=True):
+            signal, at = axis_signal(axis.name, "command"), int(model.actuator_ctrladr[drive.actuator])
+            held = starting_value(recording, axis.driven) if drive.control == "position" else 0.0
+            controls[:, :, at] = drive.scale * commands.get(signal, np.full((lanes, rows), held))
+        return controls
+
+    def _rollout(self, compiled: Compiled, recording: Recording, controls: Array) -> Array:
+        """Sensor data at the beginning of each row, (lanes, n, sensors)."""
+        from mujoco.rollout import Rollout
+
+        model, steps = compiled.model, compiled.substeps
+        lanes, rows = controls.shape[:2]
+        threads = min(self.threads, lanes)
+        datas = [mujoco_library().MjData(model) for _ in range(threads)]
+        state = np.stack([self._start(compiled, recording, lane[0]) for lane in controls])
+        out = np.empty((lanes, rows, model.nsensordata))
+        with Rollout(nthread=threads if threads > 1 else 0) as pool:
+            for first in range(0, rows, CHUNK_ROWS):
+                held = np.repeat(controls[:, first : first + CHUNK_ROWS], steps, axis=1)
+                states, sensors = pool.rollout([model] * lanes, datas, state, held)
+                out[:, first : first + CHUNK_ROWS] = sensors[:, ::steps]
+                state = states[:, -1]
+        return out
+
+    def _start(self, compiled: Compiled, recording: Recording, control: Array) -> Array:
+        """Physics state at the first row for the first control (nu,)."""
+        mujoco, model = mujoco_library(), compiled.model
+        data = mujoco.MjData(model)
+        data.qpos[:] = self._positions(compiled, recording)
+        data.ctrl[:] = control
+        for k in range(model.nactuator):
+            _begin(model, data, k)
+        spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.empty(mujoco.mj_stateSize(model, spec))
+        mujoco.mj_getState(model, data, state, spec)
+        return state
+
+    def _positions(self, compiled: Compiled, recording: Recording) -> Array:
+        """Joint positions (nq,) at the first row: measured ones of the axes, others in equilibrium."""
+        key = id(recording), recording.rate_hz
+        if key not in self._starts or self._starts[key][0] is not recording:
+            self._starts[key] = recording, settled(compiled, self._measured(compiled, recording))
+        return self._starts[key][1]
+
+    def _measured(self, compiled: Compiled, recording: Recording) -> Array:
+        model = compiled.model
+        positions = np.array(model.key_qpos[0] if model.nkey else model.qpos0)
+        for axis, drive in zip(self.machine.axes, compiled.drives, strict=True):
+            at = int(model.jnt_qposadr[drive.joint])
+            positions[at] = starting_value(recording, axis_signal(axis.name, "joint"), float(positions[at]))
+        return positions
+
+
+def compile_for(path: Path, machine: Machine, points: Mapping[str, Point], rate_hz: float) -> Compiled:
+    """The model of a file for a sample rate, with a sensor for each signal."""
+    mujoco, spec = mujoco_library(), load_spec(path)
+    substeps = max(1, math.ceil(1.0 / (rate_hz * spec.option.timestep) - 1e-6))
+    spec.option.timestep = step = 1.0 / (rate_hz * substeps)
+    for actuator in spec.actuators:
+        if actuator.delay > 0.0:  # a sample a step, and one on either side
+            actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / step) + 2)
+    names: dict[str, str] = {}
+    for axis in machine.axes:
+        signal = axis_signal(axis.name, "joint")
+        names[signal] = f"{_SENSOR}:{signal}"
+        spec.add_sensor(
+            name=names[signal],
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=axis.joint or axis.name,
+        )
+    for owner, point in points.items():
+        names[owner] = f"{_SENSOR}:{owner}"
+        kind = mujoco.mjtSensor.mjSENS_FRAMEPOS
+        spec.add_sensor(name=names[owner], type=kind, objtype=mujoco.mjtObj(point.kind), objname=point.name)
+    model = spec.compile()
+    columns: dict[str, int] = {}
+    for signal, name in names.items():
+        first = int(model.sensor_adr[model.sensor(name).id])
+        parts = point_signals(signal) if signal in points else (signal,)
+        columns |= {part: first + k for k, part in enumerate(parts)}
+    return Compiled(model, drives_of(model, machine, path.name), substeps, columns)
+
+
+def settled(compiled: Compiled, positions: Array) -> Array:
+    """Positions (nq,) with the passive joints in their equilibrium, the driven ones held."""
+    mujoco, model = mujoco_library(), compiled.model
+    driven = {drive.joint for drive in compiled.drives}
+    passive = [j for j in range(model.njnt) if j not in driven]
+    if not passive:
+        return positions
+    model = copy.copy(model)
+    model.dof_armature[[int(model.jnt_dofadr[j]) for j in driven]] = HELD
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    data = mujoco.MjData(model)
+    data.qpos[:] = positions
+    for _ in range(round(SETTLE_S / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        data.qvel[:] *= SETTLE_KEPT
+    held = [int(model.jnt_qposadr[j]) for j in driven]
+    data.qpos[held] = positions[held]
+    return np.array(data.qpos)
+
+
+def _begin(model: Any, data: Any, actuator: int) -> None:
+    """Activation and history of an actuator at rest under its present control."""
+    mujoco, dyns = mujoco_library(), mujoco_library().mjtDyn
+    at, kind = int(model.actuator_ctrladr[actuator]), int(model.actuator_dyntype[actuator])
+    if kind in (dyns.mjDYN_FILTER, dyns.mjDYN_FILTEREXACT):
+        data.act[model.actuator_actadr[actuator]] = data.ctrl[at]
+    elif kind == dyns.mjDYN_INTEGRATOR:
+        joint = int(model.actuator_trnid[actuator, 0])
+        gear = float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
+        data.act[model.actuator_actadr[actuator]] = gear * data.qpos[model.jnt_qposadr[joint]]
+    elif kind == dyns.mjDYN_PID and model.actuator_actnum[actuator]:
+        data.act[model.actuator_actadr[actuator]] = data.ctrl[at]
+    samples = int(model.actuator_history[actuator, 0])
+    if samples > 0:
+        times = model.opt.timestep * np.arange(-samples, 0)
+        mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(samples, data.ctrl[at]))

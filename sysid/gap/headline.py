@@ -1,0 +1,23 @@
+"""The verdict of the gap workflow as a sentence, the same in console, report, pages and Rerun recording."""
+
+from __future__ import annotations
+
+HEADLINES = {
+    "no_gap": "The simulation agrees with the machine to within sensor noise.",
+    "unnamed": "The simulation has an error that none of the known effects explains.",
+    "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
+    "insufficient_excitation": "Simulation and machine disagree, but the excitation is not sufficient to identify the cause.",
+}
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
+
+
+def headline(verdict: str, effects: int) -> str:
+    """The sentence.
+
+    Args:
+        effects: number of named effects.
+    """
+    if verdict != "named":
+        return HEADLINES.get(verdict, verdict)
+    count = _COUNTS[effects] if effects < len(_COUNTS) else str(effects)
+    return f"{count} effect{' is' if effects == 1 else 's are'} missing from the simulation."
