@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from loop.rounds import PATHS, Site, fly_paths
+from loop.rounds import Site, fly_paths
 from loop.score import figures_of
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
@@ -123,14 +123,13 @@ def true_plant(nominal: Plant, hidden: Sequence[Mapping[str, Any]], parked: Mapp
 
 
 def deployed(site: Site, plant: Plant, name: str) -> dict[str, Any]:
-    """Figures of the paths under the controller of ``plant``; its logs are not those of the loop.
+    """Figures of the helix under the controller of ``plant``; its logs are not those of the loop.
 
     The runs are numbered from :data:`FIRST_RUN` on whatever the plant, so that controllers are compared under the same noise. A
     path that the runner refuses has no figures, and the reason in ``why``.
     """
-    paths = tuple(dict.fromkeys(PATHS))
     site.runs = FIRST_RUN
     try:
-        return figures_of(fly_paths(site, site.registered(plant), paths, site.folder / f"flights-{name}"))
+        return figures_of(fly_paths(site, site.registered(plant), ("helix",), site.folder / f"flights-{name}"))
     except SettingsError as error:
-        return {path: {"ended": "refused", "why": error.found} for path in paths}
+        return {"helix": {"ended": "refused", "why": error.found}}

@@ -82,15 +82,15 @@ def _names(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
-    head = ("machine", "controller made from", *ERRORS)
+    head = ("machine", "controller made from", "helix, max", "helix, RMSE")
     rows = []
     for number, machine in enumerate(machines):
         for name, found in _controllers(machines).items():
-            row = found[number]
-            figures = (*(shown(row["helix"].get(key)) for key in ("max_mm", "rmse_mm")), shown(row["circle"].get("max_mm")))
-            refused = row["helix"]["ended"] == "refused"
-            rows.append((machine["name"], name, *((f"refused: {row['helix']['why']}", "–", "–") if refused else figures)))
-    return markdown(head, rows, "lllll")
+            helix = found[number]["helix"]
+            refused = helix["ended"] == "refused"
+            figures = (f"refused: {helix['why']}", "–") if refused else [shown(helix.get(key)) for key in ("max_mm", "rmse_mm")]
+            rows.append((machine["name"], name, *figures))
+    return markdown(head, rows, "llll")
 
 
 def _gaps(machines: Sequence[Mapping[str, Any]]) -> str:
