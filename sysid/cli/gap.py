@@ -152,6 +152,6 @@ def gap(
             )
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
     written = result.to_json(folder)
-    if isinstance(tested, SimulatorAdapter) and out_file is not None and not localise:
-        written["model"] = write_model(out, tested, result, dataset, out_file)
+    if mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None and not localise:
+        written["model"] = write_model(out, tested, result, dataset, mjcf, out_file)
     write_json(json_file, written)

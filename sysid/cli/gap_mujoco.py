@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
     from sysid.gap.adapters.adapter import SimulatorAdapter
     from sysid.gap.result import GapResult
+    from sysid.plant import Plant
 
 
 def repaired_path(model: Path) -> Path:
@@ -18,21 +19,28 @@ def repaired_path(model: Path) -> Path:
     return model.with_suffix(f".repaired{model.suffix}")
 
 
-def write_model(out: Printer, tested: SimulatorAdapter, result: GapResult, dataset: Dataset, path: Path) -> dict[str, Any]:
+def write_model(
+    out: Printer, tested: SimulatorAdapter | Plant, result: GapResult, dataset: Dataset, model: Path, path: Path
+) -> dict[str, Any]:
     """Write the repaired model, and return what the JSON says about it.
 
     Raises:
         InputError: the written model does not do what the repaired simulation does.
     """
+    from sysid.gap.adapters.mujoco.force_repair import write_force_model
     from sysid.gap.adapters.mujoco.repair import repaired_effects, write_repaired
+    from sysid.plant import Plant
 
-    effects = repaired_effects(tested, result.written)
-    repaired = write_repaired(tested, effects, path, dataset, result.gap)
+    if isinstance(tested, Plant):
+        repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap)
+    else:
+        repaired = write_repaired(tested, repaired_effects(tested, result.written), path, dataset, result.gap)
     out.line(f"Repaired model: {repaired.path}")
     for change in repaired.native:
         out.line(f"    {change.effect.name} of {change.effect.target}: {change.where}")
     for item in repaired.beside:
-        out.line(f"    {item.name} of {item.target}: {repaired.side_path}, which MJCF cannot express")
+        where = f"{repaired.side_path}, which MJCF cannot express" if repaired.side_path is not None else "not written"
+        out.line(f"    {item.name} of {item.target}: {where}")
     for signal, value in repaired.gap.after.items():
         before, floor = repaired.gap.before[signal], repaired.gap.noise_floor[signal]
         out.line(

@@ -88,6 +88,7 @@ def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
 
 def _log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
     """The log files in ``paths`` and one folder below; with a named ``reader``, also those that only it reads."""
+    from sysid.logs.lerobot import data_files, is_lerobot
     from sysid.logs.readers import NAMED, NO_LOGS, is_log
 
     found: list[Path] = []
@@ -96,6 +97,9 @@ def _log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
             raise InputError(path, "no such file or folder", "a log file or a folder of them", "Check the path.")
         if path.is_file():
             found.append(path)
+            continue
+        if is_lerobot(path):
+            found += data_files(path)
             continue
         entries = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file()]
         below = [entry for entry in entries if is_log(entry) or NAMED.get(entry.suffix.lower(), "") == reader]

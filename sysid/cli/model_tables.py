@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
 from sysid.names import dotted
-from sysid.registry.effect_changes import effect_changes
+from sysid.registry.effect_changes import effect_changes, effect_interval, effect_value
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,7 +79,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     if rows:
         out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
     if found.effects:
-        header = ("effect", "on", "parameter [SI]", "before", "after", "95 % interval")
+        header = ("effect", "on", "parameter", "before", "after", "95 % interval")
         out.table(header, [_effect_row(change) for change in found.effects], right=(3, 4))
     show_changes(out, "recipe", found.recipe)
     own = [change for change in found.lineage if change.what.split(".")[0] not in IN_JSON]
@@ -105,12 +105,8 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
 
 
 def _effect_row(change: EffectChange) -> tuple[str, ...]:
-    before, after = (_number(value) for value in (change.before, change.after))
-    return change.effect, change.target, change.parameter, before, after, " … ".join(map(_number, change.interval95))
-
-
-def _number(value: float | str | None) -> str:
-    return "none" if value is None else value if isinstance(value, str) else f"{value:.6g}"
+    before, after = (effect_value(value, change.unit) for value in (change.before, change.after))
+    return change.effect, change.target, change.parameter, before, after, effect_interval(change.interval95, change.unit)
 
 
 def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
@@ -142,7 +138,7 @@ def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
     effects = effect_changes({}, version.lineage)
     if effects:
         columns = [(row[0], row[1], row[2], row[4], row[5]) for row in map(_effect_row, effects)]
-        out.table(("effect", "on", "parameter [SI]", "value", "95 % interval"), columns, right=(3,))
+        out.table(("effect", "on", "parameter", "value", "95 % interval"), columns, right=(3,))
     if difference:
         out.block(difference)
     for decision in version.decisions:

@@ -13,13 +13,14 @@ from sysid.errors import InputError, SettingsError, nearest
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
     from sysid.gap import Simulator
+    from sysid.plant import Plant
 
 #: Prefix of an MJCF.
 MUJOCO = "mujoco:"
 
 
-def open_simulator(place: str, dataset: Dataset) -> Simulator:
-    """The simulator of a Python file or of an MJCF, for a dataset.
+def open_simulator(place: str, dataset: Dataset) -> Simulator | Plant:
+    """The simulator of a Python file or of an MJCF, for a dataset; of force-driven axes, the plant with the same forces.
 
     Raises:
         SettingsError: neither ``FILE.py:NAME`` nor ``mujoco:FILE.xml``, or a model that does not fit the machine.
@@ -27,9 +28,11 @@ def open_simulator(place: str, dataset: Dataset) -> Simulator:
     """
     if not place.startswith(MUJOCO):
         return load_simulator(place)
+    from sysid.gap.adapters.mujoco.force_axes import is_force_driven, open_force_model
     from sysid.gap.adapters.mujoco.repair import open_mujoco
 
-    return open_mujoco(Path(place.removeprefix(MUJOCO)), dataset)
+    path = Path(place.removeprefix(MUJOCO))
+    return open_force_model(path, dataset).plant if is_force_driven(dataset.machine) else open_mujoco(path, dataset)
 
 
 def load_simulator(place: str) -> Simulator:

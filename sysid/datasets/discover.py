@@ -12,7 +12,10 @@ from sysid.config import inside
 from sysid.datasets.recipe import IngestRecipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs.confined import read_confined
+from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
+from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import is_log, reader_for
 from sysid.names import check_file_name
 
@@ -113,10 +116,10 @@ def check_recordings(found: Sequence[RecordingFiles], recipe: IngestRecipe | Non
 
 def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> tuple[str, ...]:
     """Notes about entries of the recipe that no file matches."""
-    used = {id(stream) for files in found for _, stream in files.streams}
+    used = {stream.key for files in found for _, stream in files.streams if stream is not None}
     streams = recipe.streams if recipe is not None else ()
     return tuple(
-        f"no recording has a file {stream.key!r}: its entry is not used" for stream in streams if id(stream) not in used
+        f"no recording has a file {stream.key!r}: its entry is not used" for stream in streams if stream.key not in used
     )
 
 
@@ -164,6 +167,8 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
     if not path.is_dir():
         check_file(path, "a log file or a folder of recordings")  # a pipe or a device
+    if is_lerobot(path):
+        return episodes_of(path, recipe)
     folders = sorted(entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     result = []
     for folder in folders:
@@ -171,6 +176,9 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         if not any(fnmatchcase(folder.name, pattern) for pattern in wanted):
             continue
         inside(path, str(folder.resolve()), folder)
+        if is_lerobot(folder):
+            result += episodes_of(folder, recipe, f"{folder.name}-")
+            continue
         streams = _matched(sorted(folder.iterdir()), folder, recipe, folder.name)
         if streams:
             result.append(RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams))
@@ -185,6 +193,33 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
             raise InputError(path, "no log files", expected, "Each sub-folder with log files is one recording.")
         result.append(RecordingFiles(path.resolve().name, _kind(path.resolve().name, recordings, path), path, streams))
     return result
+
+
+def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> list[RecordingFiles]:
+    """The episodes of a LeRobot dataset, a recording each: entries of the recipe read the stream of the episode.
+
+    Raises:
+        InputError: no recipe, or a data file that is not readable.
+    """
+    if recipe is None or not recipe.streams:
+        remedy = "Draft one: sysid ingest --inspect FOLDER --machine machine.toml --draft recipe.toml."
+        raise InputError(folder, "a LeRobot dataset, whose files state no units", "a recipe", remedy)
+    result = []
+    for file in data_files(folder):
+        inside(folder, str(file.resolve()), file)
+        for stream in read_confined(LeRobotReader(), file, ReadOptions(columns=frozenset())):
+            name = f"{prefix}{stream.name}"
+            entries = [entry for _, entry in _matched([file], file.parent, recipe, name) if entry is not None]
+            own = tuple((file, _for_episode(entry, stream.name)) for entry in entries)
+            if own:
+                result.append(RecordingFiles(name, _kind(name, recipe.recordings, folder), folder, own))
+    return result
+
+
+def _for_episode(entry: StreamMap, episode: str) -> StreamMap:
+    """The entry of a recipe for the stream of one episode."""
+    signals = {signal: replace(own, topic=episode) for signal, own in entry.signals.items()}
+    return replace(entry, signals=signals, reader=LeRobotReader().name)
 
 
 def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | None) -> list[RecordingFiles]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from sysid.datasets.layouts import TABLES, Layout, layouts_of, recording_names, unreadable
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
+from sysid.logs.lerobot import KIND, LeRobotReader
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
 from sysid.units import si_factor
@@ -158,8 +159,9 @@ def _found(layout: Layout) -> str:
 
 
 def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
-    tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES
-    for stream in streams:
+    episodes = file.reader == LeRobotReader().name  # an entry is for all of them
+    tables = episodes or (len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES)
+    for stream in streams[:1] if episodes else streams:
         moving = [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
         if not tables:
             kind = f" ({_plain(stream.kind)})" if stream.kind else ""
@@ -182,7 +184,7 @@ def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str, t
     if outside and machine is not None and _actuation(signal, machine) == "velocity":
         entry += ["zero = <neutral>", "span = <from neutral to full>"]
         sure = False
-    elif field.unit is None and not signal.endswith(".command") and not kind.startswith(_SI_PACKAGES):
+    elif field.unit is None and (kind == KIND or not signal.endswith(".command")) and not kind.startswith(_SI_PACKAGES):
         stated = _unit_in_name(field.name)
         entry.append(f"unit = {_text(stated or '<unit>')}")
         sure = sure and stated is not None
@@ -213,6 +215,10 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
     words = _words(f"{topic} {field.name}")
     axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
     found = [quantity for quantity, names in _WORDS.items() if names & words]
+    if kind == KIND:
+        found = (
+            ["command"] if field.name.startswith("action") else ["joint"] if field.name.startswith("observation.state") else []
+        )
     if kind.endswith("JointState"):  # its arrays say what they are, whatever words the topic and the names of joints have
         if field.name.startswith("position") and not found:
             found = ["joint"]

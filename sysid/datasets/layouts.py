@@ -16,7 +16,7 @@ import numpy as np
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 
 #: Readers of files with one table, whose name is that of the file.
-TABLES = ("csv", "parquet", "mat")
+TABLES = ("csv", "parquet", "mat", "npz")
 #: Files of one folder with more than this share of their names of fields in common are recordings of the same device.
 ALIKE = 0.6
 

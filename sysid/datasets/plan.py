@@ -98,11 +98,14 @@ def _machine_path(
 
 def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     unique: dict[str, Source] = {}
+    known: dict[Path, str] = {}  # of a file with several recordings once
     for recording in found:
         for path, _ in recording.streams:
             key = f"{recording.name}/{path.name}"
             if key not in unique:
-                unique[key] = Source(key, sha256(path), path.stat().st_size)
+                if path not in known:
+                    known[path] = sha256(path)
+                unique[key] = Source(key, known[path], path.stat().st_size)
     return tuple(unique.values())
 
 

@@ -33,6 +33,7 @@ def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, sett
                     "target": e.target,
                     "side": e.side,
                     "parameters": dict(e.parameters),
+                    "units": dict(e.units),
                     "interval95": {key: list(ends) for key, ends in e.interval95.items()},
                     "closed_share": e.gap_share,
                     "evidence": asdict(e.evidence) if e.evidence is not None else None,

@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from sysid.logs.rosmsg import PRIMITIVES, Definition
 
-#: Sibling arrays of equal length are addressed by the entries of a string array with one of these names.
+#: Arrays of equal length beside or below a string array with one of these names are addressed by its entries:
+#: ``position[boom]`` of a JointState, ``points[0].positions[boom]`` of a JointTrajectory.
 NAME_FIELDS = ("name", "names", "joint_names")
 #: Longer arrays (images, scans, point clouds) are skipped, because they are no signals.
 MAX_ELEMENTS = 512
@@ -108,6 +109,8 @@ class _Parser:
     position: int
     steps: int = 0
     mute: int = 0
+    #: Names of the elements of arrays: those of the message, else of the one that contains it.
+    scope: list[str] = field(default_factory=list)
     numbers: dict[str, tuple[str, int]] = field(default_factory=dict)
     aliases: dict[str, str] = field(default_factory=dict)
     fixed: list[tuple[int, int]] = field(default_factory=list)
@@ -151,7 +154,7 @@ class _Parser:
                 self.missing.discard(path)
 
     def message(self, kind: str, prefix: str) -> None:
-        names: list[str] = []
+        outer = names = self.scope
         arrays: list[tuple[str, int]] = []
         fields = self.definition.types[kind]
         if not fields and not self.packed:
@@ -165,7 +168,7 @@ class _Parser:
                 if member.kind in ("string", "wstring"):
                     keep = member.name in NAME_FIELDS and count <= MAX_ELEMENTS and not self.mute
                     texts = self.texts(member.kind, count, keep)
-                    names = texts if keep else names
+                    names = self.scope = texts if keep else names
                 elif member.kind in PRIMITIVES:
                     self.array(member.kind, path, count)
                     arrays.append((path, count))
@@ -175,6 +178,7 @@ class _Parser:
                     arrays = self.name_elements(arrays, names)
             if self.enough:
                 return
+        self.scope = outer
 
     def name_elements(self, arrays: list[tuple[str, int]], names: list[str]) -> list[tuple[str, int]]:
         """Add a second path to the elements of arrays as long as ``names``; returns the arrays of another length.

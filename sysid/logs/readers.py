@@ -10,10 +10,12 @@ from sysid.logs.c3d import C3dReader
 from sysid.logs.can import CanReader
 from sysid.logs.csv import CsvReader
 from sysid.logs.json import JsonReader
+from sysid.logs.lerobot import LeRobotReader, dataset_info
 from sysid.logs.mat import MatReader
 from sysid.logs.mcap import McapReader
 from sysid.logs.mf4 import Mf4Reader
 from sysid.logs.motive import MotiveReader
+from sysid.logs.npz import NpzReader
 from sysid.logs.parquet import ParquetReader
 from sysid.logs.qualisys import QualisysReader
 from sysid.logs.reader import LogReader
@@ -34,7 +36,9 @@ READERS: tuple[LogReader, ...] = (
     CanReader(),
     Mf4Reader(),
     ParquetReader(),
+    LeRobotReader(),
     MatReader(),
+    NpzReader(),
     JsonReader(),
 )
 
@@ -95,10 +99,10 @@ def reader_named(name: str, where: object) -> LogReader:
 
 
 def reader_for(path: Path) -> LogReader:
-    """The reader by the first bytes of ``path``, else the first reader of its suffix.
+    """The reader by the dataset or the first bytes of ``path``, else the first reader of its suffix.
 
     Raises:
-        InputError: no reader for the suffix.
+        InputError: no reader for the suffix, or a LeRobot dataset of another version.
     """
     takes = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
     if not takes:
@@ -106,7 +110,7 @@ def reader_for(path: Path) -> LogReader:
         unknown = (f"no reader for {path.suffix or 'a file without suffix'!r}", "")
         found, remedy = NO_LOGS.get(path.suffix.lower(), unknown)
         raise InputError(path, found, f"one of {', '.join(suffixes)}", remedy.format(name=path.name))
-    name = _by_content(path)
+    name = "lerobot" if path.suffix == ".parquet" and dataset_info(path) is not None else _by_content(path)
     by_content = [reader for reader in READERS if reader.name == name]
     others = [reader for reader in takes if reader.name not in {name for _, name in SIGNATURES}]
     return (by_content or others or takes)[0]

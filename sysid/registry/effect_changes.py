@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from sysid.display import interval, quantity
+
 
 @dataclass(frozen=True)
 class EffectChange:
@@ -16,6 +18,7 @@ class EffectChange:
         parameter: its name; empty for an effect without parameters.
         before, after: value [SI]; None for a plant without the effect.
         interval95: of the value after, or before where there is none; empty if unknown.
+        unit: SI unit; empty where the lineage does not state it.
     """
 
     effect: str
@@ -24,6 +27,7 @@ class EffectChange:
     before: float | str | None
     after: float | str | None
     interval95: tuple[float, ...] = ()
+    unit: str = ""
 
 
 def effect_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[EffectChange, ...]:
@@ -34,14 +38,32 @@ def effect_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple
         earlier, later = (side[key][0] if key in side else None for side in (left, right))
         if earlier != later or (key in left) != (key in right):
             effect, target, parameter = key
-            found.append(EffectChange(effect, target, parameter, earlier, later, (right.get(key) or left[key])[1]))
+            _, ends, unit = right.get(key) or left[key]
+            found.append(EffectChange(effect, target, parameter, earlier, later, ends, unit))
     return tuple(found)
 
 
-def _parameters(lineage: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], tuple[Any, tuple[float, ...]]]]:
+def _parameters(lineage: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], tuple[Any, tuple[float, ...], str]]]:
     for effect in lineage.get("effects", ()):
         place = str(effect.get("name")), str(effect.get("target"))
         parameters, intervals = effect.get("parameters", {}), effect.get("interval95", {})
         for name, value in (parameters or {"": ""}).items():
             ends = intervals.get(name) or ()
-            yield (*place, name), (value, tuple(ends) if all(isinstance(end, float | int) for end in ends) else ())
+            known = all(isinstance(end, float | int) for end in ends)
+            yield (*place, name), (value, tuple(ends) if known else (), str(effect.get("units", {}).get(name, "")))
+
+
+def effect_value(value: Any, unit: str) -> str:
+    """A parameter as text: with the unit and the digits of the report, or in SI with six digits where the unit is not known."""
+    if isinstance(value, list | tuple):
+        return ", ".join(effect_value(item, unit) for item in value)
+    if not isinstance(value, float | int):
+        return "none" if value is None else str(value)
+    return quantity(value, unit, 4) if unit else f"{value:.6g}"
+
+
+def effect_interval(ends: tuple[float, ...], unit: str) -> str:
+    """Its 95 % interval as text; empty without one."""
+    if len(ends) != 2:
+        return ""
+    return interval(*ends, unit) if unit else " to ".join(f"{end:.6g}" for end in ends)

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 from sysid.names import dotted
 from sysid.registry import DamagedModel, ModelVersion
+from sysid.registry.effect_changes import effect_value
 from sysid.registry.figures import held_out_figures
 from sysid.registry.lineage import sources
 from sysid.reports.words import effect_title, signal_name
@@ -60,8 +61,8 @@ def _facts(version: ModelVersion) -> Iterator[Fact]:
             yield Fact("Figures", name, f"{value:.4g}")
     for effect in version.lineage.get("effects", ()):
         for name, value in effect.get("parameters", {}).items():
-            text = f"{value:.6g}" if isinstance(value, float | int) else str(value)
-            yield Fact("Effects [SI]", f"{effect_title(effect['name'])}, {effect['target']}: {name}", text)
+            text = effect_value(value, effect.get("units", {}).get(name, ""))
+            yield Fact("Effects", f"{effect_title(effect['name'])}, {effect['target']}: {name.replace('_', ' ')}", text)
     for name, value in dotted({key: value for key, value in version.lineage.items() if key not in _LEFT_OUT}):
         text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
         yield Fact("Lineage and recipe", name, text)

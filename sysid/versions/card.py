@@ -6,14 +6,19 @@ The blocks are defined in ``card_block``; those of networks and policies are mad
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+from sysid.display import percent
+from sysid.effects import BY_NAME
+from sysid.effects.wording import title_of
 from sysid.networks import Model
 from sysid.networks.policy import PolicyNetwork
 from sysid.registry import NETWORKS, ModelVersion
 from sysid.registry.decision import decision_row
+from sysid.registry.effect_changes import effect_value
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import Card, CardBlock
 from sysid.versions.card_network import (
@@ -98,15 +103,14 @@ def _lineage(found: ModelLineage) -> CardBlock:
 def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
     rows = []
     for effect in lineage.get("effects", ()):
-        numbers = ", ".join(
-            f"{key} {value:.4g}" for key, value in effect.get("parameters", {}).items() if isinstance(value, float)
-        )
-        rows.append(
-            (str(effect.get("name")), str(effect.get("target")), numbers, f"{100.0 * effect.get('closed_share', 0.0):.0f} %")
-        )
+        name, target, units = str(effect.get("name")), str(effect.get("target")), effect.get("units", {})
+        parameters = effect.get("parameters", {}).items()
+        values = ", ".join(f"{key.replace('_', ' ')} {effect_value(value, units.get(key, ''))}" for key, value in parameters)
+        title = title_of(BY_NAME[name], target, None) if name in BY_NAME else name
+        rows.append((title, target, values, percent(effect.get("closed_share", math.nan))))
     if not rows:
         return []
-    return [CardBlock("Added effects", (), ("effect", "on", "parameters [SI]", "share of the gap closed"), tuple(rows))]
+    return [CardBlock("Added effects", (), ("effect", "on", "parameters", "share of the gap closed"), tuple(rows))]
 
 
 def _loading(version: ModelVersion) -> Iterator[str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
+from run_records import keep_run
 from sample_workspace import sample_workspace
 
 from sysid.site import build_site
@@ -22,14 +23,17 @@ AXE = os.environ.get("AXE_CORE", "")
 #: Nothing may leave this computer.
 OPTIONS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 PAGES = ("index.html", "lineage.html", "compare.html", "models.html", "datasets/autolog@1.html", "reports/autolog@1.html")
-PAGES = (*PAGES, "models/autolog@2.html", "models/autolog-actuator@1.html")
+PAGES = (*PAGES, "models/autolog@2.html", "models/autolog-actuator@1.html", "flights/motion-20260503T141500.html")
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_site(sample_workspace(tmp_path_factory.mktemp("browser") / "ws")).index.parent
+    folder = tmp_path_factory.mktemp("browser")
+    place = sample_workspace(folder / "ws")
+    keep_run(place, folder / "logs")
+    return build_site(place).index.parent
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +64,7 @@ def rows(page: Page) -> list[str]:
 
 def test_search_and_kinds_filter_the_table(site: Path, page: Page) -> None:
     page.goto((site / "index.html").as_uri())
-    assert len(rows(page)) == 7
+    assert len(rows(page)) == 8
     page.get_by_label("Search").fill("backlash slew")
     assert set(rows(page)) == {"gap:autolog@1", "plant:autolog@2"}
     page.get_by_role("button", name="plant 2").click()
@@ -110,6 +114,16 @@ def test_the_lineage_is_walked_by_clicks_and_by_keys(site: Path, page: Page) -> 
     page.wait_for_url("**/datasets/autolog%401.html")
     page.get_by_role("link", name="Workspace").click()
     assert page.locator("#table").is_visible()
+
+
+def test_a_run_is_found_by_its_fault_and_leads_to_its_plant(site: Path, page: Page) -> None:
+    page.goto((site / "index.html").as_uri())
+    page.get_by_label("Search").fill("fault ms old")
+    assert rows(page) == ["flight:motion-20260503T141500"]
+    page.locator("#table").get_by_role("link", name="motion-20260503T141500").click()
+    assert page.locator("#events tr.refused").count() == 2
+    page.locator("#lineage a.champion").click()
+    assert page.locator("h1").inner_text() == "autolog@2"
 
 
 def test_versions_lead_to_the_comparison_with_the_one_before(site: Path, page: Page) -> None:

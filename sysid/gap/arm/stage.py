@@ -101,7 +101,7 @@ def _with_products(whole: _Whole, members: Set) -> ModelFit:
         before, rows = rows, linearised(whole.rows, whole.model, whole.theta, found.theta)
         if _settled(before, rows):
             return replace(found, evidence=first.evidence)
-        found = whole.about(rows).model_of(members)
+        found = whole.about(rows, members).model_of(members)
     return first
 
 
@@ -149,9 +149,11 @@ class _Whole:
         self._sizes: dict[Set, Sizes] = {}
         self._posteriors: dict[Set, Posterior] = {}
 
-    def about(self, rows: Sequence[AxisRows]) -> _Whole:
-        """The same regression on rows that are linearised about another vector."""
-        return _Whole(self.model, rows, self.theta, self.sigma, self.candidates)
+    def about(self, rows: Sequence[AxisRows], members: Set) -> _Whole:
+        """The regression on rows that are linearised about another vector, with the sizes of a set as they are."""
+        other = _Whole(self.model, rows, self.theta, self.sigma, self.candidates)
+        other._sizes[members] = self.sizes(members)
+        return other
 
     def _linear(self, values: Sequence[Array]) -> Array:
         return np.concatenate([np.empty(0), *(to_linear(c, v) for c, v in zip(self.candidates, values, strict=True))])

@@ -47,8 +47,9 @@ class RepairedModel:
 
     Args:
         path, side_path: the model, and the file of the effects beside it, if there are any.
-        native: effects in the model; ``beside``: those in the file.
-        gap: free runs on held-out recordings: ``before`` of the model under test, ``after`` of the file, loaded again.
+        native: effects in the model; ``beside``: those in the file, or left out where there is none.
+        gap: errors on held-out recordings, of free runs or of forces at measured motion: ``before`` of the model under test,
+            ``after`` of the file, loaded again.
     """
 
     path: Path
@@ -91,8 +92,7 @@ def write_repaired(
     """
     simulator = adapter.runs.simulator
     assert isinstance(simulator, MujocoSimulator)
-    if out.exists() and out.samefile(simulator.path):
-        raise SettingsError(f"--out {out}", "the model under test", "another file")
+    check_other_file(simulator.path, out)
     native, beside = _write(simulator, effects, out)
     if native:
         effects = [*_fitted_in_place(simulator, [change.effect for change in native], beside, out, dataset), *beside]
@@ -100,7 +100,7 @@ def write_repaired(
     loaded = open_mujoco(out, dataset)
     measured = run_rmse([(recording, loaded.simulate(recording)) for recording in split_of(dataset).held_out])
     gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
-    _check(gap, promised, out)
+    check_gap(gap, promised, out)
     return RepairedModel(out, side_file(out) if beside else None, tuple(native), tuple(beside), gap)
 
 
@@ -109,11 +109,8 @@ def _write(simulator: MujocoSimulator, effects: Sequence[KnownEffect], out: Path
     spec, machine = load_spec(simulator.path), simulator.machine
     drives = dict(zip(machine.axis_names, drives_of(load_mjcf(simulator.path), machine, simulator.name), strict=True))
     native, beside = write_native(spec, drives, effects)
-    _relocate(spec, simulator.path, out)
-    spec.compile()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(out) as half:
-        half.write_text(spec.to_xml(), "utf-8")
+    relocate(spec, simulator.path, out)
+    write_spec(spec, out)
     write_side_file(out, beside)
     return native, beside
 
@@ -160,14 +157,36 @@ def _parameter(effect: str, name: str) -> Any:
     return next(p for form in effect_named(effect).forms for p in form.parameters if p.name == name)
 
 
-def _relocate(spec: Any, source: Path, out: Path) -> None:
+def check_other_file(model: Path, out: Path) -> None:
+    """Check that the model under test is not overwritten.
+
+    Raises:
+        SettingsError: ``out`` is the model.
+    """
+    if out.exists() and out.samefile(model):
+        raise SettingsError(f"--out {out}", "the model under test", "another file")
+
+
+def write_spec(spec: Any, out: Path) -> None:
+    """Compile a model and write it as MJCF.
+
+    Raises:
+        ValueError: MuJoCo refuses it.
+    """
+    spec.compile()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(out) as half:
+        half.write_text(spec.to_xml(), "utf-8")
+
+
+def relocate(spec: Any, source: Path, out: Path) -> None:
     """Folders of meshes and textures, seen from the folder of the written file."""
     for key in ("meshdir", "texturedir"):
         folder = source.parent / str(getattr(spec, key) or "")
         setattr(spec, key, os.path.relpath(folder.resolve(), out.parent.resolve()))
 
 
-def _check(gap: Gap, promised: Gap, out: Path) -> None:
+def check_gap(gap: Gap, promised: Gap, out: Path) -> None:
     """Whether the loaded model does as promised.
 
     Raises:

@@ -1,0 +1,135 @@
+"""NumPy archives (``.npz``): vectors and matrices of equal length, as MuJoCo's rollouts and time series are saved.
+
+Columns of a matrix are reached by index: ``qpos[2]``; of a rollout, ``state[0]`` is the time and ``state[1]`` … the positions
+(MuJoCo 4, ``mjSTATE_FULLPHYSICS``). A time series of ``mujoco.sysid`` names the columns of its ``data`` itself.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError
+from sysid.logs.limits import Budget
+from sysid.logs.reader import ALL, ReadOptions
+from sysid.logs.stream import Stream
+from sysid.logs.table import TIME_NAMES, Columns, table_stream
+from sysid.parse import parse_json
+
+_WHAT, _MAPPING, _TIMES = "a NumPy archive", "signal_mapping", "times"
+#: Longest header of an array, and longest text that names the columns [bytes].
+_HEADER, _TEXT = 10_000, 1 << 20
+
+
+@dataclass(frozen=True)
+class NpzReader:
+    """Numbers only: pickled objects are never loaded."""
+
+    name: str = "npz"
+    suffixes: tuple[str, ...] = (".npz",)
+    clocks: tuple[str, ...] = ("time",)
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        columns, losses = self.columns(path, options)
+        names = [name for name, _ in columns]
+        if options.time is None and options.rate_hz is None and _TIMES in names and not {*TIME_NAMES} & {*names}:
+            options = replace(options, time=_TIMES)
+        wanted = options.columns
+        kept = [(name, values) for name, values in columns if wanted is None or name in wanted or _is_time(name, options)]
+        known = () if wanted is None else tuple(names)
+        return (table_stream(path, kept, options, losses, units_in_headers=False, known=known),)
+
+    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
+        """Name → numbers of every column of the arrays of the most frequent length, and the arrays of another length."""
+        budget = options.budget_of(path, _WHAT, None)
+        try:
+            arrays, mapping = _arrays(path, budget)
+        except (zipfile.BadZipFile, zlib.error, ArithmeticError, LookupError, TypeError, ValueError, OSError, EOFError,
+                RuntimeError) as error:  # fmt: skip  # whatever a damaged archive causes
+            raise InputError(path, f"not readable as {_WHAT} ({error})", "arrays of numbers, saved by numpy.savez") from None
+        lengths = [len(array) for array in arrays.values()]
+        usual = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+        found: list[tuple[str, npt.NDArray[np.float64]]] = []
+        for name, array in arrays.items():
+            if len(array) == usual:
+                found += _columns_of(name, array, mapping if name == "data" else {})
+        budget.check_columns(path, len(found))
+        others = [name for name, array in arrays.items() if len(array) != usual]
+        return found, (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
+
+
+def _is_time(name: str, options: ReadOptions) -> bool:
+    return name == options.time or (options.time is None and options.rate_hz is None and name in TIME_NAMES)
+
+
+def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, list[int]]]:
+    """Name → array (n,) or (n, k), and the columns of ``data`` by name."""
+    mapping: dict[str, list[int]] = {}
+    with zipfile.ZipFile(path) as archive:
+        members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+        budget.check_columns(path, len(members), "arrays")
+        budget.check_unpacked(path, sum(info.file_size for info in members))
+        found: dict[str, npt.NDArray[Any]] = {}
+        for info in members:
+            name = info.filename.removesuffix(".npy")
+            large = budget.too_large(info.compress_size, info.file_size, at_once=False)
+            if large:
+                raise InputError(path, f"{name} {large}", "an archive of its own size")
+            with archive.open(info) as file:
+                shape, kind = _header(file)
+                if any(count < 0 for count in shape):
+                    raise ValueError(f"{name} of shape {shape}")
+                size = math.prod(shape) * kind.itemsize
+                if size > info.file_size:
+                    raise ValueError(f"{name} states {size} bytes and has {info.file_size}")
+                if name == _MAPPING and kind.kind == "U" and not shape and size <= _TEXT:
+                    mapping = _named(file.read(size).decode("utf-32-le"))
+                if kind.kind not in "fiub":
+                    continue
+                shape = shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
+                if len(shape) not in (1, 2) or math.prod(shape) == 0:
+                    continue
+                budget.check_numbers(path, math.prod(shape))
+                found[name] = np.frombuffer(file.read(size), kind).reshape(shape)
+    return found, mapping
+
+
+def _header(file: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    version = np.lib.format.read_magic(file)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in readers:
+        raise ValueError(f"arrays of format {version}")
+    shape, fortran, kind = readers[version](file, max_header_size=_HEADER)
+    if fortran and len(shape) > 1:
+        raise ValueError("arrays in Fortran order; save them with numpy.ascontiguousarray")
+    return shape, kind
+
+
+def _named(text: str) -> dict[str, list[int]]:
+    """Name → columns of ``data``, of a time series: ``{"hinge_qpos": [0, [3]]}``."""
+    value = parse_json(text.rstrip("\0").encode("utf-8"))
+    if not isinstance(value, dict):
+        raise ValueError("the names of its columns are no table")
+    pairs = ((str(name), entry[1]) for name, entry in value.items() if isinstance(entry, list) and len(entry) == 2)
+    return {name: [int(k) for k in places] for name, places in pairs if isinstance(places, list)}
+
+
+def _columns_of(name: str, array: npt.NDArray[Any], mapping: Mapping[str, list[int]]) -> Columns:
+    """The columns of an array by name, else by index."""
+    values = array.astype(np.float64)
+    if values.ndim == 1:
+        return [(name, values)]
+    names = {k: f"{name}[{k}]" for k in range(values.shape[1])}
+    for label, places in mapping.items():
+        for i, k in enumerate(places):
+            if k in names:
+                names[k] = label if len(places) == 1 else f"{label}[{i}]"
+    return [(label, values[:, k].copy()) for k, label in names.items()]
