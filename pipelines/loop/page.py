@@ -62,7 +62,7 @@ def rounds_table(machines: Sequence[Mapping[str, Any]]) -> str:
         ]
         for name, number, row in rows
     ]
-    return markdown([*head, *(["proposed recordings made"] if proposed else [])], cells, "lllllll" + "rr" + "l")
+    return markdown([*head, *(["proposed recordings made"] if proposed else [])], cells, "lllllllrr" + "l" * proposed)
 
 
 def _names(machines: Sequence[Mapping[str, Any]]) -> str:
@@ -72,7 +72,7 @@ def _names(machines: Sequence[Mapping[str, Any]]) -> str:
         hidden = len(machine["hidden"])
         without = [tuple(each) for each in machine["adjusted"]]
         missed = [
-            f"`{name}` {target}" + (" (its value is in the plant)" if (name, target) in without else "")
+            f"`{name}` {target}" + (" (adjusted without a name)" if (name, target) in without else "")
             for name, target in machine["missed"]
         ]
         wrong = [f"`{name}` {target}" for name, target in machine["wrong"]]

@@ -251,7 +251,7 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     run = found["rounds"][1]
     compared = dict.fromkeys(("nominal", "repaired", "guessed", "with_deadband", "truth"), run) | {"lag_delay_gain": refused}
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
-    assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
+    assert "| seed 9 | 4 | 2 | input_delay boom (adjusted without a name), backlash stick | stiction boom |" in text
     assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
     assert "| error after, largest coordinate | ≤ 20 mm | 30.0 mm | 0 of 1 |" in text
     assert "| beside the repaired simulation | ≤ 1.3 | 1.00 | 1 of 1 |" in text
