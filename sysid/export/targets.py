@@ -27,3 +27,8 @@ def target_named(name: str) -> Target:
     if name not in names:
         raise SettingsError("sysid export", f"no target {name!r}", nearest(name, names))
     return TARGETS[names.index(name)]
+
+
+def fallback(target: Target) -> Target | None:
+    """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
+    return MjcfTarget(composed=False) if isinstance(target, MjcfTarget) and target.composed else None
