@@ -6,7 +6,7 @@ It loads the datasets, models and results for the functions of :mod:`sysid.versi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.datasets import Dataset
@@ -29,6 +29,8 @@ from sysid.versions import (
     lineage_of,
     policy_checks,
 )
+from sysid.versions.card_block import CardBlock
+from sysid.versions.card_changes import changes
 from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by
@@ -118,11 +120,25 @@ class ModelVersions:
         return target, export_onnx(network, target, about, precision)
 
     def card(self, reference: str) -> Card:
-        """The card of a version."""
+        """The card of a version, with what it changes against the version before."""
         version = self.workspace.models.find(reference)
         network = self.workspace.network(version.reference) if version.kind in NETWORKS else None
         policy = self.workspace.policy(version.reference) if version.kind == "policy" else None
-        return card_of(version, self.lineage(version.reference), network, self._report(version), policy)
+        card = card_of(version, self.lineage(version.reference), network, self._report(version), policy)
+        changed = self._changed(version)
+        return card if changed is None else replace(card, blocks=(card.blocks[0], changed, *card.blocks[1:]))
+
+    def _changed(self, version: ModelVersion) -> CardBlock | None:
+        """What it changes against the version before; None without one that can be read."""
+        found = self.workspace.models.survey(version.kind)
+        same = [entry for entry in found if isinstance(entry, ModelVersion) and entry.name == version.name]
+        earlier = [entry for entry in same if entry.version < version.version]
+        if not earlier:
+            return None
+        try:
+            return changes(self.diff(max(earlier, key=lambda entry: entry.version).reference, version.reference))
+        except StoreError:  # its files were changed
+            return None
 
     def _report(self, version: ModelVersion) -> ValidationReport | None:
         """The evaluation on the dataset that it was fitted on; None if that is not available."""

@@ -16,6 +16,7 @@ from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
 from sysid.export.replay import Replay, replay
 from sysid.export.target import Target
+from sysid.export.targets import fallback
 from sysid.files import make_folder
 from sysid.gap.noise import noise_levels
 from sysid.plant import Plant
@@ -83,6 +84,11 @@ def export_plant(
     half.mkdir()
     try:
         found = _write(plant, dataset, target, half, folder, samples, seed)
+        while found.replay is not None and not found.replay.agrees and (simpler := fallback(target)) is not None:
+            shutil.rmtree(half)
+            half.mkdir()
+            target = simpler
+            found = _write(plant, dataset, target, half, folder, samples, seed)
         if found.replay is not None and not found.replay.agrees and not force:
             raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, dataset.units))
         if folder.exists():

@@ -19,7 +19,7 @@ This page lists how each target of [`sysid export`](guide/export.md) represents 
 | --- | --- |
 | native | the format has it |
 | composed | of several elements of the format |
-| by plugin | by `drive_model.py`, a Python file that ships with the export and needs NumPy alone |
+| by plugin | by the drive model that ships with the export: `drive_model.py`, which needs NumPy alone, or TorchScript |
 | not representable | the export lacks it; the replay shows what that costs |
 """
 

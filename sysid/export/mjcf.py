@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from sysid.errors import SettingsError
 from sysid.export.drive_data import WITHOUT_PART, drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.mjcf_bodies import add_bodies
-from sysid.export.mjcf_drives import add_drive, mode_of
+from sysid.export.mjcf_drives import add_drive, drive_entry
+from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
 from sysid.export.shipped_run import load_module, write_drive_model
 from sysid.export.standalone import mujoco_robot
 from sysid.export.target import Simulation, Start, Support
@@ -40,73 +40,98 @@ _ELEMENTS = {
     "load_bias": "actuator `biasprm`",
     "joint_offset": "actuator `biasprm` and `range`, subtracted from the joint's sensor",
 }
-_GEOMETRY = {
+_COMPOSED = {
+    "backlash": "second joint of the drive, tendon limited to the width, dry friction of the joint (velocity axes, one side)",
     "link_length_error": "`pos` of the bodies of the link",
     "tip_offset": "`pos` of the site `ee`",
     "base_misalignment": "pose of the root body, and `gravity` turned with it",
+    "gripper_sway": "a point mass on a ball joint with damping (not beside a misaligned base)",
 }
+_BY_DRIVE_MODEL = ("backlash", "gripper_sway")
+_BEFORE = ("valve_hysteresis", "valve_deadband", "gain_curve", "flow_saturation", "command_rate_limit")
 
 
 class MjcfTarget:
-    """MuJoCo 4."""
+    """MuJoCo 4.
+
+    Args:
+        composed: cylinders, backlash and the hanging tool as elements of MuJoCo; else by the drive model.
+    """
+
+    def __init__(self, composed: bool = True) -> None:
+        self.composed = composed
 
     name = "mjcf"
     title = "MuJoCo"
     modules: tuple[str, ...] = ("mujoco",)
     notes: tuple[str, ...] = (
-        "`robot.json` states for each axis whether its actuator takes the command or follows the drive model.",
+        "`robot.json` states the mode of each axis. `native`: its actuator takes the command. `command`: it takes what the "
+        "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model.",
     )
 
     def support(self, effect: Effect) -> Support:
         if effect.name in _ELEMENTS:
             return Support("native", _ELEMENTS[effect.name])
-        if effect.name in _GEOMETRY:
-            return Support("composed", _GEOMETRY[effect.name])
+        if effect.name in _COMPOSED and (self.composed or effect.name not in _BY_DRIVE_MODEL):
+            return Support("composed", _COMPOSED[effect.name])
         if effect.name in WITHOUT_PART:
             return Support("not_representable", WITHOUT_PART[effect.name])
-        return Support("plugin", f"`{MODULE}`, whose joint the actuator follows")
+        if effect.name in _BEFORE:
+            return Support("plugin", f"`{MODULE}`, which changes the command of the actuator")
+        if effect.stage == "sensor":
+            return Support("plugin", f"`{MODULE}`, `Robot.readings`")
+        return Support("plugin", f"`{MODULE}`, whose output the actuator takes or follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         if moves_masses(plant.machine):
             found, expected = "force axes that move links with masses", "axes driven by position, velocity or an inertia"
             raise SettingsError(f"export of {plant.machine.name} to mjcf", found, expected)
-        import mujoco
-
         data = drive_data(plant, rate_hz)
         substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
-        spec = mujoco.MjSpec()
-        spec.modelname = plant.machine.name
-        spec.compiler.degree = False
-        spec.option.timestep = 1.0 / rate_hz / substeps
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        bodies = add_bodies(spec, plant)
-        entries = [mode_of(plant, axis, data["pump_limit"] is not None) for axis in data["axes"]]
-        for axis, joint, entry in zip(data["axes"], bodies.joints, entries, strict=True):
-            add_drive(spec, axis, spec.joint(joint), entry, spec.option.timestep)
+        spec, about = _spec_of(plant, data, substeps, self.composed)
         spec.compile()
         (folder / FILE).write_text(spec.to_xml(), "utf-8")
-        about = {
-            "plant": plant.reference,
-            "substeps": substeps,
-            "posed": bodies.posed,
-            "axes": [
-                {
-                    **asdict(entry),
-                    "joint": joint,
-                    "offset": axis["offset"],
-                    "driven": f"{axis['name']}.{axis['drives']}",
-                    "actuation": axis["actuation"],
-                }
-                for axis, joint, entry in zip(data["axes"], bodies.joints, entries, strict=True)
-            ],
-            "passive": _passive(plant),
-        }
         (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
         (folder / ROBOT).write_text(inspect.getsource(mujoco_robot), "utf-8")
         return FILE, f"{Path(FILE).stem}.json", ROBOT, *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
+
+
+def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) -> tuple[Any, dict[str, Any]]:
+    """The model, and what the shipped loop has to know of it."""
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.modelname = plant.machine.name
+    spec.compiler.degree = False
+    spec.option.timestep = step = data["dt"] / substeps
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    bodies = add_bodies(spec, plant)
+    axes = []
+    for axis, name in zip(data["axes"], bodies.joints, strict=True):
+        entry, joint = drive_entry(plant, axis, data["pump_limit"] is not None, composed), spec.joint(name)
+        moved = moved_by(spec, entry, axis, joint, step)
+        add_drive(spec, axis, moved, entry, step)
+        if entry.backlash is not None:
+            heavier_drive(moved, spec.actuator(axis["name"]))
+        about = {"axis": axis["name"], "mode": entry.mode, "reason": entry.reason, "prefix": entry.prefix, "joint": name}
+        sensed = f"{name}_drive" if entry.backlash is not None and entry.backlash[1] == "structure" else name
+        about |= {"drive_joint": f"{name}_drive" if entry.backlash is not None else name, "sensed_joint": sensed}
+        about |= {"offset": axis["offset"], "zero": moved.zero, "driven": f"{axis['name']}.{axis['drives']}"}
+        # A servo without a lag reaches a set-point at once: it is led there over the sample, as the plant moves.
+        led = axis["actuation"] == "position" and not {name for name, _ in axis["command"]} & {
+            "first_order_lag",
+            "second_order_lag",
+        }
+        axes.append(about | {"actuation": axis["actuation"], "led": led})
+    swings = composed and data["sway"] is not None and bodies.posed and plant.effect("base_misalignment", "base") is None
+    if swings:
+        tip = spec.body(plant.machine.tip)
+        add_tool(tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
+    found = {"plant": plant.reference, "substeps": substeps, "posed": bodies.posed, "swings": swings}
+    return spec, {**found, "axes": axes, "passive": _passive(plant)}
 
 
 class MujocoSimulation:

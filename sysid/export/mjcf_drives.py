@@ -1,7 +1,8 @@
-"""Drives of a machine in MuJoCo: actuators that have the effects of an axis, or one that follows the drive model.
+"""Drives of a machine in MuJoCo: an actuator with the effects of an axis, behind those that the drive model computes.
 
-A velocity axis is a source of speed and a position axis one of position: load does not push them back, as in the plant. Their
-joint has a large armature and a servo that dominates it, so that a step of the implicit integrator reaches the commanded speed.
+A velocity axis is a source of speed and a position axis one of position: load does not push them back, as in the plant. The
+joint or the tendon that they move has a large armature and a servo that dominates it, so that a step of the implicit
+integrator nearly reaches the commanded speed.
 """
 
 from __future__ import annotations
@@ -10,104 +11,154 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from sysid.export.triangle import triangle_of
+from sysid.machine.description import Linkage
 from sysid.plant import Plant
 
-#: Armature of a joint that is a source of motion [kg or kg·m²]: far above what the links of a machine load it with.
+#: Armature of a source of motion [kg or kg·m²]: far above what the links of a machine load it with.
 ARMATURE = 1e6
 #: A step of the integrator leaves 1/(1 + FAST) of a commanded change of speed. The faster the servo, the deeper it presses the
 #: joint into its end stop; at ten the rest of a change is below 1 % after two steps.
 FAST = 10.0
 #: The same of an axis without an end stop in its joint: a position servo, or one that follows the drive model.
 FASTEST = 1e3
-#: Command-stage effects of a velocity axis in the order of the chain, each of which an actuator has.
+#: Effects of the command stage that an actuator has, in the order of the chain.
 VELOCITY_NATIVE = ("input_delay", "first_order_lag", "gain_error", "nominal_gain", "internal_leakage")
 POSITION_NATIVE = ("input_delay", "first_order_lag", "second_order_lag")
 FORCE_NATIVE = ("viscous_friction", "coulomb_friction")
-Mode = Literal["native", "drive_model"]
+#: Impedance of stops and dry friction: the hardest that MuJoCo has.
+HARD = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
+Mode = Literal["native", "command", "drive_model"]
 
 
 @dataclass(frozen=True)
 class DriveEntry:
-    """An axis in the model, for the shipped loop.
+    """An axis in the model.
 
     Args:
-        mode: ``native``: the actuator takes the command; ``drive_model``: it follows the position of the drive model.
-        reason: the first effect or part that the actuator does not have.
+        mode: ``native``: the actuator takes the command; ``command``: it takes what the first ``prefix`` parts of the drive
+            model make of the command; ``drive_model``: it follows the joint of the drive model.
+        reason: the last effect or part that the actuator does not have.
+        triangle: linkage of a cylinder, which becomes a tendon.
+        backlash: (width, side) of a backlash, which becomes a second joint.
     """
 
     axis: str
     mode: Mode
     reason: str
+    prefix: int
+    triangle: Linkage | None = None
+    backlash: tuple[float, str] | None = None
 
 
-def mode_of(plant: Plant, axis: dict[str, Any], pump: bool) -> DriveEntry:
+def drive_entry(plant: Plant, axis: dict[str, Any], pump: bool, composed: bool) -> DriveEntry:
     """How an axis of the drive data is written."""
     native = {"velocity": VELOCITY_NATIVE, "position": POSITION_NATIVE, "force": FORCE_NATIVE}[axis["actuation"]]
-    lacking = [name for name, _ in axis["command"] if name not in native]
-    if axis["actuation"] == "force":
-        lacking += [name for name, values in axis["frictions"] if name not in native or not _even(values)]
-        lacking += ["flexible_drive"] if axis["rotor"] == "flexible_drive" else []
-    if pump and axis["actuation"] == "velocity":
-        lacking.append("pump_flow_limit")
-    lacking += ["a cylinder with a linkage"] if axis["drives"] == "cylinder" else []
-    lacking += [f"backlash ({side})" for side in ("drive", "structure") if axis[f"{side}_backlash"]]
-    lacking += [f"joint_compliance ({side})" for side in ("drive", "structure") if axis[f"{side}_compliance"]]
+    parts = [name for name, _ in axis["command"]]
+    lacking = _lacking(axis, pump, native)
+    if not composed:
+        lacking += [part for part in ("drive_backlash", "structure_backlash") if axis[part]]
+        lacking += ["a linkage that is not a triangle"] if axis["drives"] == "cylinder" else []
+    triangle = None
+    if axis["drives"] == "cylinder" and not lacking:
+        triangle = plant.machine.axis(axis["name"]).linkage or (
+            triangle_of(plant.linkages[axis["name"]]) if axis["name"] in plant.linkages else None
+        )
+        lacking += [] if triangle is not None else ["a linkage that is not a triangle"]
     if lacking:
-        return DriveEntry(axis["name"], "drive_model", lacking[0])
-    return DriveEntry(axis["name"], "native", "")
+        return DriveEntry(axis["name"], "drive_model", lacking[0], len(parts))
+    prefix = 1 + max((k for k, name in enumerate(parts) if name not in native), default=-1)
+    sides = [(axis[f"{side}_backlash"], side) for side in ("drive", "structure") if axis[f"{side}_backlash"]]
+    mode: Mode = "command" if prefix else "native"
+    return DriveEntry(axis["name"], mode, parts[prefix - 1] if prefix else "", prefix, triangle, sides[0] if sides else None)
 
 
-def _even(values: dict[str, float]) -> bool:
-    return values["positive"] == values["negative"]
+def _lacking(axis: dict[str, Any], pump: bool, native: tuple[str, ...]) -> list[str]:
+    """What neither an actuator nor bodies, behind parts of the drive model, can do."""
+    found = [f"joint_compliance ({side})" for side in ("drive", "structure") if axis[f"{side}_compliance"]]
+    if axis["drive_backlash"] and axis["structure_backlash"]:
+        found.append("backlash on both sides")
+    if axis["actuation"] != "velocity" and (axis["drive_backlash"] or axis["structure_backlash"]):
+        found.append("backlash of an axis whose speed no command limits")
+    if axis["actuation"] == "force":
+        found += [name for name, values in axis["frictions"] if name not in native or values["positive"] != values["negative"]]
+        found += ["flexible_drive"] if axis["rotor"] == "flexible_drive" else []
+    if pump and axis["actuation"] == "velocity":
+        found.append("pump_flow_limit")
+    return found
 
 
-def add_drive(spec: Any, axis: dict[str, Any], joint: Any, entry: DriveEntry, step: float) -> None:
-    """Add the actuator of an axis to an ``MjSpec`` and complete its joint; ``step`` of the integrator [s]."""
+@dataclass(frozen=True)
+class Moved:
+    """The joint or tendon that an actuator moves; ``zero``: its value where the drive's position is zero [rad or m]."""
+
+    element: Any
+    tendon: bool
+    zero: float
+
+
+def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, step: float) -> None:
+    """Add the actuator of an axis to an ``MjSpec`` and complete what it moves; ``step`` of the integrator [s]."""
     import mujoco
 
-    actuator = spec.add_actuator(name=axis["name"], target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    kind = mujoco.mjtTrn.mjTRN_TENDON if moved.tendon else mujoco.mjtTrn.mjTRN_JOINT
+    actuator = spec.add_actuator(name=axis["name"], target=moved.element.name, trntype=kind)
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    low, high = axis["low"], axis["high"]
-    servo = axis["actuation"] == "position" and "second_order_lag" not in dict(axis["command"])
-    if entry.mode == "native" and (low is not None or high is not None):
-        ends = (-1e6 if low is None else low, 1e6 if high is None else high)
+    parts = dict(axis["command"][entry.prefix :])
+    follows = entry.mode == "drive_model"
+    servo = axis["actuation"] == "position" and "second_order_lag" not in parts
+    if not follows and (axis["low"] is not None or axis["high"] is not None):
+        ends = (-1e6 if axis["low"] is None else axis["low"], 1e6 if axis["high"] is None else axis["high"])
         if servo:  # which goes where its set-point is
             actuator.ctrlrange, actuator.ctrllimited = ends, mujoco.mjtLimited.mjLIMITED_TRUE
         else:
-            joint.range, joint.limited = [end + axis["offset"] for end in ends], mujoco.mjtLimited.mjLIMITED_TRUE
-            joint.solref_limit, joint.solimp_limit = [2.0 * step, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
-    if axis["actuation"] == "force" and entry.mode == "native":
-        _force(axis, joint, actuator, step)
+            limit(moved.element, [end + moved.zero for end in ends], step)
+    if axis["actuation"] == "force" and not follows:
+        _force(axis, moved, actuator, step)
         return
-    joint.armature = ARMATURE
-    damping = (FASTEST if servo or entry.mode == "drive_model" else FAST) * ARMATURE / step
-    if entry.mode == "drive_model":
+    moved.element.armature = ARMATURE
+    damping = (FASTEST if servo or follows else FAST) * ARMATURE / step
+    if follows:
         _set(actuator, damping, 0.0, 0.0, -damping)
     elif axis["actuation"] == "velocity":
-        _velocity(axis, actuator, damping)
+        _velocity(axis, parts, actuator, damping)
     else:
-        _position(axis, actuator, damping, step)
-    if entry.mode == "native":
-        _delay(axis, actuator, step)
+        _position(parts, moved.zero, actuator, damping, step)
+    delay = parts.get("input_delay", {"delay": 0.0})["delay"]
+    if not follows and delay >= step:  # the shortest that MuJoCo has
+        actuator.delay = delay - 1e-3 * step  # a whole number of steps must not become one more by rounding
+        actuator.nsample = math.ceil(delay / step) + 2
 
 
-def _velocity(axis: dict[str, Any], actuator: Any, damping: float) -> None:
-    """Speed = gain·act − leakage, act the command behind the lag."""
+def limit(element: Any, ends: list[float], step: float) -> None:
+    """Hard ends of a joint or tendon."""
     import mujoco
 
-    parts = dict(axis["command"])
-    gain = axis["gain"] * parts.get("gain_error", {"ratio": 1.0})["ratio"]
+    element.range, element.limited = ends, mujoco.mjtLimited.mjLIMITED_TRUE
+    element.solref_limit, element.solimp_limit = [2.0 * step, 1.0], HARD
+
+
+def dry_friction(element: Any, force: float, step: float) -> None:
+    """Hard dry friction of a joint or tendon [N or N·m]."""
+    element.frictionloss = force
+    element.solref_friction, element.solimp_friction = [2.0 * step, 1.0], HARD
+
+
+def _velocity(axis: dict[str, Any], parts: dict[str, Any], actuator: Any, damping: float) -> None:
+    """Speed = gain·act − leakage, act the command behind the lag; the gain is 1 where the drive model gives the speed."""
+    import mujoco
+
+    gain = parts.get("nominal_gain", {"gain": 1.0})["gain"] * parts.get("gain_error", {"ratio": 1.0})["ratio"]
     _set(actuator, damping * gain, -damping * parts.get("internal_leakage", {"rate": 0.0})["rate"], 0.0, -damping)
     lag = parts.get("first_order_lag", {"time_constant": 0.0})["time_constant"]
     if lag >= 1e-6:
         actuator.dyntype, actuator.dynprm[0], actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag, True
 
 
-def _position(axis: dict[str, Any], actuator: Any, damping: float, step: float) -> None:
+def _position(parts: dict[str, Any], zero: float, actuator: Any, damping: float, step: float) -> None:
     """T·v = u − q by the ratio of stiffness and damping, or T²·a + 2ζT·v + q = u against the armature."""
     import mujoco
 
-    parts = dict(axis["command"])
     lag = parts.get("first_order_lag", {"time_constant": 0.0})["time_constant"]
     second = parts.get("second_order_lag")
     if second is None:
@@ -118,23 +169,16 @@ def _position(axis: dict[str, Any], actuator: Any, damping: float, step: float) 
         damping = 2.0 * second["damping_ratio"] * ARMATURE / second["time_constant"]
         if lag >= 1e-6:
             actuator.dyntype, actuator.dynprm[0], actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag, True
-    _set(actuator, stiffness, stiffness * axis["offset"], -stiffness, -damping)
+    _set(actuator, stiffness, stiffness * zero, -stiffness, -damping)
 
 
-def _force(axis: dict[str, Any], joint: Any, actuator: Any, step: float) -> None:
+def _force(axis: dict[str, Any], moved: Moved, actuator: Any, step: float) -> None:
     """Mass as armature, friction of the joint, and a constant force against the command."""
     laws = dict(axis["frictions"])
-    joint.armature = axis["mass"]
-    joint.damping = [laws.get("viscous_friction", {"positive": 0.0})["positive"], 0.0, 0.0]
-    joint.frictionloss = laws.get("coulomb_friction", {"positive": 0.0})["positive"]
-    joint.solref_friction, joint.solimp_friction = [2.0 * step, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+    moved.element.armature = axis["mass"]
+    moved.element.damping = [laws.get("viscous_friction", {"positive": 0.0})["positive"], 0.0, 0.0]
+    dry_friction(moved.element, laws.get("coulomb_friction", {"positive": 0.0})["positive"], step)
     _set(actuator, 1.0, -axis["bias"], 0.0, 0.0)
-
-
-def _delay(axis: dict[str, Any], actuator: Any, step: float) -> None:
-    delay = dict(axis["command"]).get("input_delay", {"delay": 0.0})["delay"]
-    if delay >= step:  # the shortest that MuJoCo has
-        actuator.delay, actuator.nsample = delay, math.ceil(delay / step) + 2
 
 
 def _set(actuator: Any, gain: float, *bias: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sysid.errors import SettingsError, nearest
 from sysid.export.fmu import FmuTarget
+from sysid.export.isaaclab import IsaacLabTarget
 from sysid.export.json_target import JsonTarget
 from sysid.export.lut import LutTarget
 from sysid.export.mjcf import MjcfTarget
@@ -11,7 +12,9 @@ from sysid.export.simulink import SimulinkTarget
 from sysid.export.target import Target
 from sysid.export.urdf import UrdfTarget
 
-TARGETS: tuple[Target, ...] = (MjcfTarget(), UrdfTarget(), FmuTarget(), SimulinkTarget(), LutTarget(), JsonTarget())
+TARGETS: tuple[Target, ...] = (
+    MjcfTarget(), UrdfTarget(), IsaacLabTarget(), FmuTarget(), SimulinkTarget(), LutTarget(), JsonTarget(),
+)  # fmt: skip
 
 
 def target_named(name: str) -> Target:
@@ -24,3 +27,8 @@ def target_named(name: str) -> Target:
     if name not in names:
         raise SettingsError("sysid export", f"no target {name!r}", nearest(name, names))
     return TARGETS[names.index(name)]
+
+
+def fallback(target: Target) -> Target | None:
+    """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
+    return MjcfTarget(composed=False) if isinstance(target, MjcfTarget) and target.composed else None

@@ -52,7 +52,8 @@ class NpzReader:
         budget = options.budget_of(path, _WHAT, None)
         try:
             arrays, mapping = _arrays(path, budget)
-        except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+        except (zipfile.BadZipFile, zlib.error, ArithmeticError, LookupError, TypeError, ValueError, OSError, EOFError,
+                RuntimeError) as error:  # fmt: skip  # whatever a damaged archive causes
             raise InputError(path, f"not readable as {_WHAT} ({error})", "arrays of numbers, saved by numpy.savez") from None
         lengths = [len(array) for array in arrays.values()]
         usual = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
@@ -84,6 +85,8 @@ def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Ma
                 raise InputError(path, f"{name} {large}", "an archive of its own size")
             with archive.open(info) as file:
                 shape, kind = _header(file)
+                if any(count < 0 for count in shape):
+                    raise ValueError(f"{name} of shape {shape}")
                 size = math.prod(shape) * kind.itemsize
                 if size > info.file_size:
                     raise ValueError(f"{name} states {size} bytes and has {info.file_size}")

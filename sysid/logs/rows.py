@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,29 +77,30 @@ def _numbers(values: list[float]) -> npt.NDArray[Any]:
     return np.array([float(value) if abs(value) < 1e300 else math.inf for value in values])
 
 
-def flatten(value: Any, path: str, into: dict[str, float], depth: int = 0) -> None:
-    """Numbers of nested dictionaries and lists by their path: ``pose.position.x``, ``position[2]``, ``position[boom]``."""
+def flatten(value: Any, path: str, into: dict[str, float], depth: int = 0, names: Sequence[str] = ()) -> None:
+    """Numbers of nested dictionaries and lists by their path: ``pose.position.x``, ``position[2]``, ``position[boom]``.
+
+    ``names``: of the elements of arrays, from an object around this one.
+    """
     if depth > MAX_DEPTH:
         raise ValueError(f"more than {MAX_DEPTH} levels of objects")
     if isinstance(value, bool | int | float):
         if path:
             into[path] = int(value) if isinstance(value, bool) else value
     elif isinstance(value, dict):
+        names = next((value[key] for key in NAME_FIELDS if _is_names(value.get(key))), names)
         for name, inner in value.items():
-            flatten(inner, f"{path}.{name}" if path else str(name), into, depth + 1)
-        _name_elements(value, path, into)
+            flatten(inner, f"{path}.{name}" if path else str(name), into, depth + 1, names)
+        _name_elements(value, path, into, names)
     elif isinstance(value, list) and len(value) <= MAX_ELEMENTS:
         for index, inner in enumerate(value):
-            flatten(inner, f"{path}[{index}]", into, depth + 1)
+            flatten(inner, f"{path}[{index}]", into, depth + 1, names)
 
 
-def _name_elements(value: dict[str, Any], path: str, into: dict[str, float]) -> None:
-    names = next((value[key] for key in NAME_FIELDS if _is_names(value.get(key))), None)
-    if names is None:
-        return
+def _name_elements(value: dict[str, Any], path: str, into: dict[str, float], names: Sequence[str]) -> None:
     prefix = f"{path}." if path else ""
     for key, array in value.items():
-        if isinstance(array, list) and len(array) == len(names) <= MAX_ELEMENTS:
+        if isinstance(array, list) and 0 < len(array) == len(names) <= MAX_ELEMENTS:
             for name, element in zip(names, array, strict=True):
                 if isinstance(element, int | float) and not name.isdecimal():
                     into[f"{prefix}{key}[{name}]"] = element

@@ -64,8 +64,8 @@ def network_ranges(model: Model) -> CardBlock:
     found: dict[str, tuple[str, ...]] = {}
     for answer in output_maps(model):
         for signal, unit, low, high in zip(answer.inputs, answer.units, answer.low, answer.high, strict=True):
-            found[signal] = (signal, f"{low:.4g}", f"{high:.4g}", unit)
-    return CardBlock("Ranges that it was fitted on", (), ("input", "from", "to", "unit"), tuple(found.values()))
+            found[signal] = (signal, quantity(low, unit, 4), quantity(high, unit, 4))
+    return CardBlock("Ranges that it was fitted on", (), ("input", "from", "to"), tuple(found.values()))
 
 
 def network_limits(model: Model | None, report: ValidationReport | None) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sysid.display import quantity
+from sysid.display import interval, percent, quantity
 from sysid.networks.uncertainty import FALSE_FLAGS
 from sysid.validate import OutputReport, ValidationReport
 from sysid.versions.card_block import CardBlock
@@ -65,11 +65,11 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
             first = entry.maps[0]
             a, b = first.worst
             ends = (
-                f"{name} {edges[k]:.3g} … {edges[k + 1]:.3g} {unit}"
+                f"{name} {interval(edges[k], edges[k + 1], unit)}"
                 for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
             )
             size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
-            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
+            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, percent(first.explains)))
     if rows:
         header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
         yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))

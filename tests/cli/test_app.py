@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 from command_line import run
 
 from sysid.cli.app import VERBS, app
+
+INSTALL = (Path(__file__).parents[2] / "docs/install.md").read_text("utf-8")
 
 
 def test_help_lists_every_verb_in_order(capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,6 +32,25 @@ def test_every_verb_loads_and_documents_itself(name: str, capsys: pytest.Capture
     text = capsys.readouterr().out
     assert "--json" in text
     assert command.help
+
+
+@pytest.mark.parametrize(("shell", "words", "wanted"), [
+    ("bash", "sysid in", "plain,ingest"), ("zsh", "sysid da", "datasets"), ("fish", "sysid gap --lo", "--localise"),
+])  # fmt: skip
+def test_a_shell_completes_verbs_and_options(shell: str, words: str, wanted: str) -> None:
+    """What the scripts of ``docs/install.md`` call at each tab."""
+    last = words.split()[-1]
+    position = last if shell == "fish" else str(len(words.split()) - 1)
+    settings = {"_SYSID_COMPLETE": f"{shell}_complete", "COMP_WORDS": words, "COMP_CWORD": position}
+    done = subprocess.run(
+        [sys.executable, "-c", "from sysid.cli import main; import sys; sys.argv[0] = 'sysid'; main()"],
+        env=os.environ | settings, capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert wanted in done.stdout, done.stderr
+    assert (
+        f'eval "$(_SYSID_COMPLETE={shell}_source sysid)' in INSTALL
+        or f"_SYSID_COMPLETE={shell}_source sysid | source" in INSTALL
+    )
 
 
 def test_unknown_verb_suggests_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 
 
 #: A pendulum of the smallest start value is thrown over its pivot by these commands, and then any rounding grows.
-VALUES: dict[str, dict[str, float | list[float]]] = {"gripper_sway": {"length": 0.25, "damping_ratio": 0.05}}
+VALUES: dict[str, dict[str, float | list[float]]] = {"gripper_sway": {"length": 0.25, "damping_ratio": 0.02}}
 
 
 def placed() -> list[KnownEffect]:

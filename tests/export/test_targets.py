@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +14,13 @@ from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.matrix import matrix_page
-from sysid.export.replay import SHARE, Replay, replay
+from sysid.export.replay import ROUNDING, SHARE, Replay, replay
+from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS
+from sysid.export.targets import TARGETS, target_named
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, nominal_plant
+from sysid.signals import point_signals
 from sysid.testing.probe import RATE_HZ, probe_recording, with_inputs
 
 ROOT = Path(__file__).parents[2]
@@ -24,9 +28,20 @@ ROOT = Path(__file__).parents[2]
 FINE = ("coulomb_friction",)
 
 
-def recording(fine: bool) -> Recording:
-    """The inputs of the probe, or the same ten times as often."""
+#: The probe's commands throw a hanging tool over its pivot, where its motion is chaotic: shares of them at which it swings by
+#: less than 20°, where the plant integrates its swing within the noise.
+SWINGING = ("gripper_sway",)
+CALM = {"slew": 0.3, "slide": 0.02, "wrist": 0.02}
+#: Noise of a point by motion capture [m], and of a joint [rad], as on the shipped crane.
+POINT_NOISE, JOINT_NOISE = 1e-3, 1e-3
+
+
+def recording(fine: bool, calm: bool = False) -> Recording:
+    """The inputs of the probe, the same ten times as often, or smaller ones."""
     source = probe_recording()
+    if calm:
+        little = {f"{name}.command": size * source.values(f"{name}.command") for name, size in CALM.items()}
+        return replace(source, table=source.table.assign(**little))
     if not fine:
         return source
     names = [str(name) for name in source.table.columns if name != "time"]
@@ -34,14 +49,16 @@ def recording(fine: bool) -> Recording:
     return with_inputs(Recording("fine", source.table, 10.0 * RATE_HZ), names, rows)
 
 
-def replayed(target: Target, plant: Plant, folder: Path, fine: bool = False) -> Replay:
+def replayed(
+    target: Target, plant: Plant, folder: Path, fine: bool = False, calm: bool = False, noise: dict[str, float] | None = None
+) -> Replay:
     if fine:
         text = plant.machine.text.replace("rate_hz = 100.0", "rate_hz = 1000.0")
         plant = Plant(machine_from_files(plant.machine.files() | {"machine.toml": text}, "fine"), plant.linkages, plant.effects)
     target.write(plant, plant.machine.rate_hz, folder)
     simulation = target.simulation(plant, folder)
     assert simulation is not None
-    return replay(plant, simulation, [recording(fine)], {})
+    return replay(plant, simulation, [recording(fine, calm)], noise or {})
 
 
 def cells() -> list[object]:
@@ -64,10 +81,13 @@ def cells() -> list[object]:
 
 @pytest.mark.parametrize(("target", "item"), cells())
 def test_a_cell_replays_as_the_plant_does(target: Target, item: KnownEffect, tmp_path: Path) -> None:
-    found = replayed(target, probe_plant(item), tmp_path, item.name in FINE and target.name == "mjcf")
+    swings = item.name in SWINGING
+    noise = dict.fromkeys(("tool.x", "tool.y", "tool.z"), POINT_NOISE) if swings else {}
+    found = replayed(target, probe_plant(item), tmp_path, item.name in FINE and target.name == "mjcf", swings, noise)
     assert {row.signal for row in found.rows} >= {"slew.joint", "boom.cylinder", "boom.joint", "slide.joint", "ee.x", "tool.z"}
     assert [row for row in found.rows if not row.agrees] == []
-    assert all(row.allowed == pytest.approx(SHARE * row.motion) for row in found.rows)
+    bounds = {row.signal: max(SHARE * row.motion, ROUNDING, noise.get(row.signal, 0.0)) for row in found.rows}
+    assert {row.signal: row.allowed for row in found.rows} == pytest.approx(bounds)
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
@@ -136,3 +156,62 @@ limits = [-5.0, 5.0]
         assert found.agrees, (target.name, found.rows)
         ends = [row for row in found.rows if row.signal == "turn.joint"]
         assert ends[0].motion > 0.1, "it reaches its end stops"
+
+
+def test_a_machine_with_several_effects_is_composed(tmp_path: Path) -> None:
+    """Delay, lag and gain in the actuator, dead-band before it, backlash as a second joint, the cylinder as a tendon."""
+    effects = [
+        KnownEffect("valve_deadband", "boom", {"positive": 0.05, "negative": 0.08}),
+        KnownEffect("input_delay", "boom", {"delay": 0.042}),
+        KnownEffect("first_order_lag", "boom", {"time_constant": 0.06}),
+        KnownEffect("gain_error", "boom", {"ratio": 0.9}),
+        KnownEffect("backlash", "boom", {"width": 0.02}, "drive"),
+        KnownEffect("joint_offset", "boom", {"offset": 0.03}),
+        KnownEffect("internal_leakage", "slew", {"rate": 0.004}),
+        KnownEffect("backlash", "slew", {"width": 0.03}, "structure"),
+        KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.02}),
+    ]
+    plant = probe_plant(*effects)
+    noise = {signal: POINT_NOISE for point in ("ee", "tool") for signal in point_signals(point)}
+    noise |= {f"{name}.joint": JOINT_NOISE for name in plant.machine.axis_names}
+    found = replayed(target_named("mjcf"), plant, tmp_path, calm=True, noise=noise)
+    assert [row for row in found.rows if not row.agrees] == []
+    about = json.loads((tmp_path / "robot.json").read_text("utf-8"))
+    modes = {axis["axis"]: (axis["mode"], axis["reason"]) for axis in about["axes"]}
+    assert modes["slew"] == ("native", "")
+    assert modes["boom"] == ("command", "valve_deadband")
+    text = (tmp_path / "robot.xml").read_text("utf-8")
+    for part in ('delay="0.041999"', 'name="boom_cylinder"', 'name="boom_joint_backlash"', 'name="tool_swing"', "filterexact"):
+        assert part in text
+
+
+def test_the_control_callback_is_the_loop(tmp_path: Path) -> None:
+    """Installed in MuJoCo, it may be called more than once a step."""
+    import mujoco
+
+    plant = probe_plant(KnownEffect("valve_deadband", "boom", {"positive": 0.05, "negative": 0.08}))
+    target_named("mjcf").write(plant, RATE_HZ, tmp_path)
+    robots = [load_module(tmp_path / "mujoco_robot.py") for _ in range(2)]
+    loop, callback = (
+        module.Robot(tmp_path / "robot.xml", load_module(tmp_path / "drive_model.py").load()) for module in robots
+    )
+    joints, rng = [0.1, 0.2, 0.0, 0.3], np.random.default_rng(0)
+    loop.reset(joints)
+    mujoco.set_mjcb_control(callback.control)
+    try:
+        callback.reset(joints)
+        for _ in range(30):
+            command = rng.uniform(-1.0, 1.0, 4)
+            mujoco.set_mjcb_control(None)
+            expected = loop.step(command)
+            mujoco.set_mjcb_control(callback.control)
+            callback.commands = command
+            for _ in range(callback.substeps):
+                mujoco.mj_forward(callback.model, callback.data)
+                mujoco.mj_step(callback.model, callback.data)
+        mujoco.mj_forward(callback.model, callback.data)
+        found = callback.signals()
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert found["boom.cylinder"] == pytest.approx(expected["boom.cylinder"], abs=1e-9)
+    assert found["slide.joint"] == pytest.approx(expected["slide.joint"], abs=1e-9)

@@ -235,6 +235,10 @@ def _json(path: Path) -> None:
     path.write_text(json.dumps({"gain": 2, "log": [{"time": 0.1 * i, "q": [10 * i, i * i], "on": True} for i in range(ROWS)]}))
 
 
+def _npz(path: Path) -> None:
+    np.savez(path, time=0.1 * np.arange(ROWS), ramp=10.0 * np.arange(ROWS), q=np.ones((ROWS, 2)), name="abc")
+
+
 #: File name → (reader, how it is written).
 LOGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "plain.mcap": ("mcap", lambda path: _ros2(path, compression=CompressionType.NONE, chunk_size=400)),
@@ -266,6 +270,7 @@ LOGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "packed.mat": ("mat", _mat(do_compression=True)),
     "old.mat": ("mat", _mat(format="4")),
     "records.json": ("json", _json),
+    "arrays.npz": ("npz", _npz),
 }
 
 

@@ -11,6 +11,7 @@ from mcap_ros2.writer import Writer
 
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.mcap import McapReader
+from sysid.logs.rows import flatten
 
 LINE = "=" * 80
 HEADER = f"""{LINE}
@@ -115,3 +116,10 @@ def test_jog_commands(tmp_path: Path) -> None:
     stream = recorded(tmp_path / "log.mcap", "control_msgs/msg/JointJog", JOG, messages, ReadOptions())
     np.testing.assert_allclose(stream.columns["velocities[shoulder]"], 0.1 * np.arange(5))
     assert not [name for name in stream.columns if name.startswith("displacements")]
+
+
+def test_json_messages_have_the_same_names() -> None:
+    found: dict[str, float] = {}
+    flatten({"joint_names": NAMES, "points": [point([0.5, 0.7])], "stamps": [{"a": [1.0, 2.0, 3.0]}]}, "", found)
+    assert found["points[0].positions[elbow]"] == found["points[0].positions[1]"] == 0.7
+    assert not [name for name in found if name.startswith("stamps") and "elbow" in name]

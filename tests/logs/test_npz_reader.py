@@ -12,6 +12,7 @@ import pytest
 from mujoco import rollout
 from mujoco.sysid._src.timeseries import SignalType, TimeSeries
 from robots import robot
+from small_logs import write_log
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, reader_for
@@ -82,6 +83,21 @@ def test_damaged_archives(content: bytes, message: str, tmp_path: Path) -> None:
     path = archive(tmp_path / "log.npz", time=content)
     with pytest.raises(InputError, match=message):
         reader_for(path).read(path, ReadOptions())
+
+
+def test_any_damaged_byte_is_an_error_of_the_file_or_none(tmp_path: Path) -> None:
+    good, path = write_log(tmp_path, "arrays.npz").read_bytes(), tmp_path / "damaged.npz"
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        data = bytearray(good)
+        for at in rng.integers(0, len(data), rng.integers(1, 4)):
+            data[at] = rng.integers(0, 256)
+        path.write_bytes(bytes(data[: rng.integers(1, len(data) + 1)] if rng.random() < 0.2 else data))
+        try:
+            streams = reader_for(path).read(path, ReadOptions())
+        except InputError:
+            continue
+        assert all(len(values) == len(stream) for stream in streams for values in stream.columns.values())
 
 
 def test_objects_are_never_loaded(tmp_path: Path) -> None:

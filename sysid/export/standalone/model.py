@@ -60,11 +60,15 @@ class Drive:
 
 
 class VelocityDrive(Drive):
-    """The command is an opening, the demand a mean speed. ``sense``: −1 where the joint falls as the drive extends."""
+    """The command is an opening, the demand a mean speed. ``sense``: −1 where the joint falls as the drive extends.
+
+    ``values``: outputs of the parts in the last step.
+    """
 
     def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part], gain: float, sense: float) -> None:
         super().__init__(dt, low, high)
         self.parts, self.gain, self.sense = parts, gain, sense
+        self.values: list[float] = []
 
     def begin(self, position: float, speed: float) -> None:
         super().begin(position, speed)
@@ -72,21 +76,26 @@ class VelocityDrive(Drive):
             part.reset()
 
     def hold(self, command: float, load: float) -> None:
+        self.values = []
         for part in self.parts:
             command = part.hold(command, self.sense * load)
+            self.values.append(command)
 
     def demand(self, command: float, load: float) -> float:
+        self.values = []
         for part in self.parts:
             command = part.step(command, self.sense * load)
+            self.values.append(command)
         return command
 
 
 class PositionDrive(Drive):
-    """Command and demand are positions."""
+    """Command and demand are positions. ``values``: outputs of the parts in the last step."""
 
     def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part]) -> None:
         super().__init__(dt, low, high)
         self.parts = parts
+        self.values: list[float] = []
 
     def begin(self, position: float, speed: float) -> None:
         super().begin(position, speed)
@@ -94,12 +103,16 @@ class PositionDrive(Drive):
             part.reset()
 
     def hold(self, command: float, load: float) -> None:
+        self.values = []
         for part in self.parts:
             command = part.hold(command, load)
+            self.values.append(command)
 
     def demand(self, command: float, load: float) -> float:
+        self.values = []
         for part in self.parts:
             command = part.step(command, load)
+            self.values.append(command)
         return command
 
     def move(self, demand: float) -> None:

@@ -35,53 +35,64 @@ class Robot:
         self.model = mujoco.MjModel.from_xml_path(str(path))
         self.data = mujoco.MjData(self.model)
         self.drives, self.substeps = drives, int(self.about["substeps"])
-        self.names = [axis["axis"] for axis in self.about["axes"]]
-        self.follows = np.array([axis["mode"] == "drive_model" for axis in self.about["axes"]])
+        self.axes: list[dict[str, Any]] = self.about["axes"]
+        self.names = [axis["axis"] for axis in self.axes]
         self.actuators = [self.model.actuator(name).id for name in self.names]
-        self.places = [int(self.model.joint(axis["joint"]).qposadr[0]) for axis in self.about["axes"]]
-        self.offsets = np.array([axis["offset"] for axis in self.about["axes"]])
+        self.modelled = any(axis["mode"] != "native" for axis in self.axes) or not self.about["swings"]
         self.commands = np.zeros(len(self.names))
+        self.inputs: list[float] = []  # of the actuators in this sample, and in the one before
+        self.before: list[float] = []
         self.state: Any = None
-        self.count = 0
+        self.sample, self.resetting = -1, False
 
     def reset(self, joints: Any, drive: Any = None, commands: Any = None) -> dict[str, float]:
         """At rest, with ``commands`` (A,) held since long before; returns the signals."""
         mujoco.mj_resetData(self.model, self.data)
         self.state = self.drives.reset(joints, drive, commands)
-        self.count = 0
+        self.sample, self.resetting = -1, True
         self.commands = np.zeros(len(self.names)) if commands is None else np.array(commands, dtype=np.float64)
-        structure = np.asarray(self.state.structure)
-        for k, axis in enumerate(self.about["axes"]):
-            self.data.qpos[self.places[k]] = structure[k]
+        for k, axis in enumerate(self.axes):
             if axis["actuation"] == "position":
-                self.commands[k] = structure[k] - self.offsets[k]
+                self.commands[k] = self.state.drive[k]
+            link = self.drives.axes[k].linkage
+            driven = self.state.drive[k] if link is None else link.joint(float(self.state.drive[k]))
+            self._set(axis["drive_joint"], driven + axis["offset"])
+            self._set(axis["joint"], self.state.structure[k])
         for follower in self.about["passive"]:
-            value = structure[self.names.index(follower["axis"])] * follower["ratio"] + follower["offset"]
-            self.data.qpos[self.model.joint(follower["joint"]).qposadr[0]] = value
+            value = self.state.structure[self.names.index(follower["axis"])] * follower["ratio"] + follower["offset"]
+            self._set(follower["joint"], value)
+        self.inputs = [self._input(k) for k in range(len(self.axes))]
         for k, actuator in enumerate(self.actuators):
-            if self.follows[k]:
-                continue
-            self.data.ctrl[actuator] = self.commands[k]
-            if self.model.actuator_actadr[actuator] >= 0:
-                self.data.act[self.model.actuator_actadr[actuator]] = self.commands[k]
-            if self.model.actuator_history[actuator, 0] > 0:
-                samples = np.full(self.model.actuator_history[actuator, 0], self.commands[k])
-                mujoco.mj_initCtrlHistory(self.model, self.data, actuator, None, samples)
+            if self.axes[k]["mode"] != "drive_model":
+                self._hold(actuator, self.inputs[k])
+        if self.about["swings"]:
+            mujoco.mj_kinematics(self.model, self.data)
+            place = self.model.joint("tool_swing").qposadr[0]
+            parent = self.model.body("hanging_tool").parentid[0]
+            mujoco.mju_negQuat(self.data.qpos[place : place + 4], self.data.xquat[parent])
         mujoco.mj_forward(self.model, self.data)
+        self.resetting = False
         return self.signals()
 
     def control(self, model: Any, data: Any) -> None:
-        """Controls of the next step of MuJoCo, from ``commands``."""
-        phase = self.count % self.substeps
-        if phase == 0:
-            self.state = self.drives.step(self.commands)
+        """Controls of the next step of MuJoCo, from ``commands``; a second call at the same time changes nothing."""
+        if self.resetting:
+            return
+        sample, phase = divmod(round(data.time / model.opt.timestep), self.substeps)
+        if sample != self.sample:
+            self.sample = sample
+            self.before = self.inputs
+            if self.modelled:
+                self.state = self.drives.step(self.commands)
+            self.inputs = [self._input(k) for k in range(len(self.axes))]
         for k, actuator in enumerate(self.actuators):
-            if self.follows[k]:  # the speed that ends at the drive model's joint with its sample
+            if self.axes[k]["mode"] == "drive_model":  # the speed that ends at the drive model's joint with its sample
                 left = (self.substeps - phase) * model.opt.timestep
-                data.ctrl[actuator] = (self.state.structure[k] - data.qpos[self.places[k]]) / left
+                data.ctrl[actuator] = (self.state.structure[k] - self._value(self.axes[k]["joint"])) / left
+            elif self.axes[k]["led"]:
+                data.ctrl[actuator] = self.before[k] + (self.inputs[k] - self.before[k]) * (phase + 1) / self.substeps
             else:
-                data.ctrl[actuator] = self.commands[k]
-        self.count += 1
+                data.ctrl[actuator] = self.inputs[k]
 
     def step(self, commands: Any) -> dict[str, float]:
         """Hold ``commands`` (A,) for one sample; returns the signals after it."""
@@ -89,7 +100,8 @@ class Robot:
         for _ in range(self.substeps):
             self.control(self.model, self.data)
             mujoco.mj_step(self.model, self.data)
-        mujoco.mj_kinematics(self.model, self.data)
+        for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
+            update(self.model, self.data)
         return self.signals()
 
     def readings(self) -> dict[str, float]:
@@ -100,15 +112,37 @@ class Robot:
     def signals(self) -> dict[str, float]:
         """True signals: ``<axis>.joint``, ``<axis>.cylinder``, ``ee.x`` …, ``tool.x`` … [rad, m]."""
         found = {}
-        for k, axis in enumerate(self.about["axes"]):
-            if self.follows[k]:
+        for k, axis in enumerate(self.axes):
+            if axis["mode"] == "drive_model":
                 found[axis["driven"]] = float(self.state.drive[k])
                 behind = self.state.structure[k] - self.state.joints[k]  # what is between the sensor and the structure
-                found[f"{self.names[k]}.joint"] = float(self.data.qpos[self.places[k]] - behind)
+                found[f"{self.names[k]}.joint"] = self._value(axis["joint"]) - behind
             else:
-                found[f"{self.names[k]}.joint"] = float(self.data.qpos[self.places[k]] - self.offsets[k])
+                found[axis["driven"]] = float(self.data.actuator_length[self.actuators[k]]) - axis["zero"]
+                found[f"{self.names[k]}.joint"] = self._value(axis["sensed_joint"]) - axis["offset"]
         if self.about["posed"]:
             place = self.data.site("ee").xpos
+            tool = self.data.site("tool").xpos if self.about["swings"] else place + self.state.tool - self.state.ee
             found |= {f"ee.{axis}": float(place[j]) for j, axis in enumerate("xyz")}
-            found |= {f"tool.{axis}": float(place[j] + self.state.tool[j] - self.state.ee[j]) for j, axis in enumerate("xyz")}
+            found |= {f"tool.{axis}": float(tool[j]) for j, axis in enumerate("xyz")}
         return found
+
+    def _input(self, k: int) -> float:
+        """What the actuator of an axis takes: its command, or what the first parts of the drive model make of it."""
+        count = self.axes[k]["prefix"] if self.axes[k]["mode"] == "command" else 0
+        return float(self.drives.axes[k].drive.values[count - 1] if count else self.commands[k])
+
+    def _hold(self, actuator: int, value: float) -> None:
+        """The actuator as if it had held ``value`` since long before."""
+        self.data.ctrl[actuator] = value
+        if self.model.actuator_actadr[actuator] >= 0:
+            self.data.act[self.model.actuator_actadr[actuator]] = value
+        count = self.model.actuator_history[actuator, 0]
+        if count > 0:
+            mujoco.mj_initCtrlHistory(self.model, self.data, actuator, None, np.full(count, value))
+
+    def _value(self, joint: str) -> float:
+        return float(self.data.qpos[self.model.joint(joint).qposadr[0]])
+
+    def _set(self, joint: str, value: float) -> None:
+        self.data.qpos[self.model.joint(joint).qposadr[0]] = value

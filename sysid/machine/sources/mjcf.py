@@ -28,8 +28,8 @@ Note = tuple[str, str]
 _OSCILLATES = 0.6
 #: Bounds of the damping ratio of a second-order lag, and of its time constant [s].
 _RATIOS, _SLOWEST = (0.03, 4.0), 0.5
-#: Share of gravity below which a body counts as weightless.
-_WEIGHTLESS = 1e-6
+#: Share of gravity below which a body counts as weightless, and that may act sideways: a tenth of what a force is compared to.
+_WEIGHTLESS = 1e-3
 
 
 def mjcf_draft(path: Path, tip: str | None = None, tool: str | None = None) -> MachineDraft:

@@ -1,0 +1,123 @@
+"""``isaaclab``: the drive model as a TorchScript module, with the actuator, articulation and event of Isaac Lab that run it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.posterior import posterior
+from sysid.export.target import Simulation, Support
+from sysid.export.urdf import COMPOSED, UrdfSimulation
+from sysid.export.urdf_text import urdf_of
+from sysid.plant import Plant
+from sysid.plant.layout import parameter_indices
+
+Array = npt.NDArray[np.float64]
+FILE, ABOUT, MODEL, URDF = "isaaclab_machine.py", "isaaclab_machine.json", "drive_model.pt", "robot.urdf"
+
+
+class IsaacLabTarget:
+    """Isaac Lab 2.x."""
+
+    name = "isaaclab"
+    title = "TorchScript for Isaac Lab"
+    modules: tuple[str, ...] = ("torch", "mujoco")
+    notes: tuple[str, ...] = (
+        f"Isaac Lab was not run here. `{FILE}` follows the documentation of Isaac Lab 2.x (actuators, events, URDF assets).",
+        f"For the replay `{MODEL}` is loaded and moves the joints, and MuJoCo reads `{URDF}` and computes the end effector.",
+        "The module is batched: its state and its parameters, a row for each environment, are inputs. It computes in float64.",
+        "Events draw whole rows of `posterior_samples.csv`. The geometry of the asset is the same in every environment.",
+    )
+
+    def support(self, effect: Effect) -> Support:
+        if effect.name in COMPOSED:
+            return Support("composed", f"`{URDF}`: {COMPOSED[effect.name]}")
+        if effect.name in WITHOUT_PART:
+            return Support("not_representable", WITHOUT_PART[effect.name])
+        return Support("plugin", f"`{MODEL}`, which the drives of the joints follow")
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        from sysid.export.torchscript.assembly import parameter_columns, script_of
+        from sysid.export.torchscript.files import save_script
+
+        data = drive_data(plant, rate_hz)
+        save_script(script_of(plant, rate_hz, reachable(plant)), folder / MODEL)
+        about = {
+            "plant": plant.reference,
+            "sample": 1.0 / rate_hz,
+            "axes": [
+                {"axis": axis.name, "joint": axis.joint or axis.name, "actuation": axis.actuation, "offset": values["offset"]}
+                for axis, values in zip(plant.machine.axes, data["axes"], strict=True)
+            ],
+            "parameters": list(parameter_columns(plant)),
+            "posterior_columns": posterior_columns(plant, parameter_columns(plant)),
+        }
+        (folder / ABOUT).write_text(json.dumps(about, indent=1), "utf-8")
+        (folder / URDF).write_text(urdf_of(plant), "utf-8")
+        source = Path(__file__).parent / "standalone" / FILE
+        (folder / FILE).write_text(source.read_text("utf-8"), "utf-8")
+        return FILE, ABOUT, MODEL, URDF
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        offsets = [axis["offset"] for axis in json.loads((folder / ABOUT).read_text("utf-8"))["axes"]]
+        return UrdfSimulation(plant, TorchModel(folder / MODEL, offsets), (folder / URDF).read_text("utf-8"))
+
+
+def posterior_columns(plant: Plant, columns: dict[str, int]) -> dict[str, list[int]]:
+    """Column of ``posterior_samples.csv`` → columns of the module's parameters, none for those that it does not have."""
+    order = {index: k for k, index in enumerate(columns.values())}
+    found = {}
+    for name, place in zip(posterior(plant, 1, 0).columns, plant.uncertainty.places, strict=True):
+        groups = parameter_indices(
+            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
+        )
+        found[name] = [order[index] for index in groups[place.component] if index in order]
+    return found
+
+
+def reachable(plant: Plant) -> Array:
+    """Parameter vectors (2, N) whose largest values contain the draws: the plant's, and with six standard deviations more."""
+    thetas = np.tile(plant.vector(), (2, 1))
+    for place, variance in zip(plant.uncertainty.places, np.diag(plant.uncertainty.covariance), strict=True):
+        groups = parameter_indices(
+            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
+        )
+        thetas[1, groups[place.component]] += 6.0 * np.sqrt(variance)
+    return thetas
+
+
+class TorchModel:
+    """A written module with the methods of the drive model, for one machine."""
+
+    def __init__(self, path: Path, offsets: list[float]) -> None:
+        import torch
+
+        from sysid.export.torchscript.files import load_script
+
+        self.torch: Any = torch
+        self.module = load_script(path)
+        self.axes = [SimpleNamespace(offset=offset) for offset in offsets]
+        self.theta, self.state = self.module.theta(1), None
+
+    def reset(self, joints: Array, drive: Array, commands: Array) -> Any:
+        with self.torch.jit.optimized_execution(False), self.torch.inference_mode():
+            rows = (self.torch.tensor(np.asarray(values, dtype=np.float64))[None] for values in (joints, drive, commands))
+            self.state, signals = self.module.begin(self.theta, *rows)
+        return _state(signals)
+
+    def step(self, commands: Array) -> Any:
+        with self.torch.jit.optimized_execution(False), self.torch.inference_mode():
+            row = self.torch.tensor(np.asarray(commands, dtype=np.float64))[None]
+            self.state, signals = self.module(self.theta, self.state, row)
+        return _state(signals)
+
+
+def _state(signals: Any) -> Any:
+    return SimpleNamespace(**{name: values[0].numpy() for name, values in signals.items()})

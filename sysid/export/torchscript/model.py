@@ -1,0 +1,178 @@
+"""The machine: commands of all axes → drives, joints, end effector and tool, for a batch of N machines."""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from sysid.export.torchscript.axes import Axis
+from sysid.export.torchscript.joint_parts import GripperSway, Kinematics
+from sysid.export.torchscript.oscillator import parameter
+
+Signals = dict[str, Tensor]
+
+
+class DriveModel(nn.Module):
+    """All axes of a machine.
+
+    Args:
+        parameters: names (``effect.target[.side].slot``) and values (P,) of the parameters of one machine.
+        pump_at: column of the limit of the pump, −1 for none.
+        readings: signal → its source (``drive``, ``joints``, ``ee``, ``tool``), its column there, and the columns of scale,
+            bias and step of its sensor, −1 for an ideal one.
+    """
+
+    def __init__(
+        self, dt: float, names: list[str], parameters: dict[str, float], axes: list[Axis], pump_at: int,
+        kinematics: Kinematics | None, sway: GripperSway | None, readings: dict[str, tuple[str, list[int]]],
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.dt, self.names, self.count = dt, names, len(axes)
+        self.parameter_names = [*parameters, "none"]
+        self.register_buffer("values", torch.tensor([*parameters.values(), 0.0], dtype=torch.float64))
+        self.values: Tensor
+        self.axes: Any = nn.ModuleList(axes)
+        self.pump_at = pump_at
+        self.posed, self.kinematics = kinematics is not None, kinematics or _no_kinematics(len(axes))
+        self.swings, self.sway = sway is not None, sway or GripperSway(dt, 0, 1)
+        self.signals = list(readings)
+        self.sources, self.columns = [source for source, _ in readings.values()], [at for _, at in readings.values()]
+        self.inner = sum(axis.width for axis in axes)
+        self.width = self.inner + len(axes) + 10
+
+    @torch.jit.export
+    def theta(self, count: int) -> Tensor:
+        """The parameters of ``count`` machines (N, P), all those of the plant; the last column is not used."""
+        return self.values[None].repeat(count, 1)
+
+    @torch.jit.export
+    def drives(self, theta: Tensor, joints: Tensor) -> Tensor:
+        """Positions of the drives (N, A) for joints at their sensors (N, A)."""
+        straight = self.without_sag(theta, joints)
+        found: list[Tensor] = []
+        for k, axis in enumerate(self.axes):
+            found.append(axis.inverse(straight[:, k]))
+        return torch.stack(found, dim=1)
+
+    @torch.jit.export
+    def begin(self, theta: Tensor, joints: Tensor, drives: Tensor, commands: Tensor) -> tuple[Tensor, Signals]:
+        """At rest: joints at their sensors, drives, and the commands held for a long time before, (N, A) each."""
+        straight = self.without_sag(theta, joints)
+        rows: list[Tensor] = []
+        for k, axis in enumerate(self.axes):
+            rows.append(axis.begin(drives[:, k], straight[:, k]))
+        state = torch.cat(
+            [torch.cat(rows, dim=1), torch.zeros_like(joints), joints.new_full((joints.shape[0], 10), math.nan)], dim=1
+        )
+        settled, _ = self.place(state, theta)
+        load = settled[:, self.inner : self.inner + self.count]
+        state, signals = self.place(torch.cat([state[:, : self.inner], load, state[:, -10:]], dim=1), theta)
+        state = torch.cat([self.demands(commands, state, theta, True)[1], state[:, self.inner :]], dim=1)
+        return state, signals
+
+    def forward(self, theta: Tensor, state: Tensor, commands: Tensor) -> tuple[Tensor, Signals]:
+        """Hold ``commands`` (N, A) for one sample: the state after it, and the signals.
+
+        Signals: ``drive``, ``joints`` at their sensors, ``structure`` behind them, ``load`` (N, A); ``ee``, ``tool`` (N, 3) in
+        the measured frame, NaN without kinematics.
+        """
+        demands, inner = self.demands(commands, state, theta, False)
+        flow = torch.zeros_like(demands[0])
+        for k, axis in enumerate(self.axes):
+            if not math.isinf(axis.gain):
+                flow = flow + torch.abs(demands[k]) / axis.gain
+        limit = parameter(theta, self.pump_at, math.inf)
+        share = torch.where(flow > limit, limit / torch.where(flow > limit, flow, torch.ones_like(flow)), torch.ones_like(flow))
+        rows: list[Tensor] = []
+        first = 0
+        for k, axis in enumerate(self.axes):
+            demand = demands[k] if math.isinf(axis.gain) else share * demands[k]
+            rows.append(axis.move(demand, inner[:, first : first + axis.width]))
+            first += axis.width
+        return self.place(torch.cat([torch.cat(rows, dim=1), state[:, self.inner :]], dim=1), theta)
+
+    @torch.jit.export
+    def readings(self, theta: Tensor, signals: Signals) -> Signals:
+        """Signals as their sensors read them, (N,) each: ``<axis>.cylinder``, ``<axis>.joint``, ``ee.x`` …, ``tool.x`` …."""
+        found: dict[str, Tensor] = {}
+        for k in range(len(self.signals)):
+            at = self.columns[k]
+            y = signals[self.sources[k]][:, at[0]]
+            y = parameter(theta, at[1], 1.0) * y + parameter(theta, at[2], 0.0)
+            step = parameter(theta, at[3], 0.0)
+            even = torch.where(step > 0.0, step, torch.ones_like(step))
+            found[self.signals[k]] = torch.where(step > 0.0, even * torch.floor(y / even + 0.5), y)
+        return found
+
+    def demands(self, commands: Tensor, state: Tensor, theta: Tensor, hold: bool) -> tuple[list[Tensor], Tensor]:
+        """Demand of each axis (N,), and the state of the axes."""
+        demands: list[Tensor] = []
+        rows: list[Tensor] = []
+        first = 0
+        for k, axis in enumerate(self.axes):
+            own = state[:, first : first + axis.width]
+            command = own[:, 0] if hold and axis.servo else commands[:, k]
+            demand, after = axis.demand(command, state[:, self.inner + k], own, theta, hold)
+            demands.append(demand)
+            rows.append(after)
+            first += axis.width
+        return demands, torch.cat(rows, dim=1)
+
+    def place(self, state: Tensor, theta: Tensor) -> tuple[Tensor, Signals]:
+        """Joints, end effector and tool of the drives' positions; the load there is kept for the next step."""
+        before = state[:, self.inner : self.inner + self.count]
+        drives: list[Tensor] = []
+        joints: list[Tensor] = []
+        structures: list[Tensor] = []
+        rows: list[Tensor] = []
+        first = 0
+        for k, axis in enumerate(self.axes):
+            own = state[:, first : first + axis.width]
+            joint, own = axis.joint(before[:, k], own, theta)
+            structure, own = axis.structure(joint, before[:, k], own, theta)
+            drives.append(own[:, 0])
+            joints.append(joint)
+            structures.append(structure)
+            rows.append(own)
+            first += axis.width
+        q = torch.stack(structures, dim=1)
+        load, ee, hanging = before, q.new_full((q.shape[0], 3), math.nan), state[:, -10:]
+        if self.posed:
+            ee, load = self.kinematics(q, theta)
+        tool = ee
+        if self.swings:
+            tool, hanging = self.sway(ee, hanging, theta)
+        found = {"drive": torch.stack(drives, dim=1), "joints": torch.stack(joints, dim=1), "structure": q, "load": load}
+        found["ee"] = ee
+        found["tool"] = tool
+        return torch.cat([torch.cat(rows, dim=1), load, hanging], dim=1), found
+
+    def without_sag(self, theta: Tensor, joints: Tensor) -> Tensor:
+        """Joints without the sag of their drives."""
+        if not self.posed:
+            return joints
+        compliances: list[Tensor] = []
+        offsets: list[Tensor] = []
+        for axis in self.axes:
+            compliances.append(parameter(theta, axis.drive_compliance_at, 0.0))
+            offsets.append(parameter(theta, axis.offset_at, 0.0))
+        compliance, offset = torch.stack(compliances, dim=1), torch.stack(offsets, dim=1)
+        straight = joints
+        for _ in range(10):
+            straight = joints + compliance * self.kinematics(straight + offset, theta)[1]
+        return straight
+
+
+def _no_kinematics(axes: int) -> Kinematics:
+    """A stand-in that is never called: every submodule of a script has a value."""
+    none = {
+        "rotation": [[0.0] * 3] * 3,
+        "axis": [0.0] * 3,
+        "centre": [0.0] * 3,
+        "shift": [0.0] * 3,
+        "length_at": -1,
+        "length": 1.0,
+    }
+    joint = {**none, "prismatic": False, "axis_index": axes - 1, "ratio": 1.0, "offset": 0.0, "mass": 0.0}
+    return Kinematics([joint], none, -1, -1)

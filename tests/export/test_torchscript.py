@@ -1,0 +1,154 @@
+"""The TorchScript module computes what the plant does, for a batch of machines with parameters of their own."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from test_drive_model import TOGETHER, name_of, placed, probe_plant, shipped, true_value
+
+from sysid.effects import effect_named
+from sysid.export.drive_data import drive_data
+from sysid.export.drive_module import PARTS
+from sysid.export.isaaclab import posterior_columns, reachable
+from sysid.export.torchscript.assembly import _COMMAND, _FRICTION, parameter_columns, script_of
+from sysid.export.torchscript.files import load_script, save_script
+from sysid.machine import KnownEffect
+from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
+from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
+from sysid.testing.probe import RATE_HZ, probe_recording
+
+torch = pytest.importorskip("torch")
+Array = npt.NDArray[np.float64]
+JOINTS, DRIVE = np.array([0.1, 0.2, 0.0, 0.3]), np.array([0.1, 0.05, 0.0, 0.3])
+HELD = np.array([0.4, -0.3, 0.0, 0.0])
+
+
+def commands_of(plant: Plant) -> Array:
+    return np.asarray(step_commands(plant.machine, held_commands(plant.machine, probe_recording())))
+
+
+def by_plant(plant: Plant, commands: Array) -> list[LaneState]:
+    stepper = Stepper(plant, RATE_HZ)
+    first: LaneState = stepper.reset(JOINTS, drive=DRIVE, commands=HELD)
+    return [first, *(stepper.step(command) for command in commands)]
+
+
+def by_script(module: Any, theta: Any, commands: Array) -> list[dict[str, Any]]:
+    """Signals of every sample; the same start and the same commands for all machines of the batch."""
+
+    def rows(values: Array) -> Any:
+        return torch.tensor(np.tile(values, (len(theta), 1)), dtype=theta.dtype)
+
+    with torch.jit.optimized_execution(False), torch.inference_mode():
+        state, signals = module.begin(theta, rows(JOINTS), rows(DRIVE), rows(HELD))
+        found = [signals]
+        for command in commands:
+            state, signals = module(theta, state, rows(command))
+            found.append(signals)
+    return found
+
+
+def assert_same(plant: Plant, signals: list[dict[str, Any]], lane: int, tolerance: float = 1e-9) -> None:
+    states = by_plant(plant, commands_of(plant)[: len(signals) - 1])
+    for name in ("drive", "joints", "structure", "ee", "tool"):
+        expected = np.array([getattr(state, name)[0] for state in states])
+        found = np.array([values[name][lane].numpy() for values in signals])
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=tolerance, err_msg=name)
+        assert np.ptp(expected, axis=0).max() > 1e-2, "the comparison is of motion"
+
+
+def everything() -> Plant:
+    plant = probe_plant()
+    for item in placed():
+        plant = plant.with_effect(KnownEffect(item.name, item.target, TOGETHER.get(item.name, item.parameters), item.side))
+    return plant
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("item", placed(), ids=name_of)
+def test_equals_the_plant(item: KnownEffect) -> None:
+    plant = probe_plant(item)
+    module = script_of(plant, RATE_HZ)
+    assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0)
+
+
+def test_equals_the_plant_with_everything_at_once(tmp_path: Path) -> None:
+    """From its file, and with the readings of its sensors."""
+    plant = everything()
+    save_script(script_of(plant, RATE_HZ), tmp_path / "drive_model.pt")
+    module = load_script(tmp_path / "drive_model.pt")
+    signals = by_script(module, module.theta(1), commands_of(plant))
+    assert_same(plant, signals, 0)
+    state, compiled = by_plant(plant, commands_of(plant))[-1], compile_plant(plant)
+    readings = module.readings(module.theta(1), signals[-1])
+    assert set(readings) == set(shipped(plant, tmp_path).readings(_only_lane(state)))
+    for signal, value in readings.items():
+        true = np.array([[true_value(plant, state, signal)]])
+        assert float(value) == pytest.approx(compiled.sensed(compiled.theta[None], signal, true, 1.0 / RATE_HZ)[0, 0], abs=1e-9)
+
+
+class _only_lane:  # noqa: N801
+    def __init__(self, state: LaneState) -> None:
+        for name in ("drive", "joints", "structure", "ee", "tool"):
+            setattr(self, name, getattr(state, name)[0])
+
+
+@pytest.mark.parametrize("lag", ["first_order_lag", "second_order_lag"])
+def test_a_ramp_of_a_servo_before_its_dead_time_and_lag(lag: str) -> None:
+    slow = {"time_constant": 0.04} | ({"damping_ratio": 0.5} if lag == "second_order_lag" else {})
+    values: dict[str, Any] = {"command_rate_limit": {"rate": 0.5}, "input_delay": {"delay": 0.034}, lag: slow}
+    plant = probe_plant(*(KnownEffect(name, "wrist", each) for name, each in values.items()))
+    module = script_of(plant, RATE_HZ)
+    assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0)
+
+
+def test_each_machine_has_its_own_parameters() -> None:
+    """Rows of the parameters, a longer dead time among them, move as the plants with these values do."""
+    delays, widths = (0.03, 0.055), (0.01, 0.02)
+    plants = [
+        probe_plant(KnownEffect("input_delay", "slew", {"delay": d}), KnownEffect("backlash", "boom", {"width": w}, "drive"))
+        for d, w in zip(delays, widths, strict=True)
+    ]
+    module = script_of(plants[0], RATE_HZ, np.array([plant.vector() for plant in plants]))
+    names = list(parameter_columns(plants[0]))
+    assert module.parameter_names[: len(names)] == names == ["input_delay.slew.delay", "backlash.boom.drive.width"]
+    theta = module.theta(2)
+    theta[1, 0], theta[1, 1] = delays[1], widths[1]
+    signals = by_script(module, theta, commands_of(plants[0]))
+    for lane, plant in enumerate(plants):
+        assert_same(plant, signals, lane)
+
+
+def test_single_precision() -> None:
+    """An increment of a step is rounded to 2⁻²⁴ of the position: 600 of them stay within 600·6e-8 of a metre or radian."""
+    plant = probe_plant(KnownEffect("first_order_lag", "boom", {"time_constant": 0.08}))
+    module = script_of(plant, RATE_HZ).to(torch.float32)
+    assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0, 600 * 6e-8)
+
+
+def test_the_ring_of_a_delay_contains_its_draws() -> None:
+    places = PlantNumber("input_delay", "slew", None, "delay"), PlantNumber("viscous_friction", "slide", None, "coefficient")
+    plant = probe_plant(
+        KnownEffect("input_delay", "slew", {"delay": 0.03}), KnownEffect("viscous_friction", "slide", {"coefficient": 20.0})
+    ).with_uncertainty(Uncertainty(places, np.diag([0.005**2, 1.0])))
+    columns = parameter_columns(plant)
+    assert reachable(plant)[1, columns["input_delay.slew.delay"]] == pytest.approx(0.06)
+    assert plant.sample(1000, 1)[:, columns["input_delay.slew.delay"]].max() < 0.06
+    assert posterior_columns(plant, columns) == {
+        "input_delay.slew.delay": [0],
+        "viscous_friction.slide.coefficient": [1, 2],
+    }, "one coefficient for both directions"
+
+
+def test_every_part_of_the_drive_model_is_scripted() -> None:
+    one_by_one = {"input_delay", "first_order_lag", "command_rate_limit", "nominal_gain", "stiction"}
+    assert set(PARTS) == one_by_one | set(_COMMAND) | set(_FRICTION) | {"rigid_drive", "flexible_drive"}
+    slots = {name: [slot.name for slot in effect_named(name).slots] for name in (*_COMMAND, *_FRICTION)}
+    for name, part in (_COMMAND | _FRICTION).items():
+        assert part.__doc__.partition(";")[0].split(", ") == slots[name], "the order in which the part reads its columns"
+    assert math.isfinite(drive_data(everything(), RATE_HZ)["dt"])
