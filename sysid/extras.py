@@ -22,6 +22,8 @@ EXTRAS: dict[str, str] = {
     "mujoco": "mujoco",
     "fmpy": "export",
     "pythonfmu": "export",
+    "pxr": "usd",
+    "newton_usd_schemas": "usd",
     "onnx": "onnx",
     "onnxruntime": "onnx",
     "distributed": "cluster",

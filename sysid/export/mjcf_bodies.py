@@ -13,14 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, stretched, tip_offset
+from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
 from sysid.machine.kinematics import Joint, Kinematics
 from sysid.machine.moved_bodies import GRAVITY
-from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
-#: Mass [kg] and inertia [kg·m²] of a body whose URDF link has none: MuJoCo needs some, the drives do not notice it.
-SMALL_MASS, SMALL_INERTIA = 1e-9, 1e-9
 #: Distance between the bodies of axes without a URDF [m].
 APART = 0.5
 #: Radius of the line drawn along a link [m]; it neither collides nor has mass.
@@ -45,7 +43,7 @@ def add_bodies(spec: Any, plant: Plant) -> Bodies:
     turn, place = base_pose(plant)
     root = spec.worldbody.add_body(name=kinematics.chain[0].parent, pos=place, quat=quaternion(turn))
     spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
-    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, _inertias(plant.machine.urdf_text))
+    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, link_inertias(plant.machine.urdf_text))
     joints = tuple(str(axis.joint) for axis in plant.machine.axes)
     found = [kinematics.joints[name] for name in joints]
     return Bodies(joints, tuple(j.parent for j in found), tuple(j.child for j in found), True)
@@ -87,25 +85,6 @@ def _joint(spec: Any, child: Any, joint: Joint, kinematics: Kinematics) -> None:
         equality = spec.add_equality(name=f"{joint.name}_follows", name1=joint.name, name2=master)
         equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
         equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
-
-
-def _inertias(urdf: str) -> dict[str, tuple[Array, ...]]:
-    """Link → mass (1,) [kg], centre (3,) [m] and inertia about it in the axes of the link (3, 3) [kg·m²]."""
-    from sysid.machine.kinematics import origin_pose
-
-    found: dict[str, tuple[Array, ...]] = {}
-    for link in urdf_tree(urdf).findall("link"):
-        mass, moments = link.find("inertial/mass"), link.find("inertial/inertia")
-        if mass is None:
-            continue
-        pose = origin_pose(link.find("inertial/origin"))
-        inertia = np.zeros((3, 3))
-        if moments is not None:
-            for i, j, key in ((0, 0, "ixx"), (1, 1, "iyy"), (2, 2, "izz"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 2, "iyz")):
-                inertia[i, j] = inertia[j, i] = float(moments.get(key, "0"))
-        turned = pose[:3, :3] @ inertia @ pose[:3, :3].T
-        found[str(link.get("name"))] = (np.array([float(mass.get("value", "0"))]), pose[:3, 3], turned)
-    return found
 
 
 def _plain_bodies(spec: Any, plant: Plant) -> Bodies:

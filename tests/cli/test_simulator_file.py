@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from command_line import run
 
+from sysid.cli.gap_mujoco import repaired_path
 from sysid.cli.own_simulator import load_simulator
 from sysid.errors import InputError, SettingsError
 
@@ -63,3 +65,12 @@ def test_broken_file(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("def simulate(:\n")
     with pytest.raises(InputError, match="SyntaxError"):
         load_simulator(f"{tmp_path / 'broken.py'}:Crane")
+
+
+def test_a_repaired_model_needs_a_model(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("gap", "arm", "--simulator", "crane.py:Crane", "--out", tmp_path / "out.xml") == 2
+    assert "--out without a MuJoCo model; expected --simulator mujoco:FILE.xml" in capsys.readouterr().err
+
+
+def test_a_repaired_model_is_named_after_the_model() -> None:
+    assert repaired_path(Path("robots/arm.xml")) == Path("robots/arm.repaired.xml")

@@ -1,0 +1,175 @@
+"""``newton``: a USD stage with the Newton schemas, and the drive model for what they do not have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.errors import SettingsError
+from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.drive_module import MODULE
+from sysid.export.effect_table import write_effect_table
+from sysid.export.shipped_run import load_module, true_signals, write_drive_model
+from sysid.export.target import Simulation, Start, Support
+from sysid.export.urdf_text import END_EFFECTOR, joint_values
+from sysid.export.usd_actuators import actuator_path, is_native, write_drive
+from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, write_bodies
+from sysid.machine.rigid_body import moves_masses
+from sysid.plant import Plant
+from sysid.signals import point_signals
+
+Array = npt.NDArray[np.float64]
+FILE = "machine.usda"
+#: Longest step of the simulator [s]; a sample of the machine is a whole number of steps.
+LONGEST_STEP = 1e-3
+NATIVE = {
+    "viscous_friction": "`newton:damping` of the joint (the same in both directions; else by the drive model)",
+    "coulomb_friction": "`newton:friction` of the joint (the same in both directions; else by the drive model)",
+    "inertia_error": "`newton:armature` of the joint",
+    "load_bias": "`newton:constEffort` of the actuator",
+    "input_delay": "`newton:delaySteps` of the actuator of a position axis without further effects; else by the drive model",
+}
+COMPOSED = {
+    "joint_offset": "`physics:localRot0` or `physics:localPos0` of the joint: its value is that of the sensor",
+    "link_length_error": "`physics:localPos0` of the joints of the link",
+    "tip_offset": f"site `{END_EFFECTOR}` on the link of the tip",
+    "base_misalignment": "pose of the root link, and `physics:gravityDirection` turned with it",
+}
+
+
+class NewtonTarget:
+    """USD with the schemas of Newton."""
+
+    name = "newton"
+    title = "USD for Newton"
+    modules: tuple[str, ...] = ("pxr", "newton_usd_schemas")
+    notes: tuple[str, ...] = (
+        "Newton was not run here. The schemas of its actuators are provisional: newton-usd-schemas 0.6.",
+        f"For the replay the stage is opened again: `{MODULE}` moves the joints, native axes with the stage's numbers, "
+        "and the end effector is computed from the frames of the stage.",
+        "Joints with a `PhysicsDriveAPI` follow the drive model: after each sample, their target is `state.structure` minus "
+        "the joint's offset. A force axis with a `NewtonActuator` takes its command as feedforward.",
+    )
+
+    def support(self, effect: Effect) -> Support:
+        if effect.name in NATIVE:
+            return Support("native", NATIVE[effect.name])
+        if effect.name in COMPOSED:
+            return Support("composed", COMPOSED[effect.name])
+        if effect.name in WITHOUT_PART:
+            return Support("not_representable", WITHOUT_PART[effect.name])
+        return Support("plugin", f"`{MODULE}`, whose joint the drive follows")
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        if moves_masses(plant.machine):
+            found, expected = "force axes that move links with masses", "axes driven by position, velocity or an inertia"
+            raise SettingsError(f"export of {plant.machine.name} to newton", found, expected)
+        stage = _stage_in_memory()
+        steps = round(rate_hz * max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9)))
+        joints = write_bodies(stage, plant, steps)
+        for about, axis in zip(plant.machine.axes, drive_data(plant, rate_hz)["axes"], strict=True):
+            write_drive(stage, axis, joints[about.joint or about.name], steps)
+        stage.GetRootLayer().customLayerData = {"plant": plant.reference or plant.machine.name, "sample": 1.0 / rate_hz}
+        stage.GetRootLayer().Export(str(folder / FILE))
+        return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        return UsdSimulation(plant, load_module(folder / MODULE).load(), folder / FILE)
+
+
+def _stage_in_memory() -> Any:
+    import newton_usd_schemas  # noqa: F401 (registers the schemas)
+    from pxr import Usd
+
+    return Usd.Stage.CreateInMemory()
+
+
+class UsdSimulation:
+    """The drive model moves the joints of the stage, with the stage's own numbers of its native axes."""
+
+    def __init__(self, plant: Plant, model: Any, path: Path) -> None:
+        import newton_usd_schemas  # noqa: F401 (registers the schemas)
+        from pxr import Usd
+
+        self.plant, self.model = plant, model
+        self.stage = Usd.Stage.Open(str(path))
+        self.kinematics = plant.machine.kinematics()
+        for axis, about, data in zip(
+            model.axes, plant.machine.axes, drive_data(plant, plant.machine.rate_hz)["axes"], strict=True
+        ):
+            if is_native(data):
+                self._take(axis.drive, about.name, joint_path(about.joint or about.name))
+        chain = [] if self.kinematics is None else [ANCHOR, *(joint.name for joint in self.kinematics.chain)]
+        self.frames = [self._frames(name) for name in chain]
+
+    def reset(self, start: Start) -> Mapping[str, float]:
+        return self._signals(self.model.reset(start.joints, start.drive, start.commands))
+
+    def step(self, commands: Array) -> Mapping[str, float]:
+        return self._signals(self.model.step(commands))
+
+    def _take(self, drive: Any, axis: str, path: str) -> None:
+        """Numbers of the joint and of its actuator, in SI units."""
+        joint, actuator = self.stage.GetPrimAtPath(path), self.stage.GetPrimAtPath(actuator_path(axis))
+        if not hasattr(drive, "rotor"):
+            scene = self.stage.GetPrimAtPath(SCENE)
+            seconds = actuator.GetAttribute("newton:delaySteps").Get() / scene.GetAttribute("newton:timeStepsPerSecond").Get()
+            drive.parts[0] = type(drive.parts[0])(drive.dt, seconds)
+            return
+        angular = joint.GetTypeName() == "PhysicsRevoluteJoint"
+        rotor = drive.rotor
+        rotor.mass = joint.GetAttribute("newton:armature").Get()
+        rotor.bias = -actuator.GetAttribute("newton:constEffort").Get()
+        damping, friction = (joint.GetAttribute(f"newton:{name}").Get() for name in ("damping", "friction"))
+        for law in rotor.frictions:
+            is_viscous = type(law).__name__ == "ViscousFriction"
+            value = (math.degrees(damping) if angular else damping) if is_viscous else friction
+            law.positive = law.negative = value
+
+    def _frames(self, name: str) -> tuple[str, Array, Array, bool]:
+        """Name, frame on the parent and inverse of that on the child (4, 4), and whether it slides."""
+        joint = self.stage.GetPrimAtPath(joint_path(name))
+        first, second = (_frame(joint, side) for side in (0, 1))
+        return name, first, np.asarray(np.linalg.inv(second), dtype=np.float64), joint.GetTypeName() == "PhysicsPrismaticJoint"
+
+    def _signals(self, state: Any) -> dict[str, float]:
+        found = true_signals(self.plant, state)
+        if self.kinematics is None:
+            return found
+        offsets = np.array([axis.offset for axis in self.model.axes])
+        values = joint_values(self.kinematics, state.structure - offsets)
+        pose = np.eye(4)
+        for name, first, second, slides in self.frames:
+            pose = pose @ first @ _motion(values.get(name, 0.0), slides) @ second
+        tip = self.stage.GetPrimAtPath(f"{link_path(self.kinematics.tip)}/{END_EFFECTOR}")
+        place = pose[:3, :3] @ np.array(tip.GetAttribute("xformOp:translate").Get()) + pose[:3, 3]
+        tool = place + state.tool - state.ee
+        points = dict(zip(point_signals("ee"), place, strict=True)) | dict(zip(point_signals("tool"), tool, strict=True))
+        return found | {name: float(value) for name, value in points.items()}
+
+
+def _frame(joint: Any, side: int) -> Array:
+    """Frame of a joint on one of its bodies (4, 4)."""
+    from pxr import Gf
+
+    turn = joint.GetAttribute(f"physics:localRot{side}").Get()
+    frame = np.eye(4)
+    frame[:3, :3] = np.array(Gf.Matrix3d(Gf.Quatd(turn))).T
+    frame[:3, 3] = np.array(joint.GetAttribute(f"physics:localPos{side}").Get())
+    return frame
+
+
+def _motion(value: float, slides: bool) -> Array:
+    """Motion of a joint along or about x (4, 4)."""
+    frame = np.eye(4)
+    if slides:
+        frame[0, 3] = value
+    else:
+        frame[1:3, 1:3] = [[math.cos(value), -math.sin(value)], [math.sin(value), math.cos(value)]]
+    return frame

@@ -1,0 +1,234 @@
+"""A machine as a USD stage: links, joints and masses by UsdPhysics, with the schemas of Newton beside them.
+
+UsdPhysics measures the angles of joints in degrees, and their gains and damping per degree; Newton actuators in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.export.geometry import base_pose, tip_offset
+from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
+from sysid.export.urdf_text import END_EFFECTOR, WORLD, urdf_of
+from sysid.machine.kinematics import origin_pose
+from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.urdf_tree import urdf_tree
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+ROOT, SCENE, ANCHOR = "/Machine", "/PhysicsScene", "base_joint"
+
+
+@dataclass(frozen=True)
+class JointEntry:
+    """A joint of the stage.
+
+    Args:
+        path: of its prim; ``parent``, ``child``: paths of the bodies, the parent empty for the world.
+        angular: of a revolute or continuous joint; ``fixed``: without a degree of freedom.
+        limits: [rad or m], None for none.
+    """
+
+    name: str
+    path: str
+    parent: str
+    child: str
+    kind: str
+    pose: Array
+    axis: Array
+    limits: tuple[float, float] | None
+    mimic: tuple[str, float, float] | None
+
+    @property
+    def angular(self) -> bool:
+        return self.kind in ("revolute", "continuous")
+
+
+def write_bodies(stage: Any, plant: Plant, steps_per_second: int) -> dict[str, JointEntry]:
+    """Scene, links and joints of a plant; returns the joints by the names of its URDF."""
+    from pxr import Gf, Sdf, UsdGeom, UsdPhysics
+
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    turn, place = base_pose(plant)
+    scene = UsdPhysics.Scene.Define(stage, SCENE)
+    scene.CreateGravityDirectionAttr(Gf.Vec3f(*map(float, turn @ np.array([0.0, 0.0, -1.0]))))
+    scene.CreateGravityMagnitudeAttr(GRAVITY)
+    scene.GetPrim().ApplyAPI("NewtonSceneAPI")
+    set_value(scene.GetPrim(), "newton:timeStepsPerSecond", Sdf.ValueTypeNames.Int, steps_per_second)
+    root = UsdGeom.Xform.Define(stage, ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
+    for group in ("links", "joints", "actuators"):
+        UsdGeom.Scope.Define(stage, f"{ROOT}/{group}")
+    urdf = urdf_of(plant)
+    joints = _joints(urdf_tree(urdf))
+    inertias, poses = link_inertias(urdf), _link_poses(joints, turn, place)
+    for link, pose in poses.items():
+        _link(stage, link, pose, inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3)))))
+    base = next(link for link in poses if link not in {joint.child for joint in joints})
+    anchor = np.eye(4)
+    anchor[:3, :3], anchor[:3, 3] = turn, place
+    for joint in [JointEntry(ANCHOR, "", "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
+        _joint(stage, joint)
+    _follow(stage, joints)
+    kinematics = plant.machine.kinematics()
+    if kinematics is not None:
+        point = UsdGeom.Xform.Define(stage, f"{link_path(kinematics.tip)}/{END_EFFECTOR}")
+        point.AddTranslateOp().Set(Gf.Vec3d(*map(float, tip_offset(plant, kinematics))))
+        point.GetPrim().ApplyAPI("NewtonSiteAPI")
+    return {joint.name: joint for joint in joints}
+
+
+def link_path(link: str) -> str:
+    from pxr import Tf
+
+    return f"{ROOT}/links/{Tf.MakeValidIdentifier(link)}"
+
+
+def joint_path(joint: str) -> str:
+    from pxr import Tf
+
+    return f"{ROOT}/joints/{Tf.MakeValidIdentifier(joint)}"
+
+
+def set_value(prim: Any, name: str, kind: Any, value: Any) -> None:
+    """Author an attribute of an applied schema."""
+    prim.CreateAttribute(name, kind).Set(value)
+
+
+def undeclared(stage: Any) -> list[str]:
+    """Authored properties and applied schemas that no registered schema declares, of every prim."""
+    from pxr import Usd
+
+    registry, found = Usd.SchemaRegistry(), []
+    for prim in stage.Traverse():
+        known = set(prim.GetPrimDefinition().GetPropertyNames())
+        found += [str(p.GetPath()) for p in prim.GetAuthoredProperties() if p.GetName() not in known and not _is_transform(p)]
+        for name in prim.GetAppliedSchemas():
+            if registry.FindAppliedAPIPrimDefinition(name.partition(":")[0]) is None:
+                found.append(f"{prim.GetPath()}: {name}")
+        if prim.GetTypeName() and registry.FindConcretePrimDefinition(prim.GetTypeName()) is None:
+            found.append(f"{prim.GetPath()}: {prim.GetTypeName()}")
+    return found
+
+
+def _is_transform(prop: Any) -> bool:
+    return str(prop.GetName()).startswith("xformOp:")
+
+
+def _joints(root: Element) -> list[JointEntry]:
+    """Joints of a URDF, without the added frames, which the stage has itself."""
+    found = []
+    for joint in root.findall("joint"):
+        parent, child = (str(joint.find(side).get("link")) for side in ("parent", "child"))  # type: ignore[union-attr]
+        if WORLD in (parent, child) or END_EFFECTOR in (parent, child):
+            continue
+        kind, name = str(joint.get("type")), str(joint.get("name"))
+        axis, limit, mimic = joint.find("axis"), joint.find("limit"), joint.find("mimic")
+        direction = np.array([float(x) for x in (axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split()])
+        bounded = limit is not None and kind in ("revolute", "prismatic")
+        ends = tuple(float(limit.get(end, "0")) for end in ("lower", "upper")) if bounded and limit is not None else None
+        leader = None
+        if mimic is not None:
+            leader = str(mimic.get("joint")), float(mimic.get("offset", "0")), float(mimic.get("multiplier", "1"))
+        pose = origin_pose(joint.find("origin"))
+        found.append(
+            JointEntry(name, joint_path(name), parent, child, kind, pose, direction / np.linalg.norm(direction), ends, leader)  # type: ignore[arg-type]
+        )
+    return found
+
+
+def _link_poses(joints: list[JointEntry], turn: Array, place: Array) -> dict[str, Array]:
+    """Poses (4, 4) of the links in the world, all joints at zero, parents first."""
+    children = {joint.child for joint in joints}
+    roots = dict.fromkeys(joint.parent for joint in joints if joint.parent not in children)
+    first = np.eye(4)
+    first[:3, :3], first[:3, 3] = turn, place
+    poses = dict.fromkeys(roots, first)
+    waiting = list(joints)
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent in poses]
+        for joint in ready:
+            poses[joint.child] = poses[joint.parent] @ joint.pose
+        waiting = [joint for joint in waiting if joint not in ready]
+    return poses
+
+
+def _link(stage: Any, link: str, pose: Array, inertia: tuple[Array, ...]) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    body = UsdGeom.Xform.Define(stage, link_path(link))
+    body.AddTranslateOp().Set(Gf.Vec3d(*map(float, pose[:3, 3])))
+    body.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(_quaternion(pose[:3, :3])))
+    UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
+    mass = UsdPhysics.MassAPI.Apply(body.GetPrim())
+    moments, axes = np.linalg.eigh(inertia[2])
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    mass.CreateMassAttr(max(float(inertia[0][0]), SMALL_MASS))
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*map(float, inertia[1])))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*map(float, moments + SMALL_INERTIA)))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(_quaternion(axes)))
+
+
+def _joint(stage: Any, entry: JointEntry) -> None:
+    """A joint whose frame on both bodies has the axis of motion as x."""
+    from pxr import Gf, UsdPhysics
+
+    kinds = {
+        "revolute": UsdPhysics.RevoluteJoint,
+        "continuous": UsdPhysics.RevoluteJoint,
+        "prismatic": UsdPhysics.PrismaticJoint,
+    }
+    joint = kinds.get(entry.kind, UsdPhysics.FixedJoint).Define(stage, entry.path or joint_path(entry.name))
+    if entry.parent:
+        joint.CreateBody0Rel().SetTargets([link_path(entry.parent)])
+    joint.CreateBody1Rel().SetTargets([link_path(entry.child)])
+    along = _turn_to(entry.axis)
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*map(float, entry.pose[:3, 3])))
+    joint.CreateLocalRot0Attr(Gf.Quatf(_quaternion(entry.pose[:3, :3] @ along)))
+    joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    joint.CreateLocalRot1Attr(Gf.Quatf(_quaternion(along)))
+    if entry.kind in kinds:
+        joint.CreateAxisAttr("X")
+        if entry.limits is not None:
+            low, high = (math.degrees(x) if entry.angular else x for x in entry.limits)
+            joint.CreateLowerLimitAttr(low)
+            joint.CreateUpperLimitAttr(high)
+
+
+def _follow(stage: Any, joints: list[JointEntry]) -> None:
+    from pxr import Sdf
+
+    for joint in joints:
+        if joint.mimic is not None:
+            leader, offset, ratio = joint.mimic
+            prim = stage.GetPrimAtPath(joint.path)
+            prim.ApplyAPI("NewtonMimicAPI")
+            prim.CreateRelationship("newton:mimicJoint").SetTargets([joint_path(leader)])
+            offset = math.degrees(offset) if joint.angular else offset
+            set_value(prim, "newton:mimicCoef0", Sdf.ValueTypeNames.Float, offset)
+            set_value(prim, "newton:mimicCoef1", Sdf.ValueTypeNames.Float, ratio)
+
+
+def _turn_to(axis: Array) -> Array:
+    """A rotation (3, 3) that turns x to a unit axis."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    second = np.cross(axis, other)
+    second /= np.linalg.norm(second)
+    return np.column_stack([axis, second, np.cross(axis, second)])
+
+
+def _quaternion(turn: Array) -> Any:
+    """Unit quaternion of a rotation matrix; USD multiplies rows from the left."""
+    from pxr import Gf
+
+    return Gf.Matrix3d(*map(float, turn.T.ravel())).ExtractRotation().GetQuat()
