@@ -223,7 +223,7 @@ def decide(
     servo = fewest is not None and not exact and not integrates
     if not accumulates:
         acceptable = likely if fewest is None or not servo else list(fewest(likely[0]))
-        acceptable, filters = _without_filters(acceptable, rope, without)
+        acceptable, filters = _without_filters(acceptable, nameable, rope, without)
         model = acceptable[0]
     else:
         acceptable, filters = _nearest(models, unsure, free, own_evidence), []
@@ -295,17 +295,20 @@ def _likely(
 
 def _without_filters(
     acceptable: Sequence[ModelFit],
+    nameable: Sequence[str],
     rope: Mapping[Key, float],
     without: Callable[[ModelFit, Candidate], ModelFit] | None,
 ) -> tuple[list[ModelFit], list[NearMiss]]:
     """The acceptable sets without effects that are not certainly larger than ``rope``, the others refitted; and these effects.
 
     A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
-    value describes the recordings, not the machine.
+    value describes the recordings, not the machine. Effects that the recordings do not excite stay: that their size is not
+    certain does not tell a filter from an effect.
     """
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
-        small = [c for c in model.candidates if c.key in rope and _reaches(c, model, np.array(rope[c.key]))]
+        tested = [c for c in model.candidates if c.label in nameable and c.key in rope]
+        small = [c for c in tested if _reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
             values, deviations = model.values_of(candidate), model.deviations_of(candidate)
