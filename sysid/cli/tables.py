@@ -54,15 +54,16 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
     ``paper`` adds a column with a published maximum [SI] by output.
     """
-    from sysid.display import shown_unit
+    from sysid.display import NOTHING, fixed, shown_unit
+    from sysid.reports.sections.networks import decimals_of
 
     rows = []
-    for entry in (entry for report in reports for entry in report.outputs):
-        factor, unit = shown_unit(entry.unit)
+    for source, entry in [(report, entry) for report in reports for entry in report.outputs]:
+        (factor, unit), decimals = shown_unit(entry.unit), decimals_of(source, entry.unit)
         best = min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
-        figures = [f"{factor * value:.2f}" for value in (entry.metrics.rmse, entry.metrics.p95, entry.metrics.max)]
-        floor = "–" if entry.noise_floor is None else f"{factor * entry.noise_floor:.2f}"
-        simple = "–" if best is None else f"{best} {factor * entry.baselines[best].rmse:.2f}"
+        figures = [fixed(factor * value, decimals) for value in (entry.metrics.rmse, entry.metrics.p95, entry.metrics.max)]
+        floor = NOTHING if entry.noise_floor is None else fixed(factor * entry.noise_floor, decimals)
+        simple = NOTHING if best is None else f"{best} {fixed(factor * entry.baselines[best].rmse, decimals)}"
         published = [] if paper is None else [f"{factor * paper[entry.output]:.2f}" if entry.output in paper else ""]
         rows.append((entry.output, entry.rows, *figures, *published, floor, unit, simple))
     beside = [] if paper is None else ["paper's max"]

@@ -45,7 +45,7 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "recommendation": report.recommendation,
         "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
         "paper": report.kind == "forward" and any(output.output in PAPER_MAX for output in report.outputs),
-        "rows": [_row(output, _decimals(report, output.unit)) for output in report.outputs],
+        "rows": [_row(output, decimals_of(report, output.unit)) for output in report.outputs],
         "round_trips": [
             f"{axis} "
             + " and ".join((display.quantity(trip.joint_rmse, "rad", 2), display.quantity(trip.cylinder_rmse, "m", 2)))
@@ -66,8 +66,8 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
     }
 
 
-def _decimals(report: ValidationReport, unit: str) -> int:
-    """Common decimals of all figures of one unit: two digits of the smallest error or noise floor."""
+def decimals_of(report: ValidationReport, unit: str) -> int:
+    """Common decimals of all figures of one unit, in report and console: two digits of the smallest error or noise floor."""
     factor, _ = display.shown_unit(unit)
     figures = [value for output in report.outputs if output.unit == unit for value in (output.metrics.rmse, output.noise_floor)]
     return display.decimals_for(factor * value for value in figures if value is not None)
