@@ -1,13 +1,14 @@
 """Closing the loop: a machine that hides five kinds of errors is deployed, identified and deployed again.
 
-.venv/bin/python pipelines/close_the_gap.py [--seeds 0 1 2 3 4] [--work DIR] [--publish]
+.venv/bin/python pipelines/close_the_gap.py [--seeds 0 1 2 3 4] [--excitation] [--work DIR] [--publish]
 
 For every seed a machine of the simulated test bench is drawn and sealed (parts in pipelines/loop/). Inverse kinematics with the
 cylinder controller of the nominal plant follows helix and circle on it, over its CAN bus; flight log and motion capture are
-ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until no repair is promoted.
+ingested, the gap is named, and controller and kinematics of the repaired plant are deployed again, until nothing more is named.
 The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). What
-the work folder has of a machine is not run again (rounds.json, compared.json). With ``--publish`` the result goes to
-reports/loop/ and the tables to docs/closing-the-gap.md and README.md.
+the work folder has of a machine is not run again (rounds.json, compared.json). With ``--excitation`` every round also makes
+the recordings that the gap workflow of the round before proposed, and no other controller is run. With ``--publish`` the result
+goes to reports/loop/ and the tables to docs/closing-the-gap.md and README.md; excitation has its own file and table.
 """
 
 from __future__ import annotations
@@ -27,39 +28,44 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
 from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, guessed_plant, true_plant
-from loop.page import summary, tables
+from loop.page import rounds_table, summary, tables
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
 from loop.sealed import draw_machine, write_site, write_truth
 from loop.story import write_story
 from sysid.bench.recipe import AXES
+from sysid.gap.experiment import Planning
 
 ROOT = Path(__file__).resolve().parents[1]
-REPORT, PAGE = ROOT / "reports" / "loop" / "result.json", ROOT / "docs" / "closing-the-gap.md"
+REPORTS, PAGE = ROOT / "reports" / "loop", ROOT / "docs" / "closing-the-gap.md"
 PIPELINE = "pipelines/close_the_gap.py"
 SEEDS = (0, 1, 2, 3, 4)
-#: Runs of the other controllers are numbered from here, above those of the rounds: each run has its own noise.
-RUNS_OF_ROUNDS = 100
 
 
-def main(seeds: tuple[int, ...], work: Path, publish: bool) -> Path:
+def main(seeds: tuple[int, ...], work: Path, publish: bool, excitation: bool = False) -> Path:
     """Run the loop on the machine of every seed and write the result."""
-    machines = [run_machine(seed, work / f"machine-{seed}") for seed in seeds]
-    words = " ".join(map(str, seeds))
-    result = {**provenance(f"{PIPELINE} --seeds {words}", seeds[0]), "seeds": list(seeds), "machines": machines}
-    report = REPORT if publish else work / "result.json"
+    folder = work / "excitation" if excitation else work
+    machines = [run_machine(seed, folder / f"machine-{seed}", excitation) for seed in seeds]
+    flag = " --excitation" if excitation else ""
+    command = f"{PIPELINE} --seeds {' '.join(map(str, seeds))}{flag}"
+    result = {**provenance(command, seeds[0]), "seeds": list(seeds), "machines": machines}
+    report = (REPORTS if publish else folder) / ("excitation.json" if publish and excitation else "result.json")
     write_result(report, result)
-    if publish:
-        write_tables(PAGE, tables(result), PIPELINE)
+    text = rounds_table(machines) if excitation else tables(result)
+    if not publish:
+        print(text)
+        return report
+    write_tables(PAGE, text, f"{PIPELINE}{flag}")
+    if not excitation:
         write_tables(ROOT / "README.md", summary(result), PIPELINE)
-    else:
-        print(tables(result))
     return report
 
 
-def run_machine(seed: int, folder: Path) -> dict[str, Any]:
+def run_machine(seed: int, folder: Path, excitation: bool) -> dict[str, Any]:
     """The entry of one machine: its rounds, and other controllers beside them; what the folder has is not run again."""
-    found = kept(folder / "rounds.json", lambda: run_rounds(seed, folder))
+    found = kept(folder / "rounds.json", lambda: run_rounds(seed, folder, excitation))
+    if excitation:
+        return found
     return {**found, "compared": kept(folder / "compared.json", lambda: compare(seed, folder, found))}
 
 
@@ -71,7 +77,7 @@ def kept(path: Path, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def run_rounds(seed: int, folder: Path) -> dict[str, Any]:
+def run_rounds(seed: int, folder: Path, excitation: bool) -> dict[str, Any]:
     """Draw and seal the machine of a seed, close its gap, and compare the names with the truth."""
     shutil.rmtree(folder, ignore_errors=True)
     machine = draw_machine(seed)
@@ -79,20 +85,26 @@ def run_rounds(seed: int, folder: Path) -> dict[str, Any]:
     write_site(machine, site.description)
     write_truth(machine, truth)
     begin = time.perf_counter()
-    rounds = close_gap(site, lambda text: print(f"seed {seed}, {text}", flush=True))
+    planning = Planning() if excitation else None
+    rounds = close_gap(site, lambda text: print(f"seed {seed}, {text}", flush=True), planning)
     seconds = time.perf_counter() - begin
     print(write_story(folder / "story.rrd", site.nominal().machine, rounds, f"closing the gap, seed {seed}"))
     return {**machine_result(f"seed {seed}", read_truth(truth), rounds), "seconds": seconds}
 
 
 def compare(seed: int, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of the controllers of other plants on the machine of a seed, whose rounds are in ``folder``."""
+    """Figures of the controllers of several plants on the machine of a seed, whose rounds are in ``folder``.
+
+    All controllers have the same noise, so that they differ by their plants only.
+    """
     machine = draw_machine(seed)
-    site = Site(machine, folder, runs=RUNS_OF_ROUNDS)
+    site = Site(machine, folder)
     nominal, first = site.nominal(), site.workspace.dataset(found["rounds"][0]["dataset"])
     parked = {name: machine.visible.axis(name).park for name in AXES}
     hidden = read_truth(folder / "sealed" / "truth.json")
     plants = {
+        "nominal": nominal,
+        "repaired": site.plant(found["rounds"][-1]["plant"]),
         "guessed": guessed_plant(nominal, np.random.default_rng([29, seed, 1])),
         "lag_delay_gain": fixed_structure(nominal, first, LAG_DELAY_GAIN),
         "with_deadband": fixed_structure(nominal, first, WITH_DEADBAND),
@@ -105,6 +117,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "loop")
+    parser.add_argument("--excitation", action="store_true", help="make the recordings that the gap workflow proposes")
     parser.add_argument("--publish", action="store_true", help="write reports/loop/ and the tables of the page")
     given = parser.parse_args()
-    print(main(tuple(given.seeds), given.work, given.publish))
+    print(main(tuple(given.seeds), given.work, given.publish, given.excitation))

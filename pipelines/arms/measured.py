@@ -72,11 +72,15 @@ def _so101(result: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _ur10e(result: Mapping[str, Any]) -> dict[str, float]:
-    """Relative torque errors on held-out recordings, and the error of the payload's mass."""
-    found = {f"UR10e, {log}, {axis} [relative]": value for log, each in result["error"].items() for axis, value in each.items()}
-    if result["payload"] is not None:
-        found["UR10e, payload's mass [relative]"] = abs(result["payload"] / result["weighed"] - 1.0)
-    return found
+    """Relative torque errors on held-out recordings, and the error of the payload's mass from each log that names it."""
+    found = {
+        f"UR10e, {log}, {signal} [relative]": value for log, each in result["left"].items() for signal, value in each.items()
+    }
+    published = result["published"]["payload"]
+    masses = {log: mass for log, mass in result["payload"].items() if mass is not None}
+    return found | {
+        f"UR10e, {log}, mass of the payload [relative]": abs(mass / published - 1.0) for log, mass in masses.items()
+    }
 
 
 def calibrated(arm: poses.Arm, folder: Path) -> dict[str, float]:

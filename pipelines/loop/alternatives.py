@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from loop.rounds import PATHS, Site, fly_paths
+from loop.rounds import Site, fly_paths
 from loop.score import figures_of
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.machine import Axis, KnownEffect
-from sysid.plant import Plant, free_run
+from sysid.plant import Plant, compile_plant
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +41,8 @@ LAG_DELAY_GAIN = (
 WITH_DEADBAND = (*LAG_DELAY_GAIN, FreeParameter("valve_deadband", ("positive", "negative"), 0.0, 0.7, 5e-3))
 #: Half-width of the guessed randomisation, relative to the nominal value, and its number of samples.
 GUESS, SAMPLES = 0.2, 64
+#: Number of the first run of a compared controller, above those of the rounds.
+FIRST_RUN = 100
 #: Displacements over this time are compared [s]: over whole runs the errors of a wrong structure add up to a drift.
 SPAN_S = 1.0
 
@@ -64,9 +66,9 @@ def _fitted(plant: Plant, axis: Axis, recordings: Sequence[Recording], structure
         return changed
 
     def residuals(values: Array) -> Array:
-        changed, parts = with_values(values), []
+        model, parts = compile_plant(with_values(values)), []
         for recording in recordings:
-            error = free_run(changed, recording)[axis.driven].to_numpy() - recording.values(axis.driven)
+            error = model.drive(model.theta[None], recording, axis.name)[0] - recording.values(axis.driven)
             span = round(SPAN_S * recording.rate_hz)
             moved = error[span:] - error[:-span]
             parts.append(moved[np.isfinite(moved)])
@@ -121,12 +123,13 @@ def true_plant(nominal: Plant, hidden: Sequence[Mapping[str, Any]], parked: Mapp
 
 
 def deployed(site: Site, plant: Plant, name: str) -> dict[str, Any]:
-    """Figures of the paths under the controller of ``plant``; its logs are not those of the loop.
+    """Figures of the helix under the controller of ``plant``; its logs are not those of the loop.
 
-    A path that the runner refuses has no figures, and the reason in ``why``.
+    The runs are numbered from :data:`FIRST_RUN` on whatever the plant, so that controllers are compared under the same noise. A
+    path that the runner refuses has no figures, and the reason in ``why``.
     """
-    paths = tuple(dict.fromkeys(PATHS))
+    site.runs = FIRST_RUN
     try:
-        return figures_of(fly_paths(site, site.registered(plant), paths, site.folder / f"flights-{name}"))
+        return figures_of(fly_paths(site, site.registered(plant), ("helix",), site.folder / f"flights-{name}"))
     except SettingsError as error:
-        return {path: {"ended": "refused", "why": error.found} for path in paths}
+        return {"helix": {"ended": "refused", "why": error.found}}

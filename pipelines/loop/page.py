@@ -1,4 +1,4 @@
-"""Tables of docs/closing-the-gap.md from the result."""
+"""Tables of docs/closing-the-gap.md from the result; the goals are in :mod:`loop.goals`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from committed import markdown
+from loop.goals import goals
 
 #: Columns of the errors at the tool.
 ERRORS = ("helix, max", "helix, RMSE", "circle, max")
 
 
 def tables(result: Mapping[str, Any]) -> str:
-    """Tracking errors by round, names by machine, other controllers beside them, and the gap by round."""
+    """Goals, tracking errors by round, names by machine, other controllers beside them, and the gap by round."""
     machines = result["machines"]
-    return "\n\n".join(part(machines) for part in (_tracking, _names, _compared, _ratios, _gaps))
+    return "\n\n".join(part(machines) for part in (goals, rounds_table, _names, _compared, _gaps))
 
 
 def summary(result: Mapping[str, Any]) -> str:
@@ -29,8 +30,8 @@ def summary(result: Mapping[str, Any]) -> str:
 def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Controller → its runs on each machine."""
     return {
-        "nominal plant": [machine["rounds"][0] for machine in machines],
-        "repaired plant, last round": [machine["rounds"][-1] for machine in machines],
+        "nominal plant": [machine["compared"]["nominal"] for machine in machines],
+        "repaired plant, last round": [machine["compared"]["repaired"] for machine in machines],
         "nominal plant, ±20 % guessed": [machine["compared"]["guessed"] for machine in machines],
         "dead time, lag and gain by least squares": [machine["compared"]["lag_delay_gain"] for machine in machines],
         "the same and one dead-band": [machine["compared"]["with_deadband"] for machine in machines],
@@ -42,31 +43,26 @@ def _worst(row: Mapping[str, Any]) -> str:
     return "path refused" if row["helix"]["ended"] == "refused" else shown(row["helix"].get("max_mm"))
 
 
-def _tracking(machines: Sequence[Mapping[str, Any]]) -> str:
-    head = (
-        "machine",
-        "round",
-        "named afterwards",
-        "helix, max",
-        "helix, RMSE",
-        "circle, max",
-        "helix simulated, max",
-        "wall time",
-    )
-    rows = [
-        (
-            machine["name"],
-            str(number),
-            ", ".join(f"`{each['name']}` {each['target']}" for each in row["named"]) or "–",
+def rounds_table(machines: Sequence[Mapping[str, Any]]) -> str:
+    """Tracking errors by round, what was named after it, and its time; proposed recordings where there are any."""
+    rows = [(machine["name"], str(number), row) for machine in machines for number, row in enumerate(machine["rounds"])]
+    head = ["machine", "round", *ERRORS, "helix simulated, max", "named afterwards", "wall time", "processor time"]
+    proposed = any(row.get("experiments") for _, _, row in rows)
+    cells = [
+        [
+            name,
+            number,
             *(shown(row["helix"].get(key)) for key in ("max_mm", "rmse_mm")),
             shown(row["circle"].get("max_mm")),
             shown(row["simulation"]["helix"].get("max_mm")),
+            ", ".join(f"`{each['name']}` {each['target']}" for each in row["named"]) or "–",
             f"{sum(row['seconds'].values()):.0f} s",
-        )
-        for machine in machines
-        for number, row in enumerate(machine["rounds"])
+            f"{row['cpu_seconds']:.0f} s" if "cpu_seconds" in row else "–",
+            *([", ".join(row["experiments"]) or "–"] if proposed else []),
+        ]
+        for name, number, row in rows
     ]
-    return markdown(head, rows, "llllllll")
+    return markdown([*head, *(["proposed recordings made"] if proposed else [])], cells, "lllllllrr" + "l" * proposed)
 
 
 def _names(machines: Sequence[Mapping[str, Any]]) -> str:
@@ -76,7 +72,7 @@ def _names(machines: Sequence[Mapping[str, Any]]) -> str:
         hidden = len(machine["hidden"])
         without = [tuple(each) for each in machine["adjusted"]]
         missed = [
-            f"`{name}` {target}" + (" (its value is in the plant)" if (name, target) in without else "")
+            f"`{name}` {target}" + (" (adjusted without a name)" if (name, target) in without else "")
             for name, target in machine["missed"]
         ]
         wrong = [f"`{name}` {target}" for name, target in machine["wrong"]]
@@ -86,31 +82,15 @@ def _names(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
-    head = ("machine", "controller made from", *ERRORS)
+    head = ("machine", "controller made from", "helix, max", "helix, RMSE")
     rows = []
     for number, machine in enumerate(machines):
         for name, found in _controllers(machines).items():
-            row = found[number]
-            figures = (*(shown(row["helix"].get(key)) for key in ("max_mm", "rmse_mm")), shown(row["circle"].get("max_mm")))
-            refused = row["helix"]["ended"] == "refused"
-            rows.append((machine["name"], name, *((f"refused: {row['helix']['why']}", "–", "–") if refused else figures)))
-    return markdown(head, rows, "lllll")
-
-
-def _ratios(machines: Sequence[Mapping[str, Any]]) -> str:
-    """Largest coordinate of the error on the helix after the last round, relative to other runs."""
-    head = ("machine", "before", "after", "after / simulated", "after / true plant", "guessed / after", "one dead-band / after")
-    rows = []
-    for machine in machines:
-        first, last, compared = machine["rounds"][0], machine["rounds"][-1], machine["compared"]
-        after = max(last["helix"]["max_mm"])
-        pairs = ((after, last["simulation"]["helix"]), (after, compared["truth"]["helix"]))
-        ratios = [after / max(other["max_mm"]) for after, other in pairs]
-        others = [compared[name]["helix"].get("max_mm") for name in ("guessed", "with_deadband")]
-        without = ["refused" if worst is None else f"{max(worst) / after:.1f}" for worst in others]
-        figures = (f"{max(first['helix']['max_mm']):.0f} mm", f"{after:.1f} mm", *(f"{ratio:.2f}" for ratio in ratios))
-        rows.append((machine["name"], *figures, *without))
-    return markdown(head, rows, "l")
+            helix = found[number]["helix"]
+            refused = helix["ended"] == "refused"
+            figures = (f"refused: {helix['why']}", "–") if refused else [shown(helix.get(key)) for key in ("max_mm", "rmse_mm")]
+            rows.append((machine["name"], name, *figures))
+    return markdown(head, rows, "llll")
 
 
 def _gaps(machines: Sequence[Mapping[str, Any]]) -> str:

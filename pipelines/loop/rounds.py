@@ -1,4 +1,4 @@
-"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until no repair is promoted.
+"""The loop: deploy → flight log → dataset → gap → repaired plant → deploy again, until nothing more is named.
 
 The next round has the named effects of the repaired plant only (:func:`loop.models.named_part`).
 """
@@ -18,6 +18,9 @@ from loop.recording import ingest_flights
 from loop.sealed import SealedMachine
 from sysid.datasets import Dataset
 from sysid.gap import GapResult, find_gap
+from sysid.gap.experiment import Planning
+from sysid.gap.experiment.experiment import Experiment
+from sysid.gap.experiment.file import write_experiment
 from sysid.machine import load_machine
 from sysid.plant import Plant, nominal_plant, plant_from_files
 from sysid.workspace import Workspace, open_workspace
@@ -37,6 +40,8 @@ class Round:
         flights, simulated: path → run on the machine, and on the plant of the deployment.
         gap: result of the gap workflow on all logs so far; None after the last round.
         seconds: wall time of the steps.
+        cpu_seconds: processor time of all steps.
+        experiments: recordings that the gap workflow of the round before proposed, made in this round.
     """
 
     plant: str
@@ -44,6 +49,8 @@ class Round:
     simulated: Mapping[str, Flight]
     gap: GapResult | None
     seconds: Mapping[str, float]
+    cpu_seconds: float
+    experiments: tuple[str, ...] = ()
 
 
 @dataclass
@@ -121,26 +128,49 @@ def simulate_paths(site: Site, plant: Plant) -> dict[str, Flight]:
     return {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in dict.fromkeys(PATHS)}
 
 
-def close_gap(site: Site, show: Callable[[str], None]) -> list[Round]:
-    """Rounds until the gap workflow promotes no repair, at most :data:`MOST` repairs."""
+def fly_experiments(site: Site, plant: Plant, experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """Run proposed experiments on the machine, as often as each is needed; returns their names, one for each run."""
+    deployment, made = site.deployment(plant), []
+    for experiment in experiments:
+        path = write_experiment(site.folder / "experiments", experiment)
+        for _ in range(experiment.repeats):
+            site.fly(deployment, {"mode": "experiment", "experiment": {"file": str(path)}})
+            made.append(experiment.name)
+    return tuple(made)
+
+
+def close_gap(site: Site, show: Callable[[str], None], planning: Planning | None = None) -> list[Round]:
+    """Rounds until nothing more is named, at most :data:`MOST` repairs.
+
+    A repair is deployed whether it is promoted or not: the version before it has adjusted values without a name, which the
+    deployed plant has not, and may be closer in a signal that hides nothing.
+
+    Args:
+        planning: with it, every round also makes the recordings that the gap workflow of the round before proposed.
+    """
     plant, rounds = site.nominal(), []
+    experiments: Sequence[Experiment] = ()
     for number in range(MOST + 1):
-        begin = time.perf_counter()
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         flights, simulated = fly_paths(site, plant, PATHS), simulate_paths(site, plant)
+        made = fly_experiments(site, plant, experiments)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
-        if number == MOST:
-            rounds.append(Round(plant.reference, flights, simulated, None, seconds))
+        gap = None
+        if number < MOST:
+            begin = time.perf_counter()
+            dataset = site.dataset()
+            seconds["ingest"], begin = time.perf_counter() - begin, time.perf_counter()
+            gap = find_gap(dataset, plant, site.workspace.models, add=True, world=False, planning=planning)
+            site.workspace.keep_gap(dataset, gap)
+            seconds["gap"] = time.perf_counter() - begin
+            show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
+        rounds.append(Round(plant.reference, flights, simulated, gap, seconds, time.process_time() - cpu_begin, made))
+        if gap is None:
             return rounds
-        begin = time.perf_counter()
-        dataset = site.dataset()
-        seconds["ingest"], begin = time.perf_counter() - begin, time.perf_counter()
-        gap = find_gap(dataset, plant, site.workspace.models, add=True, world=False)
-        site.workspace.keep_gap(dataset, gap)
-        seconds["gap"] = time.perf_counter() - begin
-        rounds.append(Round(plant.reference, flights, simulated, gap, seconds))
-        show("named: " + (", ".join(f"{effect.name} on {effect.target}" for effect in gap.effects) or "nothing"))
-        if gap.promotion is None or not gap.promotion.promoted:
+        experiments = gap.experiments
+        if gap.effects:
+            plant = site.registered(named_part(site.plant(gap.plant_after), gap), {"plant": gap.plant_after})
+        elif not experiments:
             return rounds
-        plant = site.registered(named_part(site.plant(gap.plant_after), gap), {"plant": gap.plant_after})
     raise AssertionError("the last round returns")

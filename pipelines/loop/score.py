@@ -55,6 +55,8 @@ def _round(each: Round) -> dict[str, Any]:
         **figures_of(each.flights),
         "simulation": figures_of(each.simulated),
         "seconds": dict(each.seconds),
+        "cpu_seconds": each.cpu_seconds,
+        "experiments": list(each.experiments),
     }
     if gap is None:
         return {**row, "named": [], "promoted": False}

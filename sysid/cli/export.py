@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sysid.export.export import Export
 
 #: As in :mod:`sysid.export.targets`, which loads the numerical libraries.
-NAMES = ("mjcf", "urdf", "isaaclab", "newton", "fmu", "simulink", "lut", "json")
+NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", "json")
 
 
 @click.command()

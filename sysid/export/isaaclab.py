@@ -47,16 +47,22 @@ class IsaacLabTarget:
         from sysid.export.torchscript.assembly import parameter_columns, script_of
         from sysid.export.torchscript.files import save_script
 
-        data = drive_data(plant, rate_hz)
+        data, names = drive_data(plant, rate_hz), list(parameter_columns(plant))
         save_script(script_of(plant, rate_hz, reachable(plant)), folder / MODEL)
         about = {
             "plant": plant.reference,
             "sample": 1.0 / rate_hz,
             "axes": [
-                {"axis": axis.name, "joint": axis.joint or axis.name, "actuation": axis.actuation, "offset": values["offset"]}
+                {
+                    "axis": axis.name,
+                    "joint": axis.joint or axis.name,
+                    "actuation": axis.actuation,
+                    "offset": values["offset"],
+                    "offset_column": names.index(name) if (name := f"joint_offset.{axis.name}.offset") in names else -1,
+                }
                 for axis, values in zip(plant.machine.axes, data["axes"], strict=True)
             ],
-            "parameters": list(parameter_columns(plant)),
+            "parameters": names,
             "posterior_columns": posterior_columns(plant, parameter_columns(plant)),
         }
         (folder / ABOUT).write_text(json.dumps(about, indent=1), "utf-8")

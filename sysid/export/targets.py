@@ -9,12 +9,14 @@ from sysid.export.json_target import JsonTarget
 from sysid.export.lut import LutTarget
 from sysid.export.mjcf import MjcfTarget
 from sysid.export.newton import NewtonTarget
+from sysid.export.sdf import SdfTarget
 from sysid.export.simulink import SimulinkTarget
 from sysid.export.target import Target
 from sysid.export.urdf import UrdfTarget
 
 TARGETS: tuple[Target, ...] = (
-    MjcfTarget(), UrdfTarget(), IsaacLabTarget(), NewtonTarget(), FmuTarget(), SimulinkTarget(), LutTarget(), JsonTarget(),
+    MjcfTarget(), UrdfTarget(), SdfTarget(), IsaacLabTarget(), NewtonTarget(), FmuTarget(), SimulinkTarget(), LutTarget(),
+    JsonTarget(),
 )  # fmt: skip
 
 

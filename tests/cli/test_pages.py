@@ -24,6 +24,7 @@ PAGES = {
     "docs/guide/poses.md": "tiago_mocap",
     "docs/guide/electric-arm.md": None,
     "docs/guide/mujoco.md": None,
+    "docs/guide/export.md": None,
     "datasets/autolog/README.md": None,
     "datasets/emps/README.md": "emps",
     "datasets/hydraulic_actuator/README.md": "hyd_actuator",

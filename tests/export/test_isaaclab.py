@@ -165,6 +165,19 @@ def test_a_reset_begins_at_the_joints_of_its_environments(machine: Any) -> None:
     assert float(found.joint_positions[0, slew]) >= float(there[0, slew])
 
 
+def test_a_drawn_offset_does_not_move_the_joints_at_the_start(machine: Any) -> None:
+    """Where the joint of the asset is, the structure is; its sensor reads another value."""
+    driver = actuator(machine, 2, 0.01)
+    column = list(driver.model.parameter_names).index("joint_offset.boom.offset")
+    driver.theta[1, column] = 0.15
+    at = torch.tensor(np.tile(JOINTS, (2, 1)))[:, list(ORDER)].float()
+    found = driver.compute(action(torch.zeros(2, 4, dtype=torch.float64)), at, torch.zeros(2, 4))
+    boom = ORDER.index(1)
+    np.testing.assert_allclose(found.joint_positions[:, boom], JOINTS[1], atol=1e-4)
+    read = driver.readings()["boom.joint"]
+    assert float(read[0] - read[1]) == pytest.approx(0.1, abs=1e-4)
+
+
 def test_the_event_draws_rows_of_the_joint_samples(machine: Any) -> None:
     driver = actuator(machine, 300, 0.01)
     term = machine.EventsCfg().drive_parameters.values

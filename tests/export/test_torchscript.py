@@ -131,6 +131,17 @@ def test_single_precision() -> None:
     assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0, 600 * 6e-8)
 
 
+def test_every_tensor_is_on_the_device_of_the_parameters() -> None:
+    """On a device without storage: an operation that mixes devices raises."""
+    module = script_of(everything(), RATE_HZ).to("meta")
+    theta, rows = module.theta(3), torch.empty(3, 4, dtype=torch.float64, device="meta")
+    with torch.jit.optimized_execution(False), torch.inference_mode():
+        state, _ = module.begin(theta, rows, module.drives(theta, rows), rows)
+        state, signals = module(theta, state, rows)
+        readings = module.readings(theta, signals)
+    assert {str(values.device) for values in (state, *signals.values(), *readings.values())} == {"meta"}
+
+
 def test_the_ring_of_a_delay_contains_its_draws() -> None:
     places = PlantNumber("input_delay", "slew", None, "delay"), PlantNumber("viscous_friction", "slide", None, "coefficient")
     plant = probe_plant(

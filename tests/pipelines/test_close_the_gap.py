@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -183,6 +184,39 @@ def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> 
     return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
 
 
+@pytest.mark.parametrize("excitation", [False, True])
+def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest.MonkeyPatch, excitation: bool) -> None:
+    """A repair that is not promoted is deployed too; a proposed experiment is made in the next round."""
+    from types import SimpleNamespace
+
+    import loop.rounds as rounds
+
+    wanted = SimpleNamespace(name="slew-taps", repeats=2)
+    none = replace(gap_result(), experiments=(wanted,) if excitation else ())
+    gaps = [gap_result(effect("backlash", "slew")), none, gap_result()]
+    flown: list[str] = []
+    monkeypatch.setattr(rounds, "fly_paths", lambda site, plant, paths: {"helix": SimpleNamespace(figures=dict)})
+    monkeypatch.setattr(rounds, "simulate_paths", lambda site, plant: {})
+    monkeypatch.setattr(rounds, "find_gap", lambda *given, **named: gaps.pop(0))
+    monkeypatch.setattr(rounds, "named_part", lambda plant, gap: plant)
+    monkeypatch.setattr(rounds, "write_experiment", lambda folder, experiment: folder / f"{experiment.name}.toml")
+    plant = SimpleNamespace(reference="crane@1")
+    site = SimpleNamespace(
+        nominal=lambda: plant,
+        registered=lambda plant, lineage: SimpleNamespace(reference="crane@3"),
+        plant=lambda reference: plant,
+        dataset=lambda: None,
+        deployment=lambda plant: None,
+        fly=lambda deployment, task: flown.append(Path(task["experiment"]["file"]).stem),
+        folder=Path("machine"),
+        workspace=SimpleNamespace(models=None, keep_gap=lambda dataset, gap: None),
+    )
+    found = rounds.close_gap(site, lambda text: None)
+    assert [each.plant for each in found] == ["crane@1", "crane@3", "crane@3"][: 3 if excitation else 2]
+    assert [each.experiments for each in found] == [(), (), ("slew-taps",) * 2][: len(found)]
+    assert flown == ["slew-taps"] * (2 if excitation else 0)
+
+
 def test_names_are_compared_with_the_truth(loop: Any) -> None:
     from loop.flight import Flight
     from loop.rounds import Round
@@ -197,7 +231,10 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
         effect("stiction", "boom"),
         written=(WrittenEffect("input_delay", "boom", "adjusted", {"delay": 0.1}),),
     )
-    rounds = [Round("crane@1", flights, flights, first, {"gap": 2.0}), Round("crane@2", flights, flights, None, {})]
+    rounds = [
+        Round("crane@1", flights, flights, first, {"gap": 2.0}, 1.5),
+        Round("crane@2", flights, flights, None, {"deploy": 3.0}, 1.0),
+    ]
     hidden = [
         {"name": name, "target": target, "parameters": {}}
         for name, target in (("backlash", "slew"), ("joint_offset", "stick"), ("input_delay", "boom"), ("backlash", "stick"))
@@ -211,20 +248,19 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     json.dumps(found, allow_nan=False)
 
     refused = {path: {"ended": "refused", "why": "needs 110 % of the top speed of slew"} for path in flights}
-    compared = {
-        "guessed": found["rounds"][0],
-        "lag_delay_gain": refused,
-        "with_deadband": found["rounds"][1],
-        "truth": found["rounds"][1],
-    }
+    run = found["rounds"][1]
+    compared = dict.fromkeys(("nominal", "repaired", "guessed", "with_deadband", "truth"), run) | {"lag_delay_gain": refused}
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
-    assert "| seed 9 | 4 | 2 | input_delay boom (its value is in the plant), backlash stick | stiction boom |" in text
+    assert "| seed 9 | 4 | 2 | input_delay boom (adjusted without a name), backlash stick | stiction boom |" in text
     assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
-    assert "| seed 9 | 30 mm | 30.0 mm | 1.00 | 1.00 | 1.0 | 1.0 |" in text
+    assert "| error after, largest coordinate | ≤ 20 mm | 30.0 mm | 0 of 1 |" in text
+    assert "| beside the repaired simulation | ≤ 1.3 | 1.00 | 1 of 1 |" in text
+    assert "| hidden effects named | all, none wrong | 2 of 4, 1 wrong | 0 of 1 |" in text
+    assert "| naming beside a guess of ±20 % | ≥ 2 times better | 1.0 times | 0 of 1 |" in text
+    assert "| naming beside least squares without dead-bands | ≥ 2 times better | refused | 1 of 1 |" in text
+    assert "| wall time from first to second deployment | ≤ 30 min | 5 s | 1 of 1 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
-    assert (
-        "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – | – |" in text
-    )
+    assert "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – |" in text
 
 
 def test_the_story_shows_both_rounds_and_the_findings(loop: Any, site: Any, tmp_path: Path) -> None:
@@ -236,8 +272,8 @@ def test_the_story_shows_both_rounds_and_the_findings(loop: Any, site: Any, tmp_
     zero, joints = np.zeros((101, 3)), np.tile([0.0, 0.5, -1.2, 0.05], (101, 1))
     far = Flight("helix", time, zero, zero + 0.01, np.tile([0.06, 0.0, 0.0], (101, 1)), joints, "done", "")
     near = Flight("helix", time, zero, zero, np.tile([0.0, 0.005, 0.0], (101, 1)), joints, "done", "")
-    rounds = [Round("crane@1", {"helix": far}, {}, gap_result(effect("backlash", "slew")), {})]
-    rounds.append(Round("crane@2", {"helix": near}, {}, None, {}))
+    rounds = [Round("crane@1", {"helix": far}, {}, gap_result(effect("backlash", "slew")), {}, 1.0)]
+    rounds.append(Round("crane@2", {"helix": near}, {}, None, {}, 1.0))
     found = curves(write_story(tmp_path / "story.rrd", site.nominal().machine, rounds, "story"))
     np.testing.assert_allclose(found["/error/x/before"][1], 60.0)
     np.testing.assert_allclose(found["/error/y/after"][1], 5.0)

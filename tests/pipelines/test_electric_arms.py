@@ -22,7 +22,7 @@ from sysid.datasets import ingest
 from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("arm", "case", "flexible", "generate", "names", "page", "poses", "published", "rigid", "runner", "score")
+MODULES = ("arm", "case", "flexible", "generate", "measured", "names", "page", "poses", "published", "rigid", "runner", "score")
 MODULES += ("servo_sag", "smooth_friction")
 Array = npt.NDArray[np.float64]
 
@@ -263,6 +263,18 @@ def test_every_hidden_name_has_an_entry_and_every_case_a_line(arms: dict[str, Mo
     for kind in friction.KINDS:
         for hidden in friction.truth(friction.random_axis(np.random.default_rng(0), kind)):
             assert hidden.name in arms["names"].ACCEPTED
+
+
+def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path, monkeypatch: Any) -> None:
+    result = {"left": {"ur10e": {"elbow.command": 0.02}}, "published": {"payload": 2.0}, "payload": {"one": 2.1, "two": None}}
+    (tmp_path / "ur10e").mkdir()
+    (tmp_path / "ur10e" / "result.json").write_text(json.dumps(result), "utf-8")
+    monkeypatch.setattr(arms["measured"], "calibrated", lambda *_: {})
+    found = arms["measured"].figures(tmp_path, tmp_path)
+    assert found == {
+        "UR10e, ur10e, elbow.command [relative]": 0.02,
+        "UR10e, one, mass of the payload [relative]": pytest.approx(0.05),
+    }
 
 
 # ---- Publishing ---------------------------------------------------------------------------------------------------------

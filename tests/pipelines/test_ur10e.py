@@ -42,7 +42,7 @@ def test_the_payload_alone_is_named_with_an_interval_that_contains_its_mass(resu
     assert (effect["name"], effect["target"]) == ("payload", "tool")
     low, high = effect["interval95"]["mass"]
     assert low < result["published"]["payload"] < high
-    assert effect["parameters"]["mass"] == pytest.approx(result["published"]["payload"], rel=0.05)
+    assert effect["parameters"]["mass"] == pytest.approx(result["published"]["payload"], rel=0.03)
 
 
 def test_both_logs_give_the_same_mass(result: dict[str, Any]) -> None:

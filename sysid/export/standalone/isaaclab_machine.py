@@ -88,7 +88,7 @@ class DriveModelActuator(ImplicitActuator):  # type: ignore[misc, unused-ignore]
         new = ~self.begun[:, None]
         if not bool(new.any()):
             return
-        joints = places.clone()  # the values of the joints are those of their sensors
+        joints = places + self.offsets - self._drawn_offsets()  # at the sensors: those of the asset have the plant's offsets
         state, signals = self.model.begin(self.theta, joints, self.model.drives(self.theta, joints), torch.zeros_like(commands))
         target = signals["structure"] - self.offsets
         if self.state is None:
@@ -96,6 +96,10 @@ class DriveModelActuator(ImplicitActuator):  # type: ignore[misc, unused-ignore]
         self.state = torch.where(new, state, self.state)
         self.before, self.target = torch.where(new, target, self.before), torch.where(new, target, self.target)
         self.begun[:] = True
+
+    def _drawn_offsets(self) -> Any:
+        columns = [axis["offset_column"] for axis in self.about["axes"]]
+        return torch.stack([self.theta[:, k] if k >= 0 else torch.zeros_like(self.theta[:, 0]) for k in columns], dim=1)
 
     def _command(self, action: Any, k: int) -> Any:
         targets = {"velocity": "joint_velocities", "position": "joint_positions", "force": "joint_efforts"}

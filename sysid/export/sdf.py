@@ -1,0 +1,177 @@
+"""``sdf``: an SDFormat 1.11 model for Gazebo, with repaired geometry and joint friction, and the drive model beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import Effect
+from sysid.errors import SettingsError
+from sysid.export.drive_data import WITHOUT_PART
+from sysid.export.drive_module import MODULE
+from sysid.export.effect_table import write_effect_table
+from sysid.export.shipped_run import write_drive_model
+from sysid.export.target import Simulation, Support
+from sysid.export.urdf_text import END_EFFECTOR, WORLD, urdf_of
+from sysid.machine.urdf_tree import urdf_tree
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+FILE, VERSION = "model.sdf", "1.11"
+#: Mass [kg] and inertia [kg·m²] of a link whose URDF has none, in place of Gazebo's 1 kg.
+SMALL_MASS, SMALL_INERTIA = "0.001", "1e-06"
+#: Elements of SDFormat that are written → their children (http://sdformat.org/spec?ver=1.11).
+CHILDREN: Mapping[str, tuple[str, ...]] = {
+    "sdf": ("model",),
+    "model": ("link", "joint"),
+    "link": ("pose", "inertial"),
+    "inertial": ("pose", "mass", "inertia"),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "joint": ("pose", "parent", "child", "axis"),
+    "axis": ("xyz", "limit", "dynamics", "mimic"),
+    "limit": ("lower", "upper", "effort", "velocity"),
+    "dynamics": ("damping", "friction"),
+    "mimic": ("multiplier", "offset", "reference"),
+}
+_MOMENTS = CHILDREN["inertia"]
+
+
+class SdfTarget:
+    """SDFormat, as Gazebo reads it."""
+
+    name = "sdf"
+    title = "Gazebo (SDFormat 1.11)"
+    modules: tuple[str, ...] = ()
+    notes: tuple[str, ...] = (
+        f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
+        "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "
+        "`effects.csv`. Shapes are not copied.",
+        f"`{MODULE}` computes the joints from the commands, for the set-points of a joint position controller.",
+    )
+
+    def support(self, effect: Effect) -> Support:
+        native = {"viscous_friction": "`<dynamics><damping>`", "coulomb_friction": "`<dynamics><friction>`"}
+        composed = {
+            "joint_offset": "`<pose>` of the joint: its value is that of the sensor",
+            "link_length_error": "`<pose>` of the joints of the link",
+            "tip_offset": f"link `{END_EFFECTOR}` on that of the tip",
+            "base_misalignment": f"joint between the links `{WORLD}` and the root",
+        }
+        if effect.name in native:
+            return Support("native", native[effect.name])
+        if effect.name in composed:
+            return Support("composed", composed[effect.name])
+        if effect.name in WITHOUT_PART:
+            return Support("not_representable", WITHOUT_PART[effect.name])
+        return Support("plugin", f"`{MODULE}`")
+
+    def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        root = sdf_of(urdf_tree(urdf_of(plant)), plant.machine.name)
+        check_sdf(root)
+        indent(root)
+        (folder / FILE).write_text(tostring(root, encoding="unicode", xml_declaration=True), "utf-8")
+        return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
+
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+        return None
+
+
+def sdf_of(urdf: Element, name: str) -> Element:
+    """The SDFormat model of a URDF."""
+    root = Element("sdf", {"version": VERSION})
+    model = SubElement(root, "model", {"name": name})
+    parents = {str(part.get("link")): joint for joint in urdf.findall("joint") for part in joint.findall("child")}
+    for link in urdf.findall("link"):
+        _link(model, link, parents.get(str(link.get("name"))))
+    for joint in urdf.findall("joint"):
+        _joint(model, joint)
+    first = next(str(link.get("name")) for link in urdf.findall("link") if str(link.get("name")) not in parents)
+    fixed = SubElement(model, "joint", {"name": "world_joint", "type": "fixed"})
+    _text(fixed, "parent", "world")
+    _text(fixed, "child", first)
+    return root
+
+
+def check_sdf(root: Element) -> None:
+    """Check the elements of a model against SDFormat: each is known, in a parent that may have it, and numbers are finite.
+
+    Raises:
+        SettingsError: where not.
+    """
+    for parent in root.iter():
+        for child in parent:
+            if child.tag not in CHILDREN.get(parent.tag, ()):
+                raise SettingsError(
+                    "sdf", f"<{child.tag}> in <{parent.tag}>", f"one of {', '.join(CHILDREN.get(parent.tag, ()))}"
+                )
+        if not len(parent) and parent.tag not in ("parent", "child", "reference", "model"):
+            words = (parent.text or "").split()
+            if parent.tag != "pose" or words:
+                _finite(parent.tag, words)
+
+
+def _finite(tag: str, words: list[str]) -> None:
+    expected = {"pose": 6, "xyz": 3}.get(tag, 1)
+    if len(words) != expected or not np.isfinite([float(word) for word in words]).all():
+        raise SettingsError("sdf", f"<{tag}> {' '.join(words)}", f"{expected} finite numbers")
+
+
+def _link(model: Element, link: Element, joint: Element | None) -> None:
+    found = SubElement(model, "link", {"name": str(link.get("name"))})
+    if joint is not None:
+        SubElement(found, "pose", {"relative_to": str(joint.get("name"))})
+    inertial = SubElement(found, "inertial")
+    mass, moments, origin = (link.find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
+    if mass is not None and origin is not None:
+        _text(inertial, "pose", _pose(origin))
+    _text(inertial, "mass", SMALL_MASS if mass is None else str(mass.get("value")))
+    inertia = SubElement(inertial, "inertia")
+    for key in _MOMENTS:
+        diagonal = SMALL_INERTIA if key in ("ixx", "iyy", "izz") else "0"
+        _text(inertia, key, diagonal if moments is None or mass is None else str(moments.get(key, "0")))
+
+
+def _joint(model: Element, joint: Element) -> None:
+    kind = str(joint.get("type"))
+    found = SubElement(model, "joint", {"name": str(joint.get("name")), "type": "revolute" if kind == "continuous" else kind})
+    parent, child = (str(part.get("link")) for role in ("parent", "child") for part in joint.findall(role))
+    origin = joint.find("origin")
+    SubElement(found, "pose", {"relative_to": parent}).text = _pose(origin)
+    _text(found, "parent", parent)
+    _text(found, "child", child)
+    if kind == "fixed":
+        return
+    axis, described = SubElement(found, "axis"), joint.find("axis")
+    _text(axis, "xyz", "1 0 0" if described is None else str(described.get("xyz", "1 0 0")))
+    limit = joint.find("limit")
+    if limit is not None and kind != "continuous":
+        ends = SubElement(axis, "limit")
+        for key in ("lower", "upper", "velocity"):
+            if key != "velocity" or float(limit.get(key, "0")):  # a URDF without a rated speed has zero
+                _text(ends, key, str(limit.get(key, "0")))
+    dynamics = joint.find("dynamics")
+    if dynamics is not None:
+        part = SubElement(axis, "dynamics")
+        for key in ("damping", "friction"):
+            _text(part, key, str(dynamics.get(key, "0")))
+    mimic = joint.find("mimic")
+    if mimic is not None:
+        part = SubElement(axis, "mimic", {"joint": str(mimic.get("joint"))})
+        for key, default in (("multiplier", "1"), ("offset", "0")):
+            _text(part, key, str(mimic.get(key, default)))
+        _text(part, "reference", "0")
+
+
+def _pose(origin: Element | None) -> str:
+    """Translation [m] and fixed-axis angles [rad] of an origin, as a pose."""
+    if origin is None:
+        return "0 0 0 0 0 0"
+    return f"{origin.get('xyz', '0 0 0')} {origin.get('rpy', '0 0 0')}"
+
+
+def _text(parent: Element, tag: str, text: str) -> None:
+    SubElement(parent, tag).text = text
