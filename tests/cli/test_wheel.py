@@ -16,10 +16,19 @@ VERSIONS = ("3.11", "3.12", "3.13")
 
 
 def interpreter(version: str) -> str:
-    """A Python of this version: on the PATH, or one that pyenv has installed."""
-    found = shutil.which(f"python{version}") if version != f"{sys.version_info[0]}.{sys.version_info[1]}" else sys.executable
+    """A Python of this version that runs: this one, one on the PATH, or one that pyenv has installed; empty without any.
+
+    A shim of pyenv is on the PATH for versions that it refuses to run.
+    """
     managed = sorted(Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob(f"versions/{version}.*/bin/python"))
-    return found or (str(managed[-1]) if managed else "")
+    found = (sys.executable, shutil.which(f"python{version}"), *map(str, managed))
+    return next((python for python in found if python is not None and runs(python, version)), "")
+
+
+def runs(python: str, version: str) -> bool:
+    text = "import sys; print('%d.%d' % sys.version_info[:2])"
+    done = subprocess.run([python, "-c", text], capture_output=True, text=True, check=False)
+    return done.returncode == 0 and done.stdout.strip() == version
 
 
 def command(*words: object, folder: Path) -> str:

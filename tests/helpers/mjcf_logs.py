@@ -89,11 +89,6 @@ def run_model(
     return {f"{axis.name}.joint": rows[:, i] for i, axis in enumerate(machine.axes)}
 
 
-def late(values: Array, rows: int) -> Array:
-    """``values`` some rows later; the first value before that."""
-    return np.concatenate([np.full(rows, values[0]), values[: len(values) - rows]])
-
-
 def dataset_of_runs(machine: Machine, tables: Sequence[pd.DataFrame]) -> Dataset:
     """A dataset with a role for each table."""
     found = [Recording(f"run-{k + 1}", table, machine.rate_hz) for k, table in enumerate(tables)]

@@ -21,7 +21,7 @@ from sysid.effects import CATALOGUE
 from sysid.errors import SettingsError
 from sysid.gap.adapters.input_output_effects import apply_input_effects, apply_output_effects
 from sysid.gap.adapters.linkage_and_sway import identify_linkages, identify_sway
-from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, command_signals
+from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, SteppedSimulator, command_signals
 from sysid.gap.adapters.surrogate import Surrogate, fit_surrogate
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
@@ -50,6 +50,7 @@ class SimulatorAdapter:
     _model: Model = field(repr=False)
     _surrogates: dict[str, Surrogate] = field(default_factory=dict, repr=False, compare=False)
     _stages: dict[tuple[str, str], Problem] = field(default_factory=dict, repr=False, compare=False)
+    _held: dict[int, tuple[Recording, Recording]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -266,13 +267,31 @@ class SimulatorAdapter:
 
     def _signals(self, thetas: Array, recording: Recording, signals: Sequence[str]) -> Array:
         """Output of the simulator itself, (lanes, n, d); NaN where it returns none."""
-        stretches = self._stretches(recording)
+        factor, fine = self._fine(recording)
+        stretches = factor * self._stretches(recording)
         axes = [split_signal(name)[0] for name in command_signals(recording, self.machine)]
-        inputs = apply_input_effects(self._model, thetas, recording, axes, stretches)
+        inputs = apply_input_effects(self._model, thetas, fine, axes, stretches)
         commands = {axis_signal(axis, "command"): values for axis, values in inputs.items()}
-        missing = np.full(len(recording), np.nan)
-        found = self.runs.of(recording, commands, stretches)
-        return np.array([[lane.get(s, missing) for s in signals] for lane in found]).transpose(0, 2, 1)
+        missing = np.full(len(fine), np.nan)
+        found = self.runs.of(fine, commands, stretches)
+        return np.array([[lane.get(s, missing)[::factor] for s in signals] for lane in found]).transpose(0, 2, 1)
+
+    def _fine(self, recording: Recording) -> tuple[int, Recording]:
+        """The steps of the simulator in a sample, and the recording with each row held over them.
+
+        Input effects act at these steps: a dead time of one and a half samples, held over samples, would not be a dead time.
+        """
+        simulator = self.runs.simulator
+        factor = simulator.steps_in_sample(recording.rate_hz) if isinstance(simulator, SteppedSimulator) else 1
+        if factor == 1:
+            return 1, recording
+        known = self._held.get(id(recording))
+        if known is None or known[0] is not recording:
+            rate = factor * recording.rate_hz
+            table = recording.table.loc[recording.table.index.repeat(factor)].reset_index(drop=True)
+            table = table.assign(time=np.arange(len(table)) / rate)
+            known = self._held[id(recording)] = (recording, replace(recording, table=table, rate_hz=rate))
+        return factor, known[1]
 
     def _stretches(self, recording: Recording) -> Stretches:
         return stretches_of(self._model, recording)

@@ -58,6 +58,17 @@ class BatchSimulator(Simulator, Protocol):
     def simulate_many(self, recording: Recording, commands: Mapping[str, Array]) -> Mapping[str, Array]: ...
 
 
+@runtime_checkable
+class SteppedSimulator(Simulator, Protocol):
+    """A simulator with a time step of its own, which takes commands at it.
+
+    :meth:`steps_in_sample` is the number of its steps in a sample at a rate [Hz]. It is then run on recordings with that many
+    rows a sample, with the commands held, so that input effects act at its steps.
+    """
+
+    def steps_in_sample(self, rate_hz: float) -> int: ...
+
+
 def starting_value(recording: Recording, signal: str, default: float = 0.0) -> float:
     """Median of the measurement in the first 0.2 s [unit of the signal]; ``default`` without one."""
     values = recording.values(signal)[: max(3, round(START_WINDOW * recording.rate_hz))]

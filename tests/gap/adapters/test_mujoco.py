@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
-from mjcf_logs import NOISE, commands_for, dataset_of_runs, late, machine_of, run_model
+from mjcf_logs import NOISE, commands_for, dataset_of_runs, machine_of, run_model
 from robots import robot
 
 from sysid.datasets.recording import Dataset, Recording
@@ -84,14 +84,15 @@ def test_a_passive_tool_hangs_at_the_start() -> None:
 
 
 def hidden_delay() -> Dataset:
-    """A joint whose controller is three rows late."""
-    machine, tables = machine_of("joint"), []
-    model = mujoco.MjModel.from_xml_path(str(robot("joint")))
+    """A joint whose actuator is one and a half samples late."""
+    machine, tables, spec = machine_of("joint"), [], mujoco.MjSpec.from_file(str(robot("joint")))
+    spec.actuators[0].delay, spec.actuators[0].nsample, spec.actuators[0].interp = 0.03, 10, 1
+    model = spec.compile()
     for seed in range(4):
         rng = np.random.default_rng([5, seed])
-        commands = commands_for(machine, seed, 10.0)
+        commands = commands_for(machine, seed, 8.0)
         start = [float(commands["hinge.command"][0])]
-        joints = run_model(model, machine, commands, lambda c: {"hinge": late(c["hinge.command"].to_numpy(), 3)}, start)
+        joints = run_model(model, machine, commands, lambda c: {"hinge": c["hinge.command"].to_numpy()}, start)
         tables.append(commands.assign(**{s: x + rng.normal(0.0, NOISE, len(x)) for s, x in joints.items()}))
     return dataset_of_runs(machine, tables)
 
@@ -101,7 +102,7 @@ def test_a_missing_delay_is_named_and_written_into_the_model(tmp_path: Path) -> 
     adapter = open_mujoco(robot("joint"), dataset)
     result = find_gap(dataset, adapter)
     assert [(e.name, e.target, dict(e.parameters)) for e in result.effects] == [
-        ("input_delay", "hinge", {"delay": pytest.approx(0.06, rel=0.02)})
+        ("input_delay", "hinge", {"delay": pytest.approx(0.03, rel=0.02)})
     ]
     effects = repaired_effects(adapter, result.written)
     repaired = write_repaired(adapter, effects, tmp_path / "joint.xml", dataset, result.gap)

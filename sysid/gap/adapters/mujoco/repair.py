@@ -1,7 +1,8 @@
 """The repaired MJCF: effects in their native places, the others in a file beside it, and its gap after it is loaded again.
 
-The search applies effects at the sample rate of the recordings; inside the model they act at its time step. What has a native
-place is therefore fitted once more in place, from the values found, by least squares on the fit and selection recordings.
+The search applies effects to the commands at the time step of the model; native ones act inside its actuators, where a filter
+and an interpolated delay differ by a part of a step. What has a native place is therefore fitted once more in place, from the
+values found, by least squares on the fit and selection recordings.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A MuJoCo model as a simulator of a machine: commands in, joints, end effector and tool out.
 
-A command is held over its sample, as a controller holds it. The time step of the model is shortened to the largest one that
-divides the sample and is not above the model's own. Joints start at their measured position and at rest, activations and
+A command is held over its sample, as a controller holds it; input effects act on it at the time steps of the model, the largest
+that divide the sample and are not above the model's own. Joints start at their measured position and at rest, activations and
 delayed controls at the first command, and passive joints in their equilibrium.
 """
 
@@ -30,8 +30,8 @@ from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
-#: Rows that one call of the library runs, so that its outputs stay small.
-CHUNK_ROWS = 512
+#: Steps that one call of the library runs, so that its outputs stay small.
+CHUNK_STEPS = 4096
 #: Time in which passive joints come to rest, and the share of their speed that is kept in a step of it.
 SETTLE_S, SETTLE_KEPT = 5.0, 0.98
 #: Inertia of a driven joint while passive ones come to rest: it does not move [kg·m² or kg].
@@ -117,6 +117,10 @@ class MujocoSimulator:
             self._compiled[rate_hz] = compile_for(self.path, self.machine, self._points, rate_hz)
         return self._compiled[rate_hz]
 
+    def steps_in_sample(self, rate_hz: float) -> int:
+        """Time steps of the model in a sample of a recording."""
+        return self.compiled(rate_hz).substeps
+
     def _controls(
         self, compiled: Compiled, recording: Recording, commands: Mapping[str, Array], lanes: int, rows: int
     ) -> Array:
@@ -140,10 +144,11 @@ class MujocoSimulator:
         state = np.stack([self._start(compiled, recording, lane[0]) for lane in controls])
         out = np.empty((lanes, rows, model.nsensordata))
         with Rollout(nthread=threads if threads > 1 else 0) as pool:
-            for first in range(0, rows, CHUNK_ROWS):
-                held = np.repeat(controls[:, first : first + CHUNK_ROWS], steps, axis=1)
+            chunk = max(1, CHUNK_STEPS // steps)
+            for first in range(0, rows, chunk):
+                held = np.repeat(controls[:, first : first + chunk], steps, axis=1)
                 states, sensors = pool.rollout([model] * lanes, datas, state, held)
-                out[:, first : first + CHUNK_ROWS] = sensors[:, ::steps]
+                out[:, first : first + chunk] = sensors[:, ::steps]
                 state = states[:, -1]
         return out
 
