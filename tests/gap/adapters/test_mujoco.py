@@ -140,7 +140,7 @@ class Native:
     attributes: Mapping[str, Any]
 
 
-FILTER = {"dyntype": mujoco.mjtDyn.mjDYN_FILTEREXACT}
+FILTER = {"dyntype": mujoco.mjtDyn.mjDYN_FILTEREXACT, "actearly": True}
 NATIVE = {
     "servo": (
         "servo_arm",

@@ -69,7 +69,8 @@ def _lag(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | Non
         return None
     actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
     actuator.dynprm[0] = _value(item, "time_constant")
-    return f'dyntype="filterexact" dynprm="{actuator.dynprm[0]:.6g}"'
+    actuator.actearly = True  # otherwise the filter acts a step late, which is a dead time beside the lag
+    return f'dyntype="filterexact" dynprm="{actuator.dynprm[0]:.6g}" actearly="true"'
 
 
 def _gain(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | None:
