@@ -74,7 +74,7 @@ REPAIRS = "it may compensate for the formula of a similar effect"
 PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
-FILTERS = "noise of its measured input, or what the clock alignment leaves open, explains a change of its size"
+FILTERS = "noise of its measured input explains a change of its size"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
@@ -303,11 +303,11 @@ def _without_filters(
 
     A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
     value describes the recordings, not the machine. Effects that the recordings do not excite stay: that their size is not
-    certain does not tell a filter from an effect.
+    certain does not tell a filter from an effect. The offset of a clock stays as well: without it, backlash takes its place.
     """
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
-        tested = [c for c in model.candidates if c.label in nameable and c.key in rope]
+        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.target != "stream"]
         small = [c for c in tested if _reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
