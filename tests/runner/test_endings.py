@@ -229,9 +229,9 @@ def test_a_line_that_cannot_be_read_still_gets_the_fail_safe_bits(monkeypatch: p
     sent: list[tuple[float, bool]] = []
     write = FaultyTransport.write
 
-    def written(self: FaultyTransport, commands: Array, enabled: bool) -> None:
+    def written(self: FaultyTransport, commands: Array, enabled: bool) -> Array:
         sent.append((self.now_ns() / 1e9, enabled))
-        write(self, commands, enabled)
+        return write(self, commands, enabled)
 
     monkeypatch.setattr(FaultyTransport, "write", written)
     made = run(Sweep(), Injection(f.ReadFails(), AT))
@@ -263,9 +263,9 @@ def held_up(seconds: float) -> tuple[Case, HeldUp, list[tuple[float, Array]]]:
     mode.machine = made.machine
     write = made.machine.write
 
-    def written(commands: Array, enabled: bool) -> None:
+    def written(commands: Array, enabled: bool) -> Array:
         sent.append((made.machine.now_ns() / 1e9, commands * enabled))
-        write(commands, enabled)
+        return write(commands, enabled)
 
     made.machine.write = written  # type: ignore[method-assign]
     made.loop.warm_up(MIDDLE)
