@@ -70,13 +70,14 @@ def gap(
         from sysid.fleet import fleet_gap
         from sysid.fleet.page import fleet_page
         from sysid.fleet.tables import tables
+        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
         executor = open_executor(cluster, workers)
         result = fleet_gap(location, references, plant, executor, false_alarms_per_1000_hours=false_alarms, progress=progress)
     workspace = open_workspace(location)
-    machine = workspace.dataset(result.machines[0].dataset).machine
+    _, machine = described(workspace, result.machines[0].dataset)
     out.line(f"{len(result.machines)} machines: {', '.join(item.dataset for item in result.machines)}")
     for table in tables(result, machine):
         if table.rows:

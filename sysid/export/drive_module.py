@@ -39,8 +39,8 @@ PARTS: Mapping[str, Any] = {
 #: Frame of the model, in the order in which its classes refer to each other.
 _FRAME = (
     joint_parts.Linkage, joint_parts.Backlash, joint_parts.Kinematics, joint_parts.turned, joint_parts.SensorReading,
-    joint_parts.GripperSway, model.State, model.Drive, model.VelocityDrive, model.PositionDrive, model.ForceDrive, model.Axis,
-    model.DriveModel, assembly.assemble, assembly._axis, assembly._drive,
+    joint_parts.GripperSway, model.State, model.Drive, model.ChainDrive, model.VelocityDrive, model.PositionDrive,
+    model.ForceDrive, model.Axis, model.DriveModel, assembly.assemble, assembly._axis, assembly._drive,
 )  # fmt: skip
 
 _HEAD = '''"""Drive model of {machine} ({plant}): commands → drives, joints, end effector and tool. Needs NumPy alone.

@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.errors import SettingsError
-from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
+from sysid.export.support import support_of
 from sysid.export.target import Simulation, Start, Support
 from sysid.export.urdf_text import END_EFFECTOR, joint_values
 from sysid.export.usd_actuators import actuator_path, is_native, write_drive
@@ -58,13 +59,7 @@ class NewtonTarget:
     )
 
     def support(self, effect: Effect) -> Support:
-        if effect.name in NATIVE:
-            return Support("native", NATIVE[effect.name])
-        if effect.name in COMPOSED:
-            return Support("composed", COMPOSED[effect.name])
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
-        return Support("plugin", f"`{MODULE}`, whose joint the drive follows")
+        return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`, whose joint the drive follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         if moves_masses(plant.machine):

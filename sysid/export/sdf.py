@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.errors import SettingsError
-from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
 from sysid.export.shipped_run import write_drive_model
+from sysid.export.support import support_of
 from sysid.export.target import Simulation, Support
 from sysid.export.urdf_text import END_EFFECTOR, WORLD, urdf_of
 from sysid.machine.urdf_tree import urdf_tree
@@ -61,13 +61,7 @@ class SdfTarget:
             "tip_offset": f"link `{END_EFFECTOR}` on that of the tip",
             "base_misalignment": f"joint between the links `{WORLD}` and the root",
         }
-        if effect.name in native:
-            return Support("native", native[effect.name])
-        if effect.name in composed:
-            return Support("composed", composed[effect.name])
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
-        return Support("plugin", f"`{MODULE}`")
+        return support_of(effect, native, composed, f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         root = sdf_of(urdf_tree(urdf_of(plant)), plant.machine.name)

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
+from sysid.export.support import support_of
 from sysid.export.target import Simulation, Start, Support
 from sysid.export.urdf_text import END_EFFECTOR, joint_values, urdf_of
 from sysid.machine.urdf_tree import urdf_tree
@@ -44,13 +44,7 @@ class UrdfTarget:
     )
 
     def support(self, effect: Effect) -> Support:
-        if effect.name in NATIVE:
-            return Support("native", NATIVE[effect.name])
-        if effect.name in COMPOSED:
-            return Support("composed", COMPOSED[effect.name])
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
-        return Support("plugin", f"`{MODULE}`")
+        return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         (folder / FILE).write_text(urdf_of(plant), "utf-8")

@@ -13,7 +13,7 @@ from sysid.fleet.differences import differences
 from sysid.fleet.drift import drifts, since_last_change
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
 from sysid.fleet.result import FleetMachine, FleetResult
-from sysid.machine import Machine
+from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, part, silent
 from sysid.workspace import Workspace, open_workspace
 
@@ -104,20 +104,26 @@ def _machines(place: Workspace, references: Sequence[str]) -> list[str]:
     """
     if not references:
         raise SettingsError("fleet", "no machine", "the dataset of at least one")
-    exact: list[str] = []
-    first: Machine | None = None
+    exact: dict[str, Machine] = {}
     for reference in references:
-        manifest = place.datasets.load(reference)
-        if manifest.name in {other.partition("@")[0] for other in exact}:
-            raise SettingsError("fleet", f"{manifest.name} twice", "one dataset for each machine")
-        if first is not None and _type_of(manifest.machine) != _type_of(first):
+        dataset, machine = described(place, reference)
+        if dataset.partition("@")[0] in {other.partition("@")[0] for other in exact}:
+            raise SettingsError("fleet", f"{dataset.partition('@')[0]} twice", "one dataset for each machine")
+        exact[dataset] = machine
+        first, kind = next(iter(exact.items()))
+        if _type_of(machine) != _type_of(kind):
             raise SettingsError(
-                f"fleet: {manifest.reference}", f"axes {_words(manifest.machine)}", f"those of {exact[0]}: {_words(first)}",
+                f"fleet: {dataset}", f"axes {_words(machine)}", f"those of {first}: {_words(kind)}",
                 "Compare machines of one type.",
             )  # fmt: skip
-        first = first or manifest.machine
-        exact.append(manifest.reference)
-    return exact
+    return list(exact)
+
+
+def described(place: Workspace, reference: str) -> tuple[str, Machine]:
+    """The exact dataset version and its machine, from the manifest: no table is read."""
+    manifest = place.datasets.manifest(reference)
+    exact = f"{manifest['name']}@{manifest['version']}"
+    return exact, machine_from_files(manifest["machine"], f"dataset {exact}")
 
 
 def _type_of(machine: Machine) -> tuple[tuple[str, str, str], ...]:

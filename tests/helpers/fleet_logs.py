@@ -5,23 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import lift_logs
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets import ingest
 
-MACHINE = """
-schema = 1
-name = "lift"
-rate_hz = 50.0
-[[axes]]
-name = "boom"
-actuation = "velocity"
-drives = "joint"
-gain = 0.3
-limits = [-3.0, 3.0]
-"""
+MACHINE = lift_logs.MACHINE.replace("[-1.0, 1.0]", "[-3.0, 3.0]")
 RATE, SECONDS = 50.0, 40.0
 
 Array = npt.NDArray[np.float64]

@@ -59,15 +59,12 @@ class Drive:
         self.position = min(max(self.position + self.dt * demand, self.low), self.high)
 
 
-class VelocityDrive(Drive):
-    """The command is an opening, the demand a mean speed. ``sense``: −1 where the joint falls as the drive extends.
+class ChainDrive(Drive):
+    """The command passes through ``parts``; ``values``: their outputs in the last step, ``sense``: sign of the load."""
 
-    ``values``: outputs of the parts in the last step.
-    """
-
-    def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part], gain: float, sense: float) -> None:
+    def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part], sense: float = 1.0) -> None:
         super().__init__(dt, low, high)
-        self.parts, self.gain, self.sense = parts, gain, sense
+        self.parts, self.sense = parts, sense
         self.values: list[float] = []
 
     def begin(self, position: float, speed: float) -> None:
@@ -89,31 +86,16 @@ class VelocityDrive(Drive):
         return command
 
 
-class PositionDrive(Drive):
-    """Command and demand are positions. ``values``: outputs of the parts in the last step."""
+class VelocityDrive(ChainDrive):
+    """The command is an opening, the demand a mean speed. ``sense``: −1 where the joint falls as the drive extends."""
 
-    def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part]) -> None:
-        super().__init__(dt, low, high)
-        self.parts = parts
-        self.values: list[float] = []
+    def __init__(self, dt: float, low: float | None, high: float | None, parts: list[Part], gain: float, sense: float) -> None:
+        super().__init__(dt, low, high, parts, sense)
+        self.gain = gain
 
-    def begin(self, position: float, speed: float) -> None:
-        super().begin(position, speed)
-        for part in self.parts:
-            part.reset()
 
-    def hold(self, command: float, load: float) -> None:
-        self.values = []
-        for part in self.parts:
-            command = part.hold(command, load)
-            self.values.append(command)
-
-    def demand(self, command: float, load: float) -> float:
-        self.values = []
-        for part in self.parts:
-            command = part.step(command, load)
-            self.values.append(command)
-        return command
+class PositionDrive(ChainDrive):
+    """Command and demand are positions."""
 
     def move(self, demand: float) -> None:
         self.position = min(max(demand, self.low), self.high)
