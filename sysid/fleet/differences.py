@@ -77,7 +77,7 @@ def differences(histories: Sequence[ParameterHistory]) -> tuple[Difference, ...]
         groups.setdefault((history.effect, history.parameter), []).append(history)
     values = {key: [machine_value(h) for h in group if len(h.values) >= LEAST_RECORDINGS] for key, group in groups.items()}
     raw = {key: p_equal(machines) for key, machines in values.items() if len(machines) > 1}
-    adjusted = dict(zip(raw, multipletests(list(raw.values()), LEVEL, "holm")[1], strict=True)) if raw else {}
+    adjusted = dict(zip(raw, multipletests(list(raw.values()), LEVEL, "holm")[1].tolist(), strict=True)) if raw else {}
     return tuple(_difference(key, group[0], values[key], adjusted.get(key)) for key, group in groups.items())
 
 
