@@ -45,10 +45,10 @@ SEEDS = (0, 1, 2, 3, 4)
 def main(seeds: tuple[int, ...], work: Path, publish: bool, excitation: bool = False) -> Path:
     """Run the loop on the machine of every seed and write the result."""
     folder = work / "excitation" if excitation else work
-    machines = [run_machine(seed, folder / f"machine-{seed}", excitation) for seed in seeds]
     flag = " --excitation" if excitation else ""
-    command = f"{PIPELINE} --seeds {' '.join(map(str, seeds))}{flag}"
-    result = {**provenance(command, seeds[0]), "seeds": list(seeds), "machines": machines}
+    head = provenance(f"{PIPELINE} --seeds {' '.join(map(str, seeds))}{flag}", seeds[0])
+    machines = [run_machine(seed, folder / f"machine-{seed}", excitation) for seed in seeds]
+    result = {**head, "seeds": list(seeds), "machines": machines}
     report = (REPORTS if publish else folder) / ("excitation.json" if publish and excitation else "result.json")
     write_result(report, result)
     text = rounds_table(machines) if excitation else tables(result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,10 +16,13 @@ from sysid.release import __version__
 
 #: Packages that every figure depends on.
 PACKAGES = ("numpy", "scipy", "numba")
+#: Mark of a commit whose files were changed.
+CHANGED = "-dirty"
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def provenance(command: str, seed: int | None, packages: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Head of every committed result: command, seed, versions, computer and date.
+    """Head of every committed result: command, seed, commit, versions, computer and date.
 
     Args:
         packages: further packages that the figures depend on.
@@ -27,10 +31,20 @@ def provenance(command: str, seed: int | None, packages: tuple[str, ...] = ()) -
         "schema": 1,
         "command": command,
         "seed": seed,
+        "commit": commit_of(ROOT),
         "versions": {"sysid": __version__, **versions_of((*PACKAGES, *packages))},
         "machine": processor(),
         "date": datetime.now(UTC).date().isoformat(),
     }
+
+
+def commit_of(root: Path) -> str | None:
+    """The commit of the working tree at ``root``, with :data:`CHANGED` where tracked files differ; None outside of git."""
+    command = ["git", "-C", str(root), "describe", "--always", "--abbrev=12", f"--dirty={CHANGED}", "--exclude", "*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def processor() -> str:

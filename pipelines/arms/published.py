@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from arms.generate import ROWS
+from committed import CHANGED
 
 #: Seeds that are published, in the order in which a row takes them, and how many of them a row has at least.
 PUBLISHED, LEAST = range(120, 140), 10
 #: What a row keeps of the provenance of its run.
 KEPT = ("command", "versions", "machine", "date")
-#: Mark of a commit whose files were changed.
-CHANGED = "-dirty"
-
-
-def commit_of(root: Path) -> str | None:
-    """The commit of the working tree at ``root``, with :data:`CHANGED` where tracked files differ; None outside of git."""
-    command = ["git", "-C", str(root), "describe", "--always", "--abbrev=12", f"--dirty={CHANGED}", "--exclude", "*"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def result_of(

@@ -19,7 +19,7 @@ from typing import Any
 
 from arms.case import write_case
 from arms.generate import ROWS, cases_of
-from arms.published import commit_of
+from committed import commit_of
 
 #: Longest wall time of an answer [s].
 ANSWERING = 1800.0

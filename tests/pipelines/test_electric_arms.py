@@ -328,7 +328,7 @@ def test_an_answer_states_the_commit_of_its_code(arms: dict[str, ModuleType], tm
     def git(*words: str) -> None:
         subprocess.run(["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b", *words], check=True)
 
-    commit_of = arms["published"].commit_of
+    commit_of = importlib.import_module("committed").commit_of
     assert commit_of(tmp_path) is None
     git("init", "--quiet")
     (tmp_path / "code.py").write_text("one\n", "utf-8")
