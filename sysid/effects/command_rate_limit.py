@@ -25,7 +25,7 @@ EFFECT = Effect(
     target="axis",
     slots=(Slot("rate", ABSENT),),
     forms=(
-        Form((Parameter("rate", "command/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0), 0.02, "largest change of the command"),)),
+        Form((Parameter("rate", "command/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0, 40.0, 160.0), 0.02, "largest change of the command"),)),
     ),
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",

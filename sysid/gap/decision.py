@@ -215,10 +215,10 @@ def decide(
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
-    likely = _likely([f for f in survivors if integrates or not _outdone(f, survivors)], unsure, own_evidence, rope)
+    likely = _likely([f for f in survivors if integrates or not outdone(f, survivors)], unsure, own_evidence, rope)
     if not integrates and not independent:
         likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
-    exact = _exact(likely[0], models, needed, free)
+    exact = _exact(likely[0], models, needed, free, integrates)
     accumulates = integrates and not exact
     servo = fewest is not None and not exact and not integrates
     if not accumulates:
@@ -252,7 +252,10 @@ def decide(
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
     certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
-    worth = exact or integrates or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
+    if accumulates:
+        worth = pays(nothing, free.left(acceptable[0]), len(acceptable[0].candidates))
+    else:
+        worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -356,14 +359,17 @@ def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
     return min(within, key=lambda f: (len(f.unknowns), -f.evidence), default=model)
 
 
-def _outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
-    """Whether a survivor has further effects that are worth their price, which the discrepancy must not replace.
+def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
+    """Whether a survivor has effects that are worth their price, which the discrepancy must not replace.
 
-    A set that reaches the noise floor is worth any price.
+    Further effects, or others in their place: these have to be worth the price of one. A set with further effects that reaches
+    the noise floor is worth any price.
     """
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
     explained = model.left <= EXPLAINED
-    return not explained and any(n > 0 and (f.left <= EXPLAINED or _divided(model.left, f.left, n)) for f, n in more)
+    return not explained and any(
+        (n > 0 and f.left <= EXPLAINED) or _divided(model.left, f.left, max(n, 1)) for f, n in more
+    )
 
 
 def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
@@ -376,12 +382,18 @@ def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[Key, float])
     return not instead or any(not _within_rope(c, other, rope) and not _at_bound(c, other) for c in instead)
 
 
-def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun) -> bool:
-    """Whether formulas are right up to a random disturbance: no discrepancy is needed, no set as small leaves a tenth less."""
+def _exact(
+    model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun, integrates: bool
+) -> bool:
+    """Whether formulas are right up to a random disturbance: no discrepancy is needed, no set as small certainly leaves less.
+
+    Less by a tenth; where a disturbance accumulates, which another set may replace by chance, also by two standard errors.
+    """
     if needed(model) >= LEAST:
         return False
     as_small = [f for f in models if len(f.candidates) <= len(model.candidates)]
-    return all(model.left <= EXPLAINED * max(free.left(f), 1.0) for f in as_small)
+    less = [f for f in as_small if model.left > EXPLAINED * max(free.left(f), 1.0)]
+    return not less or (integrates and all(free.further(model, f) <= STANDARD_ERRORS for f in less))
 
 
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
@@ -425,7 +437,7 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
 def pays_beside(before: float, after: float, alike: float) -> bool:
     """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
 
-    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
+    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors, infinite if unknown.
     """
     return pays(before, max(after, alike)) or pays(before, after, 2)
 
@@ -436,13 +448,15 @@ def divides(before: float, after: float) -> bool:
 
 
 def typical_errors(errors: Sequence[float]) -> list[float]:
-    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
+    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; infinite without one.
+
+    Without another such drive nothing tells by how much its formulas are wrong.
 
     Args:
         errors: shares of the distance moved; 0 for a drive whose formulas are right.
     """
     others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
-    return [statistics.median_low(some) if some else 0.0 for some in others]
+    return [statistics.median_low(some) if some else np.inf for some in others]
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import EXPLAINED, Decision, Key, decide, smallest_sets
+from sysid.gap.decision import EXPLAINED, Decision, Key, decide, outdone, smallest_sets
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
@@ -101,7 +101,10 @@ def fit_stage(
     taus = (FREE_RUN_TAU,) if problem.integrates else FIRST_TAUS
     known = dict(free.proposals.fits)
     found = [_converged(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
-    likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
+    # A large discrepancy would replace effects that explain the output, whatever its evidence.
+    models = [rich for _, rich in found]
+    kept = [each for each in found if problem.integrates or not outdone(each[1], models)]
+    likelihood, rich = max(kept, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
     proposals = Proposals(likelihood, candidates, on_fit, known)

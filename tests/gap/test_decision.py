@@ -527,5 +527,5 @@ def test_an_effect_within_the_error_of_similar_drives_needs_twice_the_price(
 
 def test_the_typical_error_is_that_of_the_other_drives_with_wrong_formulas() -> None:
     assert typical_errors([0.001, 0.002, 0.0, 0.03]) == [0.002, 0.001, 0.002, 0.001]
-    assert typical_errors([0.001, 0.0]) == [0.0, 0.001]
-    assert typical_errors([0.001]) == [0.0]
+    assert typical_errors([0.001, 0.0]) == [np.inf, 0.001]
+    assert typical_errors([0.001]) == [np.inf]

@@ -31,6 +31,8 @@ NOISE_UNCERTAINTY = 0.15
 #: Minimum half-width: the first share of the value (accuracy of the plant), plus the second share of the negligible change
 #: (sampling); the latter at most the third share of a value whose range excludes zero.
 OF_VALUE, OF_NEGLIGIBLE, OF_NONZERO = 2e-4, 0.1, 0.05
+#: The minimum half-width ends at this share of the distance to the value of the plant under test, if that is rejected.
+SHORT_OF = 1.0 - 1e-6
 #: 97.5 % quantile of the normal distribution.
 Z = float(stats.norm.ppf(0.975))
 
@@ -69,6 +71,9 @@ def known_of(data: Data, theta: Array, fit: Fit, noise: Mapping[str, float], see
         fit = replace(fit, values=values, theta=place(theta, fit.unknowns, values[None])[0])
     reach = np.hypot(reach, Z * shared_offsets(criterion, curvature, values, noise)[:, None])
     least = np.array([least_half_width(c, u, v) for (c, u), v in zip(_owners(fit), values, strict=True)])
+    away = np.abs(values - np.array([u.nominal for u in fit.unknowns]))
+    # The accuracy of the plant limits a value of the machine, not that the plant's own value is rejected.
+    least = np.where(np.max(reach, axis=1) < away, np.minimum(least, SHORT_OF * away), least)
     ends = values[:, None] + np.maximum(reach, least[:, None]) * [-1.0, 1.0]
     return Known(fit, np.clip(ends, criterion.low[:, None], criterion.high[:, None]))
 
