@@ -11,6 +11,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 #: Faster than any log can show: the effect is absent.
 ABSENT = 1e4
+_STARTS = (0.5, 1.5, 4.0, 10.0, 40.0, 160.0)
 #: A shorter lag, in steps, has settled at the end of a step.
 SHORT = 0.03
 
@@ -24,9 +25,7 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("rate", ABSENT),),
-    forms=(
-        Form((Parameter("rate", "command/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0, 40.0, 160.0), 0.02, "largest change of the command"),)),
-    ),
+    forms=(Form((Parameter("rate", "command/s", (0.05, ABSENT), _STARTS, 0.02, "largest change of the command"),)),),
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",

@@ -9,16 +9,17 @@ Given models of one stage (sets of effects) under shared variances:
    discrepancy replaces that effect, and so does one that needs more parameters; there the evidence decides, the discrepancy of
    each estimated beside it alone.
 3. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
-   survivor, and no set with as few effects leaves a tenth less of the free run): the minimal survivors are acceptable, those of
-   which no simpler one survives, without those whose other effects may all be absent or lie at the bounds of their range.
+   survivor, and no set with as few effects leaves a tenth less of the free run, where the disturbance accumulates by
+   ``STANDARD_ERRORS`` too): the minimal survivors are acceptable, those of which no simpler one survives, without those whose
+   other effects may all be absent or lie at the bounds of their range.
 4. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
    acceptable. The price of each effect is that the variance above the noise floor falls to a fifth (it moves the output by
    ``STANDARD_ERRORS`` times what remains). Of equally large sets within this price, those are acceptable that leave no more
    than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is likelier by more than twice
-   ``BLOCK_NATS`` at their values of least error. The plant gets these values, unless a survivor with further effects leaves
-   less.
+   ``BLOCK_NATS`` at their values of least error. The set that is chosen has to be worth its own price for a name. The plant
+   gets its values, unless a survivor with further effects leaves less.
    *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
-   effects, without those that lack effects worth their price because the discrepancy replaces them. An effect is not certain if
+   effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
@@ -367,9 +368,7 @@ def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
     """
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
     explained = model.left <= EXPLAINED
-    return not explained and any(
-        (n > 0 and f.left <= EXPLAINED) or _divided(model.left, f.left, max(n, 1)) for f, n in more
-    )
+    return not explained and any((n > 0 and f.left <= EXPLAINED) or _divided(model.left, f.left, max(n, 1)) for f, n in more)
 
 
 def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
@@ -437,7 +436,7 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
 def pays_beside(before: float, after: float, alike: float) -> bool:
     """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
 
-    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors, infinite if unknown.
+    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
     """
     return pays(before, max(after, alike)) or pays(before, after, 2)
 
@@ -448,15 +447,13 @@ def divides(before: float, after: float) -> bool:
 
 
 def typical_errors(errors: Sequence[float]) -> list[float]:
-    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; infinite without one.
-
-    Without another such drive nothing tells by how much its formulas are wrong.
+    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
 
     Args:
         errors: shares of the distance moved; 0 for a drive whose formulas are right.
     """
     others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
-    return [statistics.median_low(some) if some else np.inf for some in others]
+    return [statistics.median_low(some) if some else 0.0 for some in others]
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:

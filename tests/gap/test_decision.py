@@ -333,12 +333,25 @@ def right(model: ModelFit) -> float:
     return 0.0
 
 
+class Certainly(FreeRun):
+    """By how many standard errors any set leaves more than another."""
+
+    def __init__(self, standard_errors: float) -> None:
+        self.standard_errors = standard_errors
+
+    def further(self, model: ModelFit, other: ModelFit) -> float:
+        return self.standard_errors
+
+
 def test_where_formulas_are_right_the_likelihood_decides() -> None:
     """A disturbance leaves 8 floors whatever is named; 60 nats are for one effect."""
     models = [model(worse=4.0, left=9.0), model(DELAY, left=8.0), model(LAG, worse=3.0, left=8.0)]
     assert decide(models, ALL, needed=right).named == (DELAY,)
     assert decide(models, ALL).named == (), "9 floors are not divided by the price"
-    assert decide([*models, model(GAIN, worse=4.0, left=7.0)], ALL, needed=right).named == (), "another leaves a tenth less"
+    less = [*models, model(GAIN, worse=4.0, left=7.0)]
+    assert decide(less, ALL, needed=right, free=Certainly(2.1)).named == (), "another certainly leaves a tenth less"
+    assert decide(less, ALL, needed=right, free=Certainly(1.9)).named == (DELAY,), "it replaces the disturbance by chance"
+    assert decide(less, ALL, needed=right, free=Certainly(1.9), integrates=False).named == ()
 
 
 def test_the_discrepancy_is_learned_beside_each_alone() -> None:
@@ -398,6 +411,20 @@ def test_the_discrepancy_does_not_do_the_work_of_an_effect_that_is_worth_its_pri
     alone = model(LAG, worse=4.0, left=80.0)
     models = [model(worse=4.0, left=90.0), model(BAND, left=left), alone, model(BAND, LAG, left=10.3)]
     assert set(decide(models, ALL, integrates=False).named) == named
+
+
+@pytest.mark.parametrize(("left", "named"), [(22.0, set()), (24.0, {LAG})])
+def test_nor_that_of_another_effect_in_its_place(left: float, named: set[Candidate]) -> None:
+    """The likelier dead-band leaves 22 or 24 noise floors to the discrepancy, the lag ten: they tie within the price of one."""
+    models = [model(worse=4.0, left=90.0), model(BAND, left=left, evidence=9.0), model(LAG, left=10.3, evidence=0.0)]
+    assert set(decide(models, ALL, integrates=False).named) == named
+
+
+@pytest.mark.parametrize(("without", "named"), [(22.0, ()), (23.1, (LAG,))])
+def test_the_set_that_is_preferred_is_worth_its_price_as_well(without: float, named: tuple[Candidate, ...]) -> None:
+    """A dead time is worth it, and the lag is far likelier with ten floors left: 23² is five times 10²."""
+    models = [model(worse=9.0, left=without), model(DELAY, left=6.0, evidence=0.0), model(LAG, left=10.3, evidence=90.0)]
+    assert decide(models, ALL).named == named
 
 
 @pytest.mark.parametrize(
@@ -527,5 +554,5 @@ def test_an_effect_within_the_error_of_similar_drives_needs_twice_the_price(
 
 def test_the_typical_error_is_that_of_the_other_drives_with_wrong_formulas() -> None:
     assert typical_errors([0.001, 0.002, 0.0, 0.03]) == [0.002, 0.001, 0.002, 0.001]
-    assert typical_errors([0.001, 0.0]) == [np.inf, 0.001]
-    assert typical_errors([0.001]) == [np.inf]
+    assert typical_errors([0.001, 0.0]) == [0.0, 0.001]
+    assert typical_errors([0.001]) == [0.0]

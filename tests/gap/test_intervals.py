@@ -127,6 +127,12 @@ def test_a_share_of_the_speed_is_as_accurate_as_clocks(seed: int) -> None:
     assert high - low > 1e-4
 
 
+def test_a_dead_time_of_a_fraction_of_a_sample_is_told_from_none() -> None:
+    """0.4 ms on a quiet machine: the accuracy of the plant does not widen the interval to the rejected value."""
+    low, high = known(KnownEffect("input_delay", "slew", {"delay": 4e-4}), 0, noise=0.5, start=1.0).limits[0]
+    assert 0.0 < low <= 4e-4 <= high
+
+
 def test_no_unknowns_no_intervals() -> None:
     nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0)
     data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))
