@@ -18,8 +18,6 @@ from sysid.export.standalone.force_parts import RigidDrive
 from sysid.export.standalone.joint_parts import Backlash, GripperSway, Kinematics, Linkage, SensorReading
 
 Array = npt.NDArray[np.float64]
-#: Steps in which a machine at rest settles under the load of its deflected posture.
-SETTLING = 20
 
 
 @dataclass(frozen=True)
@@ -158,6 +156,9 @@ class DriveModel:
         sensors: signal → its reading; other signals are ideal.
     """
 
+    #: Steps in which a machine at rest settles under the load of its deflected posture.
+    SETTLING = 20
+
     def __init__(
         self, dt: float, names: list[str], signals: list[str], axes: list[Axis], pump_limit: float,
         kinematics: Kinematics | None, sway: GripperSway | None, sensors: dict[str, SensorReading],
@@ -189,7 +190,7 @@ class DriveModel:
             self.sway.reset()
         self.load = zeros if load is None else np.array(load, dtype=np.float64)
         soft = any(axis.drive_compliance or axis.structure_compliance for axis in self.axes)
-        for _ in range(SETTLING if soft and load is None else 1):  # until the machine rests under the load of its posture
+        for _ in range(self.SETTLING if soft and load is None else 1):  # until the machine rests under the load of its posture
             self._place(load)
             for axis in self.axes:
                 axis.structure_backlash.reset(math.nan)
@@ -240,6 +241,6 @@ class DriveModel:
             return joints
         structure, load = np.array([axis.structure_compliance for axis in self.axes]), np.zeros(len(joints))
         offset = np.array([axis.offset for axis in self.axes])
-        for _ in range(SETTLING if structure.any() else 1):
+        for _ in range(self.SETTLING if structure.any() else 1):
             load = self.kinematics.pose(joints + offset - structure * load)[1]
         return joints + compliance * load
