@@ -36,6 +36,7 @@ from sysid.networks import (
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, dataset_descendants
+from sysid.registry.version import sha256
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
@@ -227,6 +228,14 @@ class Workspace:
     def gap(self, dataset: Dataset) -> GapResult | None:
         """The stored gap result of this dataset version."""
         return load_gap(self.root.path(f"{_results(dataset)}/gap"))
+
+    def tests(self, result: GapResult, plant: Plant) -> bool:
+        """Whether ``plant`` is the one that a gap result tests: the same version, or one of the same files."""
+        if plant.reference or "@" not in result.plant_before:
+            return plant.reference == result.plant_before != ""
+        own = {file: sha256(content) for file, content in plant.to_files().items()}
+        listed = self.models.list("plant")
+        return any(version.reference == result.plant_before and version.sha256 == own for version in listed)
 
     def predictions(self, dataset: Dataset, recording: str, plant: str | None = None) -> dict[str, pd.DataFrame]:
         """Free runs of one recording: of a named plant, else those of the stored gap result, else of :meth:`simulation`.

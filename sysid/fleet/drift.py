@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from sysid.fleet.effects import FleetEffect, ParameterHistory
 
@@ -27,10 +27,14 @@ Array = npt.NDArray[np.float64]
 REFERENCE = 0.5
 #: A single recording counts for no more, so that an outlier alone never raises an alarm.
 MOST = 4.0
+#: Probability of a larger one, on one side.
+_BEYOND = float(special.ndtr(-MOST))
 #: Overshoot of a random walk over its boundary (Siegmund 1985).
 _OVERSHOOT = 1.166
 #: Recordings before the first prediction: mean and scale are estimated from them.
 _LEAST = 3
+#: Fewest recordings, if there are so many, from which the value after a change is estimated.
+_LATEST = 3
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,8 @@ class Drift:
     Args:
         noticed: recording at which the cumulative sum crossed its decision interval; ``noticed_hours``: of recorded motion.
         since: first recording after the estimated change.
-        before, after: mean before the change and after it, each with its 95 % interval.
+        before: mean before the change; ``after``: mean of the later half of the recordings since, so that a change that grows
+            is measured where it has come to; each with its 95 % interval.
     """
 
     machine: str
@@ -113,11 +118,10 @@ def standardised(values: Array, deviations: Array) -> Array:
         residual = values[k] - mean
         variance = 1.0 / weights[k] + 1.0 / total
         if k >= _LEAST and squares > 0.0:
-            scale = squares / (k - 1)
-            unit = math.sqrt(scale * variance)
-            most = float(stats.t.isf(stats.norm.sf(MOST), k - 1))
+            unit = math.sqrt(squares / (k - 1) * variance)
+            most = -float(special.stdtrit(k - 1, _BEYOND))
             t = min(most, max(-most, residual / unit))
-            out[k] = math.copysign(stats.norm.isf(stats.t.sf(abs(t), k - 1)), t)
+            out[k] = math.copysign(special.ndtri(special.stdtr(k - 1, -abs(t))), t)
             residual = t * unit  # mean and scale do not follow an outlier, nor the first values after a change
         squares += residual**2 / variance
         mean += weights[k] / (total + weights[k]) * residual
@@ -127,49 +131,69 @@ def standardised(values: Array, deviations: Array) -> Array:
 
 def cumulative_sum(residuals: Array, interval: float) -> int | None:
     """Recording at which the cumulative sum of either sign first crosses the decision interval; None if it does not."""
+    beyond = np.flatnonzero(cumulative_sums(residuals) > interval)
+    return int(beyond[0]) if len(beyond) else None
+
+
+def cumulative_sums(residuals: Array) -> Array:
+    """The larger of both one-sided cumulative sums at every recording, (r,); NaN counts as no recording."""
+    sums = np.zeros(len(residuals))
     up, down = 0.0, 0.0
-    for k, z in enumerate(residuals):
-        if math.isnan(z):
-            continue
-        up, down = max(0.0, up + z - REFERENCE), max(0.0, down - z - REFERENCE)
-        if max(up, down) > interval:
-            return k
-    return None
+    for k, z in enumerate(residuals.tolist()):
+        if not math.isnan(z):
+            up, down = max(0.0, up + z - REFERENCE), max(0.0, down - z - REFERENCE)
+        sums[k] = max(up, down)
+    return sums
 
 
 def date_of_change(values: Array, deviations: Array) -> int:
     """First recording after a step of the mean, by maximum likelihood (Hinkley, Biometrika 57 (1970), 1)."""
     weights = deviations**-2.0
-
-    def scatter(rows: slice) -> float:
-        return float(weights[rows] @ (values[rows] - np.average(values[rows], weights=weights[rows])) ** 2)
-
-    costs = [scatter(slice(0, k)) + scatter(slice(k, None)) for k in range(1, len(values))]
-    return 1 + int(np.argmin(costs))
+    weights /= weights.max()
+    centred = values - np.average(values, weights=weights)
+    sums = np.cumsum([weights, weights * centred], axis=1)
+    (left, left_sum), (total, whole) = sums[:, :-1], sums[:, -1]
+    # The scatter about both means is the whole one less these squares.
+    squares = left_sum**2 / left + (whole - left_sum) ** 2 / (total - left)
+    return 1 + int(np.argmax(squares))
 
 
 def _changes(history: ParameterHistory, interval: float) -> list[Drift]:
-    """The changes of one parameter; after an alarm the search goes on with the recordings after the change."""
+    """The changes of one parameter; after one the search goes on with the recordings after it.
+
+    A change is reported while the sum is beyond its interval, as soon as it is not negligible. A change that is negligible yet
+    does not become the new normal, or a slow growth would never be reported.
+    """
     values, deviations = np.array(history.values), np.array(history.deviations)
     found: list[Drift] = []
     begin = 0
-    while begin < len(values):
-        alarm = cumulative_sum(standardised(values[begin:], deviations[begin:]), interval)
-        if alarm is None:
-            break
-        noticed = begin + alarm
-        since = begin + date_of_change(values[begin : noticed + 1], deviations[begin : noticed + 1])
-        before, before95 = _mean(values[begin:since], deviations[begin:since])
-        after, after95 = _mean(values[since : noticed + 1], deviations[since : noticed + 1])
-        if abs(after - before) > history.negligible:
-            found.append(
-                Drift(
-                    history.machine, history.effect, history.parameter, history.unit, history.recordings[noticed],
-                    history.ends[noticed], history.recordings[since], before, before95, after, after95,
-                )
-            )  # fmt: skip
-        begin = since
-    return found
+    while True:
+        sums = cumulative_sums(standardised(values[begin:], deviations[begin:]))
+        change = next(
+            (
+                drift
+                for k in begin + np.flatnonzero(sums > interval)
+                if abs((drift := _change(history, begin, int(k))).after - drift.before) > history.negligible
+            ),
+            None,
+        )
+        if change is None:
+            return found
+        found.append(change)
+        begin = history.recordings.index(change.since)
+
+
+def _change(history: ParameterHistory, begin: int, noticed: int) -> Drift:
+    """The change between the recordings ``begin`` and ``noticed``."""
+    values, deviations = np.array(history.values), np.array(history.deviations)
+    since = begin + date_of_change(values[begin : noticed + 1], deviations[begin : noticed + 1])
+    latest = max(since, min((since + noticed + 1) // 2, noticed + 1 - _LATEST))
+    before, before95 = _mean(values[begin:since], deviations[begin:since])
+    after, after95 = _mean(values[latest : noticed + 1], deviations[latest : noticed + 1])
+    return Drift(
+        history.machine, history.effect, history.parameter, history.unit, history.recordings[noticed],
+        history.ends[noticed], history.recordings[since], before, before95, after, after95,
+    )  # fmt: skip
 
 
 def _mean(values: Array, deviations: Array) -> tuple[float, tuple[float, float]]:

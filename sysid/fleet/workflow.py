@@ -12,6 +12,7 @@ from sysid.execution import Executor, LocalExecutor
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import drifts, since_last_change
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
+from sysid.fleet.names import name_effects
 from sysid.fleet.result import FleetMachine, FleetResult
 from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, part, silent
@@ -67,21 +68,6 @@ def fleet_gap(
         false_alarms_per_1000_hours,
         time.perf_counter() - begin,
     )
-
-
-def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
-    """Task: the gap of one machine, from the stored result of this dataset version and plant if there is one."""
-    from sysid.gap import find_gap
-
-    place = open_workspace(location)
-    dataset = place.dataset(reference)
-    result = place.gap(dataset)
-    if result is None or (plant is not None and result.plant_before != place.models.find(plant).reference):
-        result = find_gap(dataset, place.plant(dataset, plant), place.models)
-        if plant is None:
-            place.keep_gap(dataset, result)
-    effects = tuple(map(FleetEffect.of, result.effects))
-    return FleetMachine(dataset.reference, result.verdict, effects).to_json()
 
 
 def estimate_effects(

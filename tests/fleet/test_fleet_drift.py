@@ -72,6 +72,18 @@ def test_a_negligible_change_is_not_reported() -> None:
     assert drifts([history(values, np.full(50, 1e-6), negligible=1e-5)], 1e-3)
 
 
+def test_a_growth_that_is_small_against_what_is_negligible_at_first_is_noticed_when_it_is_not() -> None:
+    """Each step is a hundredth of a negligible change and many standard deviations of a recording."""
+    rng = np.random.default_rng(14)
+    grown = 1e-6 * np.maximum(0.0, np.arange(300.0) - 20.0)
+    found = drifts([history(0.006 + grown + rng.normal(0.0, 1e-7, 300), np.full(300, 1e-7))], 1e-3)
+    assert found
+    noticed = int(found[0].noticed[4:])
+    # The later half of a growth since its date has a mean of three quarters of it, and the date is in its middle.
+    assert 1.0 < grown[noticed] / 1e-4 < 1.5
+    assert found[0].after - found[0].before == pytest.approx(1e-4, rel=0.1)
+
+
 def test_two_changes_are_both_found() -> None:
     rng = np.random.default_rng(13)
     levels = np.repeat([0.006, 0.008, 0.011], 25)
