@@ -25,7 +25,7 @@ Given models of one stage (sets of effects) under shared variances:
 5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place.
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
-   one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`).
+   one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
    where errors accumulate, each name beside the others, and with twice the price where it moves the output by less than the
@@ -149,6 +149,10 @@ class FreeRun:
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
+    def left_without(self, model: ModelFit, candidates: Sequence[Candidate]) -> float:
+        """Remaining error without some of its effects, the others refitted."""
+        return self.left(model)
+
     def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
         """Whether slow or fast motion shows that one of its effects is absent there; without its effects ``repairs``."""
         return False
@@ -257,6 +261,9 @@ def decide(
         worth = pays(nothing, free.left(acceptable[0]), len(acceptable[0].candidates))
     else:
         worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
+    partial = [c for c in acceptable[0].candidates if accumulates and _contradicted(c, acceptable[0], free)]
+    rest = len(acceptable[0].candidates) - len(partial)
+    beside_partial = bool(partial and rest) and not pays(nothing, free.left_without(acceptable[0], partial), rest)
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -264,8 +271,10 @@ def decide(
             lacks = LITTLE
         elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
             lacks = REPAIRS
-        elif not lacks and accumulates and _contradicted(candidate, acceptable[0], free):
+        elif not lacks and any(candidate.key == c.key for c in partial):
             lacks = PARTIAL
+        elif not lacks and beside_partial:
+            lacks = BESIDE
         elif not lacks:
             named.append(candidate)
             continue
@@ -513,12 +522,22 @@ def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
 def _contradicted(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
     """Whether an effect that changes all speeds by one share is certainly absent from some of them.
 
-    Effects that may compensate for the formula of a similar one are left out: a curve of the gain would hide it.
+    Effects that may compensate for the formula of a similar one are left out: a curve of the gain would hide it. So are smaller
+    functions of the command: a gain and a dead-band together are any straight line of the speed over the command, the first
+    approximation of any curve.
     """
     if not candidate.effect.proportional:
         return False
-    others = (c for c in model.candidates if c.key != candidate.key)
-    return free.absent_at_some_speed(model, candidate, [c for c in others if _repairs(c, model, free)])
+    others = [c for c in model.candidates if c.key != candidate.key]
+    return free.absent_at_some_speed(
+        model, candidate, [c for c in others if _repairs(c, model, free) or _smaller_curve(c, candidate, model, free)]
+    )
+
+
+def _smaller_curve(one: Candidate, other: Candidate, model: ModelFit, free: FreeRun) -> bool:
+    """Whether an effect without memory of the command of an axis moves the output less than another one of that axis."""
+    alike = one.target == other.target and one.effect.stage == "command" and one.effect.memory(1.0) == 0
+    return alike and free.moved(model, one) < free.moved(model, other)
 
 
 def _confused(one: Candidate, other: Candidate) -> bool:

@@ -77,6 +77,12 @@ class LeastSquares(FreeRun):
         best = min(larger, key=lambda f: f.left, default=None)
         return best if best is not None and best.left * EXPLAINED < model.left else None
 
+    def left_without(self, model: ModelFit, candidates: Sequence[Candidate]) -> float:
+        fitted = self.nearest(model)
+        for candidate in candidates:
+            fitted = self.proposals.without(fitted, candidate)
+        return self.left(fitted)
+
     def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
         fitted = self.least_squares(model)
         for other in repairs:

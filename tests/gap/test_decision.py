@@ -325,6 +325,27 @@ def test_a_curve_that_compensates_is_left_out_where_the_speeds_of_a_gain_error_a
     assert decide(models, ALL, free=large).named == (CURVE,)
 
 
+@pytest.mark.parametrize(("alone", "named"), [(23.0, set()), (13.0, {BAND})])
+def test_a_gain_error_that_slow_motion_shows_beside_a_dead_band_alone_is_none(alone: float, named: set[Candidate]) -> None:
+    """Together they are a straight line, of a clutch that slips for instance. The dead-band has to be worth its price alone."""
+
+    class Line(Compared):
+        def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
+            return tuple(repairs) == (BAND,)
+
+        def left_without(self, model: ModelFit, candidates: Sequence[Candidate]) -> float:
+            assert tuple(candidates) == (GAIN,)
+            return alone
+
+    models = [model(worse=9.0, left=30.0), model(BAND, GAIN, left=4.9)]
+    found = decide(models, ALL, free=Line(moved={GAIN: 10.0, BAND: 9.0}))
+    assert set(found.named) == named
+    lacks = {miss.candidate: miss.lacks for miss in found.near_misses}
+    assert lacks[GAIN] == "it changes only some of the speeds, which it would change alike"
+    assert named or lacks[BAND] == "it reduces the error enough only beside an effect that is not certain"
+    assert set(decide(models, ALL, free=Line(moved={GAIN: 9.0, BAND: 10.0})).named) == {GAIN, BAND}, "the larger one stays"
+
+
 # -- where formulas are right, and where nothing adds up ---------------------------------------------------------------------
 
 
