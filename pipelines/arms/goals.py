@@ -1,4 +1,4 @@
-"""The goals of electric arms beside the figures of today: simulated machines by published cases, measured ones by their errors."""
+"""The goals of electric arms beside the figures of today, of simulated and of measured machines."""
 
 from __future__ import annotations
 
