@@ -4,11 +4,11 @@ At measured motion the force (Jm + Jl·H(s))·a contains the noise of the accele
 
     A(s) = (1 + r·H(s))/(1 + r),     r = Jl/Jm,     |A(jω₀)| ≈ r/(2ζ·(1 + r)),
 
-since the motor stands nearly still there. Other errors of the motion and of the spring are amplified in the same way. Least squares
-with equal weights gives friction, which acts at all frequencies, the values that suit this error. Generalised least squares
-divides by the spectrum of the noise (Aitken 1936): both forces are multiplied by 1/|A| where that is below one. The amplification
-is one again where |ω² − ω₀²| is about r/(1 + r) of ω₀², which a quarter of this as damping ratio of the denominator describes;
-the numerator gives the gain 1/|A| at ω₀.
+since the motor stands nearly still there. Other errors of the motion and of the spring are amplified in the same way. Least
+squares with equal weights gives friction, which acts at all frequencies, the values that suit this error. Generalised least
+squares divides by the spectrum of the noise (Aitken 1936): both forces are multiplied by 1/|A| where that is below one. The
+amplification is one again where |ω² − ω₀²| is about r/(1 + r) of ω₀², which a quarter of this as damping ratio of the
+denominator describes; the numerator gives the gain 1/|A| at ω₀.
 """
 
 from __future__ import annotations
