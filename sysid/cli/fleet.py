@@ -70,9 +70,9 @@ def gap(
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.execution import open_executor
         from sysid.fleet import fleet_gap
+        from sysid.fleet.machines import described
         from sysid.fleet.page import fleet_page
         from sysid.fleet.tables import tables
-        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
@@ -99,6 +99,12 @@ def gap(
 @click.argument("name", metavar="NAME")
 @click.argument("folders", metavar="[FOLDER]…", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@click.option(
+    "--like",
+    multiple=True,
+    metavar="NAME[@VERSION]",
+    help="Another machine of the type, whose named effects are watched as well; may be repeated.",
+)
 @click.option(
     "--false-alarms",
     type=click.FloatRange(0.0, min_open=True),
@@ -127,6 +133,7 @@ def watch(
     name: str,
     folders: tuple[Path, ...],
     plant: str | None,
+    like: tuple[str, ...],
     false_alarms: float,
     quiet: float,
     restart: bool,
@@ -140,10 +147,10 @@ def watch(
     out = Printer(json_file)
     with progress_bar("watch") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
+        from sysid.fleet.machines import described
         from sysid.fleet.page import fleet_page
         from sysid.fleet.tables import drift_table
         from sysid.fleet.watching import watch as watch_machine
-        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
@@ -152,6 +159,7 @@ def watch(
             name,
             folders,
             plant,
+            like=like,
             false_alarms_per_1000_hours=false_alarms,
             quiet_s=quiet,
             restart=restart,

@@ -18,8 +18,9 @@ from sysid.files import json_text, write_durably
 from sysid.fleet.arrivals import QUIET_S, Arrivals, take_in
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import Drift, drifts
-from sysid.fleet.effects import ParameterHistory
+from sysid.fleet.effects import ParameterHistory, union
 from sysid.fleet.estimates import estimate, in_time
+from sysid.fleet.machines import exact_references
 from sysid.fleet.names import name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
 from sysid.names import check_dataset_name
@@ -35,7 +36,7 @@ class WatchState:
     """What is kept between two calls.
 
     Args:
-        machine: the version at which watching began, and the effects that are named on it.
+        machine: the version at which watching began, and the watched effects.
         plant: sha256 of the files of the plant under test.
         recordings: evaluated so far, with those of the beginning; ``hours``: of their motion.
     """
@@ -100,6 +101,7 @@ def watch(
     folders: Sequence[Path] = (),
     plant: str | None = None,
     *,
+    like: Sequence[str] = (),
     false_alarms_per_1000_hours: float = FALSE_ALARMS,
     quiet_s: float = QUIET_S,
     restart: bool = False,
@@ -113,6 +115,7 @@ def watch(
         name: of the dataset, without a version.
         folders: log folders; their complete recordings are appended to the dataset.
         plant: the simulation under test; by default the nominal one.
+        like: datasets of other machines of the type, whose named effects are watched as well; used when watching begins.
         quiet_s: a log without an end is complete if nothing was written to it for so long [s].
         restart: begin again at the newest version.
 
@@ -128,7 +131,7 @@ def watch(
     place = open_workspace(location)
     state = None if restart else _stored(place, name)
     if state is None:
-        state = _begin(place, name, plant, part(progress, 0.0, 0.5))
+        state = _begin(place, name, plant, like, part(progress, 0.0, 0.5))
         _keep(place, name, state)
     held = _base_names(_recordings(place, name))
     arrivals = take_in(folders, str(location), name, held, quiet_s, part(progress, 0.5, 0.8)) if folders else Arrivals()
@@ -144,11 +147,14 @@ def watch(
     return WatchResult(fleet, f"{name}@{place.datasets.manifest(name)['version']}", new, arrivals)
 
 
-def _begin(place: Workspace, name: str, plant: str | None, progress: Progress) -> WatchState:
-    """The state at the newest version."""
-    progress(0.0, f"{name}: naming its effects")
-    dataset = place.dataset(name)
-    machine = FleetMachine.from_json(name_effects(str(place.location), dataset.reference, plant))
+def _begin(place: Workspace, name: str, plant: str | None, like: Sequence[str], progress: Progress) -> WatchState:
+    """The state at the newest version, with the effects of this machine and of those like it."""
+    machines = []
+    for number, reference in enumerate(exact_references(place, (name, *like))):
+        progress(0.8 * number / (1 + len(like)), f"{reference}: naming its effects")
+        machines.append(FleetMachine.from_json(name_effects(str(place.location), reference, plant)))
+    machine = replace(machines[0], effects=union(item.effects for item in machines))
+    dataset = place.dataset(machine.dataset)
     tested = place.plant(dataset, plant)
     histories = estimate(dataset, tested, machine.effects, progress=part(progress, 0.8, 1.0)) if machine.effects else ()
     motion = dataset.of_kind("motion")

@@ -94,6 +94,21 @@ def test_flights_that_arrive_one_by_one(tmp_path: Path, named: list[str]) -> Non
         assert again[key] == kept[key]
 
 
+def test_effects_of_machines_like_it_are_watched_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = begun(tmp_path)
+    ingest(tmp_path / "flights", place, recipe=tmp_path / "flights" / "recipe.toml", name="lift-2")
+
+    def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+        effects = (DEADBAND,) if reference == "lift-2@1" else ()
+        return FleetMachine(reference, "named", effects).to_json()
+
+    monkeypatch.setattr(watching, "name_effects", name_effects)
+    assert not watch(place, "lift-1").fleet.histories
+    found = watch(place, "lift-1", like=["lift-2"], restart=True).fleet
+    assert [(m.name, m.effects) for m in found.machines] == [("lift-1", (DEADBAND,))]
+    assert [h.parameter for h in found.histories] == ["positive", "negative"]
+
+
 def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(tmp_path: Path, named: list[str]) -> None:
     place, flights = begun(tmp_path), tmp_path / "flights"
     broken, whole = fly(tmp_path, 0.08, 20), fly(tmp_path, 0.08, 21)
