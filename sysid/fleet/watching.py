@@ -193,8 +193,8 @@ def _continued(
         ends[recording.name] = hours
     histories = state.histories
     if motion and state.machine.effects:
-        found = estimate(base, tested, state.machine.effects, progress=progress, later=motion)
-        histories = tuple(_joined(own, found, ends) for own in state.histories)
+        values = estimate(base, tested, state.machine.effects, progress=progress, later=motion)
+        histories = tuple(_joined(own, values, ends) for own in state.histories)
     ordered = list(ends)
     rest = [recording for recording in later if recording not in ordered]
     return WatchState(state.machine, state.plant, (*state.recordings, *ordered, *rest), hours, histories), tuple(later)
