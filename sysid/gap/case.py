@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -209,7 +209,7 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
         settings, recordings = stage.problem.force_filter, stage.split.seen
         if settings is not None and recordings:
             delay = settings.delay / recordings[0].rate_hz
-            notch = settings.notch and (settings.notch.frequency_hz, settings.notch.depth, settings.notch.width)
+            notch = None if settings.notch is None else astuple(settings.notch)
             found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay, notch))
     return tuple(found)
 
