@@ -49,7 +49,7 @@ def test_the_dead_time_is_found_by_both_and_only_one_says_so(study: ModuleType, 
 
 def gap_row(study: ModuleType, case: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     """The row of `sysid gap`, without runs of the other method."""
-    monkeypatch.setattr(study, "peer", lambda case, *rest: ({name: 0.0 for name in case.right}, 0.0))
+    monkeypatch.setattr(study, "peer", lambda case, *rest: (dict.fromkeys(case.right, 0.0), 0.0))
     monkeypatch.setattr(study, "CASES", ())
     bare = replace(case, other={})  # type: ignore[type-var]
     return next(row for row in study.solve(bare, folder) if row["method"] == "sysid gap")
