@@ -23,7 +23,7 @@ from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
 MODULES = ("arm", "case", "flexible", "generate", "goals", "measured", "names", "page", "poses", "published", "rigid", "runner")
-MODULES += ("score", "servo_sag", "smooth_friction")
+MODULES += ("score", "servo_sag", "smooth_friction", "solve")
 Array = npt.NDArray[np.float64]
 
 
@@ -306,6 +306,18 @@ def test_the_page_has_the_goals_of_the_committed_results(arms: dict[str, ModuleT
     changes = arms["measured"].compared(parts[2]["figures"], parts[1]["figures"])
     table = arms["goals"].goal_table(parts[0]["cases"], parts[1], changes)
     assert table in (root / "docs/arms.md").read_text("utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [10, 110])
+def test_eleven_joints_that_bend_under_their_weight_get_the_right_names(
+    arms: dict[str, ModuleType], tmp_path: Path, seed: int
+) -> None:
+    """Compliances move the tip by centimetres; the loads of the undeflected posture gave wrong names, or none."""
+    site = arms["case"].write_case(arms["poses"].make(seed, eleven=True), tmp_path)
+    arms["solve"].solve(site, tmp_path / "answer.json")
+    found = arms["score"].score_case(tmp_path)
+    assert (found.outcome, found.ratio) == ("right", pytest.approx(1.0, abs=0.1))
 
 
 def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path, monkeypatch: Any) -> None:
