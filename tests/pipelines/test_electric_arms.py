@@ -320,16 +320,23 @@ def test_eleven_joints_that_bend_under_their_weight_get_the_right_names(
     assert (found.outcome, found.ratio) == ("right", pytest.approx(1.0, abs=0.1))
 
 
-def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path, monkeypatch: Any) -> None:
+def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path) -> None:
     result = {"left": {"ur10e": {"elbow.command": 0.02}}, "published": {"payload": 2.0}, "payload": {"one": 2.1, "two": None}}
     (tmp_path / "ur10e").mkdir()
     (tmp_path / "ur10e" / "result.json").write_text(json.dumps(result), "utf-8")
-    monkeypatch.setattr(arms["measured"], "calibrated", lambda *_: {})
     found = arms["measured"].figures(tmp_path, tmp_path)
     assert found == {
         "UR10e, ur10e, elbow.command [relative]": 0.02,
         "UR10e, one, mass of the payload [relative]": pytest.approx(0.05),
     }
+
+
+def test_a_measured_machine_without_a_new_result_keeps_its_figures(arms: dict[str, ModuleType]) -> None:
+    earlier = {"figures": {"EMPS, a": 1.0, "UR10, b": 2.0}, "named": {"emps, x": ["old(a)"]}}
+    fresh = {"figures": {"EMPS, c": 3.0, "UR10e, d": 4.0}, "named": {"ur10e, y": ["payload(tool)"]}}
+    found = arms["measured"].merged_machines(earlier, fresh)
+    assert found["figures"] == {"UR10, b": 2.0, "EMPS, c": 3.0, "UR10e, d": 4.0}
+    assert found["named"] == {"emps, x": ["old(a)"], "ur10e, y": ["payload(tool)"]}
 
 
 # ---- Publishing ---------------------------------------------------------------------------------------------------------
