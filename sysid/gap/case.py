@@ -211,7 +211,7 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
         settings, recordings = stage.problem.force_filter, stage.split.seen
         if settings is not None and recordings:
             delay = settings.delay / recordings[0].rate_hz
-            notch = None if settings.notch is None else astuple(settings.notch)
+            notch = () if settings.notch is None else astuple(settings.notch)
             found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay, notch))
     return tuple(found)
 
