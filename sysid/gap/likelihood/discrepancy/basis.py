@@ -24,22 +24,28 @@ class Discrepancy:
     """Columns of a discrepancy.
 
     Args:
-        columns: (rows, m), unit of the output for a coefficient of one.
+        columns: (rows, m), unit of the output for a coefficient of one; in single precision, since a function of the basis
+            that differs in the eighth digit is as good, and long recordings make this the largest table.
         group: index in ``groups`` of each column, (m,).
         timing: change of the output for half a sample of timing, (rows,).
     """
 
-    columns: Array
+    columns: npt.NDArray[np.float32]
     group: npt.NDArray[np.int64]
     groups: tuple[str, ...]
     timing: Array
+
+    @property
+    def absent(self) -> Discrepancy:
+        """The timing alone."""
+        return Discrepancy(np.zeros((len(self.timing), 0), dtype=np.float32), np.zeros(0, dtype=np.int64), (), self.timing)
 
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
     """The columns of a stage, with the dead time and lag of ``theta``."""
     problem = rows.problem
     make = _maker(model, rows, theta)
-    found: dict[str, list[Array]] = {}
+    found: dict[str, list[npt.NDArray[np.float32]]] = {}
     timing = np.zeros(rows.count)
     at = 0
     signals = len(problem.signals)
@@ -47,16 +53,17 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
         columns = make(recording)
         width = rows.series[at].width
         for name, values in columns.items():
-            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width))  # (m, bins, d)
+            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width)).astype(np.float32)  # (m, bins, d)
             found.setdefault(name, []).append(np.concatenate([means[:, :, k].T for k in range(signals)]))
         for k in range(signals):
             s = rows.series[at + k]
             timing[s.rows] = 0.5 / recording.rate_hz * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
         at += signals
     groups = tuple(found)
-    joined = [np.concatenate(found[name]) for name in groups]
-    sizes = [part.shape[1] for part in joined]
-    table = np.concatenate(joined, axis=1) if joined else np.zeros((rows.count, 0))
+    sizes = [found[name][0].shape[1] for name in groups]
+    table, ends = np.empty((rows.count, sum(sizes)), dtype=np.float32), np.cumsum([0, *sizes])
+    for name, first, last in zip(groups, ends[:-1], ends[1:], strict=True):
+        np.concatenate(found.pop(name), out=table[:, first:last])
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
 
 
