@@ -28,7 +28,7 @@ EFFECT = Effect(
             )
         ),
     ),
-    equation="q = q₀ − compliance·L, L the gravity moment about the joint, L > 0 where it opposes positive motion",
+    equation="q = q₀ − compliance·L(q), L the gravity moment of the deflected posture, L > 0 where it opposes positive motion",
     source="Siciliano et al., Robotics, 2009, §6.6; 0.25° for 2e4 N·m/rad (machine facts)",
     excited_by="poses with the arm extended and retracted",
     confused_with={

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.export.standalone import assembly, command_parts, force_parts, joint_parts, model
+from sysid.export.standalone import assembly, command_parts, force_parts, joint_parts, model, oscillator
 from sysid.files import json_text
 
 #: Names of the two files.
@@ -85,7 +85,7 @@ def load(path: str | Path = Path(__file__).with_name("{data}")) -> DriveModel:
 def module_text(data: Mapping[str, Any]) -> str:
     """The module for :func:`sysid.export.drive_data.drive_data`, with the parts that these data name."""
     used = used_parts(data)
-    classes: list[Any] = [command_parts.Part, force_parts.Friction, force_parts.RigidDrive]
+    classes: list[Any] = [oscillator.oscillation, command_parts.Part, force_parts.Friction, force_parts.RigidDrive]
     classes += [PARTS[name] for name in PARTS if name in used and PARTS[name] not in classes]
     absent = _absent(data)
     head = _HEAD.format(
@@ -108,6 +108,8 @@ def _absent(data: Mapping[str, Any]) -> set[Any]:
         absent.add(joint_parts.Linkage)
     if all(axis["actuation"] != "force" for axis in data["axes"]):
         absent |= {model.ForceDrive, force_parts.Friction, force_parts.RigidDrive}
+    if not used_parts(data) & {"oil_compressibility", "second_order_lag", "flexible_drive"}:
+        absent.add(oscillator.oscillation)
     return absent
 
 

@@ -45,7 +45,7 @@ _COMPOSED = {
     "link_length_error": "`pos` of the bodies of the link",
     "tip_offset": "`pos` of the site `ee`",
     "base_misalignment": "pose of the root body, and `gravity` turned with it",
-    "gripper_sway": "a point mass on a ball joint with damping (not beside a misaligned base)",
+    "gripper_sway": "a point mass on a damped ball joint below a gimbal that does not rotate (not beside a misaligned base)",
 }
 _BY_DRIVE_MODEL = ("backlash", "gripper_sway")
 _BEFORE = ("valve_hysteresis", "valve_deadband", "gain_curve", "flow_saturation", "command_rate_limit")

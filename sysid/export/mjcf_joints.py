@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 BEHIND, FASTEST_SPEED, DRIVE_RATIO = 1e3, 10.0, 1e6
 #: Mass of a hanging tool [kg]: it swings, and no drive notices it.
 TOOL_MASS, TOOL_INERTIA = 1e-9, 1e-14
+#: Inertia of the gimbal above it [kg·m²]: the damping of any tool turns it by less than 10⁻⁴ rad/s².
+GIMBAL_INERTIA = 1e-3
 
 
 def moved_by(spec: Any, entry: DriveEntry, axis: dict[str, Any], joint: Any, step: float) -> Moved:
@@ -75,24 +77,28 @@ def heavier_drive(moved: Moved, actuator: Any) -> None:
 
 
 def add_tool(tip: Any, place: Array, length: float, damping_ratio: float) -> None:
-    """A point mass on a ball joint below the tip: a damped spherical pendulum.
+    """A point mass on a ball joint below a gimbal: a damped spherical pendulum.
 
-    Its damping acts against the rotation relative to the link of the tip, that of the plant against the motion of the tool
-    relative to the tip: a rotating link carries the tool along by 2ζ/ω₀ of its speed.
+    The damping of the plant acts against the motion of the tool relative to the tip, that of a joint against its rotation
+    relative to the body above it. That body is therefore a gimbal: a free ball joint at the tip, without mass but with an
+    inertia that the damping does not turn, so that it moves with the tip and does not rotate.
 
     Args:
         tip: body that carries the measured point at ``place`` (3,) [m].
     """
-    tool = tip.add_body(name="hanging_tool", pos=place)
-    _light(tool, [0.0, 0.0, -length])
+    gimbal = tip.add_body(name="tool_gimbal", pos=place)
+    _light(gimbal, np.zeros(3), GIMBAL_INERTIA)
+    gimbal.add_joint(name="tool_gimbal", type=_mujoco().mjtJoint.mjJNT_BALL)
+    tool = gimbal.add_body(name="hanging_tool")
+    _light(tool, np.array([0.0, 0.0, -length]), TOOL_INERTIA)
     ball = tool.add_joint(name="tool_swing", type=_mujoco().mjtJoint.mjJNT_BALL)
     ball.damping = [2.0 * damping_ratio * math.sqrt(GRAVITY / length) * TOOL_MASS * length**2, 0.0, 0.0]
     tool.add_site(name="tool", pos=[0.0, 0.0, -length])
 
 
-def _light(body: Any, centre: list[float]) -> None:
+def _light(body: Any, centre: Array, inertia: float) -> None:
     body.explicitinertial, body.mass, body.ipos = True, TOOL_MASS, centre
-    body.fullinertia = [TOOL_INERTIA, TOOL_INERTIA, TOOL_INERTIA, 0.0, 0.0, 0.0]
+    body.fullinertia = [inertia, inertia, inertia, 0.0, 0.0, 0.0]
 
 
 def _mujoco() -> Any:

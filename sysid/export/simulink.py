@@ -30,8 +30,8 @@ class SimulinkTarget:
         "`load machine.mat` gives the struct `machine`: `sample_time` and one struct for each axis, with `opening` and `speed` "
         "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "
         "Rate Limiter, Transfer Fcn, Discrete-Time Integrator with its limits).",
-        "`step_axis.m` steps a velocity or position axis. MATLAB is not installed here: the tables were replayed in Python, "
-        "the function was not run.",
+        "`step_axis.m` steps an axis; tests run it in GNU Octave. The replay below interpolates the tables of the file in "
+        "Python.",
     )
 
     def support(self, effect: Effect) -> Support:
@@ -91,30 +91,52 @@ def _number(value: float | None, quantity: str) -> float:
 
 
 _FUNCTION = """function [position, state] = step_axis(axis, command, state, dt)
-%STEP_AXIS  One sample of a velocity or position axis of machine.mat.
+%STEP_AXIS  One sample of an axis of machine.mat.
 %   [position, state] = step_axis(machine.axis_boom, command, state, machine.sample_time)
+%   command   -1 to 1 of a velocity axis, the position of a position axis [m or rad], the force of a force axis [N or N*m]
 %   position  of the drive after the sample [m or rad]; the joint behind a cylinder is
 %             interp1(axis.linkage(:,1), axis.linkage(:,2), position, 'linear', 'extrap')
-%   state     struct('position', p0) before the first sample: the command was held since long before.
+%   state     struct('position', p0) before the first sample: at rest, the command of a velocity axis held since long before.
+if strcmp(axis.actuation, 'force')
+    if ~isfield(state, 'speed'), state.speed = 0; end
+    before = state.speed; state.speed = forced(axis, command, before, dt);
+    moved = 0.5 * (before + state.speed) * dt;
+    if before ~= 0 && sign(state.speed) ~= sign(before)   % dry friction changes its direction within the sample
+        along = sign(before) * (command - axis.load_bias.force);
+        stop = axis.inertia.mass * abs(before) / (dry(axis, before) - along);
+        state.speed = forced(axis, command, 0, dt - stop);
+        moved = 0.5 * (before * stop + state.speed * (dt - stop));
+    end
+    reached = state.position + moved;
+    if reached > axis.end_stop.high, state.speed = min(state.speed, 0); end
+    if reached < axis.end_stop.low, state.speed = max(state.speed, 0); end
+    state.position = min(max(reached, axis.end_stop.low), axis.end_stop.high);
+    position = state.position;
+    return
+end
 u = command;
 velocity = strcmp(axis.actuation, 'velocity');
-if ~velocity && isfield(axis, 'command_rate_limit')   % of a servo, at the end of the sample
-    reach = axis.command_rate_limit.rate * dt;
-    if ~isfield(state, 'ramp'), state.ramp = u; end
-    state.ramp = state.ramp + min(max(u - state.ramp, -reach), reach); u = state.ramp;
-end
 if isfield(axis, 'opening')
     u = interp1(axis.opening(:,1), axis.opening(:,2), u, 'linear', 'extrap');
 end
+if ~isfield(state, 'held')   % before the first sample
+    state.held = u;
+    if ~velocity, state.held = state.position; end
+end
+if ~velocity && isfield(axis, 'command_rate_limit')   % of a servo, at the end of the sample
+    reach = axis.command_rate_limit.rate * dt;
+    if ~isfield(state, 'ramp'), state.ramp = state.held; end
+    state.ramp = state.ramp + min(max(u - state.ramp, -reach), reach); u = state.ramp;
+end
 if isfield(axis, 'input_delay')
     samples = axis.input_delay.delay / dt; whole = floor(samples); rest = samples - whole;
-    if ~isfield(state, 'past'), state.past = repmat(u, whole + 2, 1); end
+    if ~isfield(state, 'past'), state.past = repmat(state.held, whole + 2, 1); end
     state.past = [state.past(2:end); u];
     u = (1 - rest) * state.past(end - whole) + rest * state.past(end - whole - 1);
 end
 if velocity && isfield(axis, 'command_rate_limit')
     reach = axis.command_rate_limit.rate * dt;
-    if ~isfield(state, 'ramp'), state.ramp = u; end
+    if ~isfield(state, 'ramp'), state.ramp = state.held; end
     before = state.ramp; change = u - before;
     state.ramp = before + min(max(change, -reach), reach);
     if abs(change) > reach, u = before + 0.5 * sign(change) * reach;
@@ -123,14 +145,14 @@ if velocity && isfield(axis, 'command_rate_limit')
 end
 if isfield(axis, 'first_order_lag') && axis.first_order_lag.time_constant > 1e-6
     T = axis.first_order_lag.time_constant; decay = exp(-dt / T);
-    if ~isfield(state, 'lag'), state.lag = u; end
+    if ~isfield(state, 'lag'), state.lag = state.held; end
     away = state.lag - u; state.lag = u + away * decay;
     if velocity, u = u + away * (1 - decay) * T / dt; else, u = state.lag; end
 end
 if isfield(axis, 'second_order_lag')
     T = axis.second_order_lag.time_constant; z = axis.second_order_lag.damping_ratio;
     A = expm([0 1; -1/T^2, -2*z/T] * dt);
-    if ~isfield(state, 'second'), state.second = [u; 0]; end
+    if ~isfield(state, 'second'), state.second = [state.held; 0]; end
     state.second = [u; 0] + A * (state.second - [u; 0]); u = state.second(1);
 end
 if velocity
@@ -146,5 +168,26 @@ if velocity
 end
 state.position = min(max(u, axis.end_stop.low), axis.end_stop.high);
 position = state.position;
+end
+
+function after = forced(axis, force, before, dt)
+% Speed after dt under a force and friction, which may stop the motion but not reverse it.
+slope = 0;
+if isfield(axis, 'viscous_friction')
+    slope = axis.viscous_friction.negative;
+    if before > 0, slope = axis.viscous_friction.positive; end
+end
+mobility = dt / axis.inertia.mass; rest = 1 + mobility * slope;
+moved = (before + mobility * (force - axis.load_bias.force)) / rest;
+after = sign(moved) * max(abs(moved) - mobility * dry(axis, moved) / rest, 0);
+end
+
+function force = dry(axis, moved)
+% Largest dry friction against a motion of the sign of moved.
+force = 0;
+if isfield(axis, 'coulomb_friction')
+    force = axis.coulomb_friction.positive;
+    if moved < 0, force = axis.coulomb_friction.negative; end
+end
 end
 """

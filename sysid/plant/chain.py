@@ -92,8 +92,14 @@ def force_stage(u, p, b, s, m, inertia, dt):
     """Force [N or N·m] held over a step → mean speed of the drive; the state takes the speed after it."""
     mass, v = inertia * p[b + AT.inertia_error], s[m + STATE.speed]
     if p[b + AT.flexible_drive] >= flexible_drive.ABSENT:
-        s[m + STATE.speed] = _against_friction(v, u, v, dt / mass, p, b)
-        return 0.5 * (v + s[m + STATE.speed])
+        after = _against_friction(v, u, v, dt / mass, p, b)
+        if v == 0.0 or (v > 0.0 and after > 0.0) or (v < 0.0 and after < 0.0):
+            s[m + STATE.speed] = after
+            return 0.5 * (v + after)
+        stop = _time_to_stop(v, u, mass, p, b)  # dry friction changes its direction within the step
+        after = _against_friction(0.0, u, 0.0, (dt - stop) / mass, p, b)
+        s[m + STATE.speed] = after
+        return 0.5 * (v * stop + after * (dt - stop)) / dt
     i, j, moved = b + AT.flexible_drive, m + STATE.flexible_drive, 0.0
     count = flexible_drive.substeps(p, i, dt)
     short = dt / count
@@ -108,6 +114,21 @@ def force_stage(u, p, b, s, m, inertia, dt):
 
 
 @inlined
+def _time_to_stop(v, u, mass, p, b):
+    """Time [s] in which a force ``u`` and the dry friction against ``v`` stop the motion, with the friction of :func:`_dry`."""
+    along = math.copysign(1.0, v) * (u - p[b + AT.load_bias])
+    return mass * abs(v) / (_dry(v, v, p, b) - along)
+
+
+@inlined
+def _dry(moved, v, p, b):
+    """Largest dry friction [N or N·m] against a motion of the sign of ``moved``, at the speed ``v`` before the step."""
+    return coulomb_friction.limit(moved, p, b + AT.coulomb_friction) + stribeck_friction.magnitude(
+        v, p, b + AT.stribeck_friction
+    )
+
+
+@inlined
 def _against_friction(free, u, v, mobility, p, b):
     """Speed after a step under a force ``u`` held over it, which changes it from ``free`` by ``mobility`` times the force.
 
@@ -117,9 +138,7 @@ def _against_friction(free, u, v, mobility, p, b):
     slope = p[b + AT.viscous_friction] if v > 0.0 else p[b + AT.viscous_friction + 1]
     slope += smooth_coulomb_friction.slope(v, p, b + AT.smooth_coulomb_friction)
     moved = (free + mobility * (u - p[b + AT.load_bias])) / (1.0 + mobility * slope)
-    dry = coulomb_friction.limit(moved, p, b + AT.coulomb_friction)
-    dry += stribeck_friction.magnitude(v, p, b + AT.stribeck_friction)
-    hold = mobility * dry / (1.0 + mobility * slope)
+    hold = mobility * _dry(moved, v, p, b) / (1.0 + mobility * slope)
     if moved > hold:
         return moved - hold
     if moved < -hold:

@@ -20,8 +20,9 @@ def gravity_load(machine: Machine, recording: Recording, within: Segments | None
     """Gravity moment about every joint [N·m] or force along it [N], (n, A); above zero where it opposes positive motion.
 
     From the URDF's masses; of one kilogram at the tip where it has none. Zero without a URDF and where a joint is not measured
-    in a whole stretch; gaps of a motion are interpolated. The kinematics are nominal: a joint offset changes loads in second
-    order only.
+    in a whole stretch; gaps of a motion are interpolated. Measured joints contain the sag of their drives, so that the posture
+    is the deflected one. The kinematics are nominal: a joint offset and the sag of the structure change loads, and with them
+    the sag of the drives, in second order only.
 
     Args:
         within: (m, 2) first and last+1 row of the stretches to compute; elsewhere the load is zero. All rows by default.

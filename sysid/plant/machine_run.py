@@ -14,6 +14,7 @@ from sysid.plant import chain, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.pose import SCRATCH, pose
+from sysid.plant.settled_pose import SETTLING
 
 #: Places of :data:`sysid.plant.residual.STAGES`.
 COMMAND, JOINT, INVERSE = range(3)
@@ -23,8 +24,8 @@ COMMAND, JOINT, INVERSE = range(3)
 def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t):
     """State ``s`` (A · size,) → drive, joint sensors, structure, each (A,), end effector (3,), and the ``load`` (A,) there.
 
-    Sag follows from the value of ``load`` on entry, that of the sample before. An axis without a position is NaN, and then so
-    is the tip. ``nets`` and their memory ``t`` (R, M) are None where the plant has none.
+    Sag follows from the value of ``load`` on entry, that of the deflected posture one sample before. An axis without a position
+    is NaN, and then so is the tip. ``nets`` and their memory ``t`` (R, M) are None where the plant has none.
     """
     missing = len(arrays.links) < 2
     size = len(s) // len(arrays.axes)
@@ -49,6 +50,16 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
         tip[2] = np.nan
     else:
         pose(structure, p, arrays.links, arrays.base, scratch, tip, load)
+
+
+@inlined
+def settling(p, axes):
+    """Observations after the first one in which a machine at rest settles under the load of its posture."""
+    for i in range(axes):
+        b = i * AXIS_WIDTH
+        if p[b + AT.joint_compliance_drive] != 0.0 or p[b + AT.joint_compliance_structure] != 0.0:
+            return SETTLING
+    return 1
 
 
 @inlined
@@ -116,11 +127,12 @@ def _run(
                 fresh = True
                 enter(p, arrays, i, s, size, load, starts[i, at[i]], commands[k, i], dt, nets, t)
         observe(p, arrays, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
-        if fresh:  # again with the known load, on which the start of the structure depends
-            for i in range(axes):
-                if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
-                    s[i * size + STATE.backlash_structure] = np.nan
-            observe(p, arrays, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
+        if fresh:  # again with the load of the posture, until the machine has settled in it
+            for _ in range(settling(p, axes)):
+                for i in range(axes):
+                    if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
+                        s[i * size + STATE.backlash_structure] = np.nan
+                observe(p, arrays, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         for i in range(axes):
             row[i] = commands[k, i]
             if arrays.axes[i, KIND] == POSITION and k + 1 < len(commands):

@@ -6,23 +6,18 @@ import numpy as np
 
 from sysid.effects.compiled import kernel
 from sysid.plant import chain
-from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.pose import SCRATCH, pose
+from sysid.plant.layout import AXIS_WIDTH, STATE
+from sysid.plant.pose import SCRATCH
+from sysid.plant.settled_pose import settle
 
 
 @kernel
 def tip(p, arrays, joints, out):
-    """Joints at their sensors (n, A) → end effector (n, 3), NaN where any joint is missing.
-
-    The sag of the structure follows from the load of the pose without sag.
-    """
+    """Joints at their sensors (n, A) → end effector (n, 3) of the posture under load, NaN where any joint is missing."""
     count = joints.shape[1]
     s = np.full((count, STATE.input_delay), np.nan)
-    q, load, none = np.empty(count), np.empty(count), np.zeros(count)
+    straight, q, load = np.empty(count), np.empty(count), np.empty(count)
     scratch = np.empty((len(arrays.links), SCRATCH))
-    soft = False
-    for i in range(count):
-        soft |= p[i * AXIS_WIDTH + AT.joint_compliance_structure] != 0.0
     for k in range(len(joints)):
         missing = False
         for i in range(count):
@@ -31,9 +26,5 @@ def tip(p, arrays, joints, out):
             out[k] = np.nan
             continue
         for i in range(count):
-            q[i] = chain.structure_stage(joints[k, i], p, i * AXIS_WIDTH, s[i], 0, none[i])
-        pose(q, p, arrays.links, arrays.base, scratch, out[k], load)
-        if soft:
-            for i in range(count):
-                q[i] = chain.structure_stage(joints[k, i], p, i * AXIS_WIDTH, s[i], 0, load[i])
-            pose(q, p, arrays.links, arrays.base, scratch, out[k], load)
+            straight[i] = chain.structure_stage(joints[k, i], p, i * AXIS_WIDTH, s[i], 0, 0.0)
+        settle(straight, p, arrays.links, arrays.base, q, scratch, out[k], load)

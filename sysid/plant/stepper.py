@@ -23,22 +23,19 @@ from sysid.machine.rigid_body import moves_masses
 from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION
-from sysid.plant.machine_run import advance, enter, observe
+from sysid.plant.machine_run import advance, enter, observe, settling
 from sysid.plant.model import WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
-from sysid.plant.pose import SCRATCH, loads
+from sysid.plant.pose import SCRATCH
 from sysid.plant.residual import check_step, new_memory
 from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
+from sysid.plant.settled_pose import settled_loads
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
 #: Up to this number of lanes one core is faster than two.
 _SERIAL_LANES = 512
-
-
-#: Fixed-point iterations of the sag, whose load depends on the sag; the error falls by a factor of about 20 in each.
-_SAG_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -139,10 +136,9 @@ class Stepper:
             if self._left is not None:
                 _reset_residuals(self._left[lane])
             load[:] = 0.0
-            self._observe(int(lane), int(lane) + 1)  # the load of the place ...
-            _restart_structure_backlash(s, np.ones(n, dtype=np.bool_))
+            self._settle(int(lane), np.ones(n, dtype=np.bool_))
             self._swing[lane] = hanging[row]
-            self._observe(int(lane), int(lane) + 1)  # ... how it sags there ...
+            self._observe(int(lane), int(lane) + 1)  # how it sags there ...
             _hold_command(p, arrays, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
         self._ready[lanes] = True
         return self._state()
@@ -166,15 +162,14 @@ class Stepper:
                 self.model.nets, left,
             )  # fmt: skip
         self._swing[:] = np.nan
-        self._observe(0, self.lanes)  # the load of the place ...
         for lane in range(self.lanes):
-            _restart_structure_backlash(self._memory[lane], fresh)
+            self._settle(lane, fresh)
         if self.model.has_tool(self.model.theta, recording) and not np.isnan(self._out.ee[0]).any():
             rest = slice(row, None)
             tip = true_run(self.model, recording)[2]
             tool = self.model.true_point(self.model.theta[None], recording, "tool")[0]
             self._swing[:] = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
-        self._observe(0, self.lanes)  # ... and how it sags there
+        self._observe(0, self.lanes)
         self._ready[:] = True
         return self._state()
 
@@ -238,6 +233,12 @@ class Stepper:
             out.structure, out.ee, out.tool, self.model.nets, self._left,
         )  # fmt: skip
 
+    def _settle(self, lane: int, fresh: npt.NDArray[np.bool_]) -> None:
+        """Let the axes of a lane that begin (A,) settle under the load of their posture; the next observation is at rest."""
+        for _ in range(settling(self.thetas[lane], self.axes)):
+            self._observe(lane, lane + 1)
+            _restart_structure_backlash(self._memory[lane], fresh)
+
     def _joints_without_sag(self, joints: Array, thetas: Array) -> Array:
         """Joints without sag from those that the sensors read, (rows, axes)."""
         at = np.arange(self.axes) * AXIS_WIDTH
@@ -245,10 +246,9 @@ class Stepper:
         if not self.model.posed or not compliance.any():
             return joints
         arrays, load = self.model.arrays, np.zeros(joints.shape)
-        for _ in range(_SAG_ITERATIONS):
-            straight = joints + compliance * np.nan_to_num(load)
-            for row, theta in enumerate(thetas):
-                loads(theta, arrays.links, arrays.base, straight[row : row + 1] + offset[row], load[row : row + 1])
+        for row, theta in enumerate(thetas):
+            straight = joints[row : row + 1] + offset[row]
+            settled_loads(theta, arrays.links, arrays.base, straight, load[row : row + 1])
         return joints + compliance * np.nan_to_num(load)
 
     def _state(self) -> LaneState:

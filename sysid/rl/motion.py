@@ -8,38 +8,28 @@ import numpy as np
 
 from sysid.effects.compiled import inlined, kernel
 from sysid.plant import chain
-from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.pose import SCRATCH, pose
+from sysid.plant.layout import AXIS_WIDTH, STATE
+from sysid.plant.pose import SCRATCH
+from sysid.plant.settled_pose import settle
 
 
 @inlined
-def resting_tip(joints, p, rig, soft, s, q, load, scratch, tip):
+def resting_tip(joints, p, rig, s, straight, q, load, scratch, tip):
     """Joints at rest (A,) in the middle of their backlash → end effector ``tip`` (3,); the other arrays are scratch."""
-    for sag in range(2 if soft else 1):
-        for i in range(len(joints)):
-            s[STATE.backlash_structure] = np.nan
-            q[i] = chain.structure_stage(joints[i], p, i * AXIS_WIDTH, s, 0, load[i] if sag == 1 else 0.0)
-        pose(q, p, rig.links, rig.base, scratch, tip, load)
-
-
-@inlined
-def is_compliant(p, axes):
-    """Whether any joint of the structure is compliant."""
-    soft = False
-    for i in range(axes):
-        soft |= p[i * AXIS_WIDTH + AT.joint_compliance_structure] != 0.0
-    return soft
+    for i in range(len(joints)):
+        s[STATE.backlash_structure] = np.nan
+        straight[i] = chain.structure_stage(joints[i], p, i * AXIS_WIDTH, s, 0, 0.0)
+    settle(straight, p, rig.links, rig.base, q, scratch, tip, load)
 
 
 @kernel
 def resting_tips(p, rig, joints, out):
     """End effectors (n, 3) of independent poses (n, A)."""
     axes = joints.shape[1]
-    s, q, load = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes)
+    s, straight, q, load = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes), np.empty(axes)
     scratch = np.empty((len(rig.links), SCRATCH))
-    soft = is_compliant(p, axes)
     for k in range(len(joints)):
-        resting_tip(joints[k], p, rig, soft, s, q, load, scratch, out[k])
+        resting_tip(joints[k], p, rig, s, straight, q, load, scratch, out[k])
 
 
 @kernel
@@ -56,9 +46,8 @@ def move_copies(p, rig, wanted, low, high, now, count, rewards, near, outside):
         for i in range(axes):
             if not math.isfinite(wanted[lane, i]):
                 return False
-    s, q, load, tip = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes), np.empty(3)
-    scratch = np.empty((len(rig.links), SCRATCH))
-    soft = is_compliant(p, axes)
+    s, straight, q, load = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes), np.empty(axes)
+    tip, scratch = np.empty(3), np.empty((len(rig.links), SCRATCH))
     for lane in range(lanes):
         left = False
         for i in range(axes):
@@ -70,7 +59,7 @@ def move_copies(p, rig, wanted, low, high, now, count, rewards, near, outside):
                 x = high[i]
                 left = True
             now[lane, i] = x
-        resting_tip(now[lane, :axes], p, rig, soft, s, q, load, scratch, tip)
+        resting_tip(now[lane, :axes], p, rig, s, straight, q, load, scratch, tip)
         away = 0.0
         for c in range(3):
             now[lane, axes + c] = tip[c]

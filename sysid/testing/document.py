@@ -49,7 +49,10 @@ def write_documents(folder: Path) -> None:
 
 
 def _index() -> str:
-    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{_cell(e.equation)}` | {e.excited_by} |" for e in CATALOGUE]
+    rows = [
+        f"| [`{e.name}`]({e.name}.md) | {_target(e)} | {_parameters(e)} | `{_cell(e.equation)}` | {e.excited_by} |"
+        for e in CATALOGUE
+    ]
     return "\n".join(
         [
             _NOTICE,
@@ -58,8 +61,8 @@ def _index() -> str:
             "the plant applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal,",
             'repeatable, finite for any input, without memory of earlier runs. A source "machine facts" refers to',
             "[magnitudes of real effects](../machine-facts.md). The [gallery](gallery.md) shows the picture of each.\n",
-            "| effect | target | equation | shows in |",
-            "| --- | --- | --- | --- |",
+            "| effect | target | parameters | equation | shows in |",
+            "| --- | --- | --- | --- | --- |",
             *rows,
             "",
         ]
@@ -138,6 +141,16 @@ def _about(effect: Effect) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _parameters(effect: Effect) -> str:
+    """Names and units of the parameters, and numbers of components; none for a ratio."""
+    found: dict[str, str] = {}
+    for parameter in (p for form in effect.forms for p in form.parameters):
+        size = f" × {len(parameter.components)}" if len(parameter.components) > 1 else ""
+        unit = "" if parameter.unit == "1" else f" [{_unit(parameter.unit)}]"
+        found.setdefault(parameter.name, f"`{parameter.name}`{unit}{size}")
+    return ", ".join(found.values())
+
+
 def _target(effect: Effect) -> str:
     if effect.target in ("signal", "stream"):
         return {"signal": "a signal, e.g. `boom.joint`", "stream": "a stream (the stem of its file)"}[effect.target]
@@ -147,7 +160,7 @@ def _target(effect: Effect) -> str:
 
 
 def _unit(unit: str) -> str:
-    return unit.replace("drive", "m or rad").replace("signal", "m or rad")
+    return unit.replace("drive/s", "m/s or rad/s").replace("drive", "m or rad").replace("signal", "m or rad")
 
 
 def _link(name: str) -> str:

@@ -45,7 +45,7 @@ def opened(plant: Plant, folder: Path) -> Any:
 def replayed(plant: Plant, folder: Path) -> Replay:
     simulation = TARGET.simulation(plant, folder)
     assert simulation is not None
-    return replay(plant, simulation, [recording(fine=False)], {})
+    return replay(plant, simulation, [recording()], {})
 
 
 @pytest.mark.filterwarnings("ignore:LoadUsdPhysicsFromRange is deprecated")  # the new function rejects its own arguments

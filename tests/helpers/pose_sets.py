@@ -87,9 +87,10 @@ def tips(arm: Arm, hidden: Hidden, measured: Array) -> Array:
         q[:, k] /= scale
     for k, offset in hidden.offset.items():
         q[:, k] += offset
-    loads = _chain(arm, hidden, q)[1]
-    for k, compliance in hidden.compliance.items():
-        q[:, k] -= compliance * loads[:, k]
+    compliance = np.array([hidden.compliance.get(k, 0.0) for k in range(len(arm.axes))])
+    straight = q
+    for _ in range(40):  # gravity loads the deflected arm
+        q = straight - compliance * _chain(arm, hidden, q)[1]
     return Rotation.from_rotvec(hidden.rotation).apply(_chain(arm, hidden, q)[0]) + np.array(hidden.translation)
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from sysid.export.standalone.oscillator import oscillation
+
 
 class Part:
     """One effect of the command stage."""
@@ -231,10 +233,8 @@ class OilCompressibility(Part):
     """v̈ + 2ζω·v̇ + ω²·v = ω²·u, ω = 2π·frequency [Hz], exact for a held input; the mean over the step."""
 
     def __init__(self, dt: float, frequency: float, damping_ratio: float) -> None:
-        self.dt, self.omega, self.fade = dt, 2.0 * math.pi * frequency, damping_ratio * 2.0 * math.pi * frequency
-        damped = self.omega * math.sqrt(1.0 - damping_ratio**2)
-        decay = math.exp(-self.fade * dt)
-        self.sine, self.cosine = decay * math.sin(damped * dt) / damped, decay * math.cos(damped * dt)
+        self.dt, self.omega = dt, 2.0 * math.pi * frequency
+        self.fade, self.matrix = damping_ratio * self.omega, oscillation(self.omega, damping_ratio, dt)
         self.reset()
 
     def reset(self) -> None:
@@ -242,8 +242,8 @@ class OilCompressibility(Part):
 
     def step(self, u: float, load: float) -> float:
         x, v = 0.0 if math.isnan(self.x) else self.x - u, self.v
-        after = (self.cosine + self.fade * self.sine) * x + self.sine * v
-        slope = -(self.omega**2) * self.sine * x + (self.cosine - self.fade * self.sine) * v
+        a, b, c, d = self.matrix
+        after, slope = a * x + b * v, c * x + d * v
         self.x, self.v = u + after, slope
         return u - ((slope - v) + 2.0 * self.fade * (after - x)) / (self.omega**2 * self.dt)
 
@@ -255,19 +255,7 @@ class SecondOrderLag(Part):
     """
 
     def __init__(self, dt: float, time_constant: float, damping_ratio: float) -> None:
-        omega = 1.0 / time_constant
-        fade, square = damping_ratio * omega, omega**2 * (1.0 - damping_ratio**2)
-        decay = math.exp(-fade * dt)
-        if square * dt**2 > 1e-12:
-            root = math.sqrt(square)
-            sine, cosine = decay * math.sin(root * dt) / root, decay * math.cos(root * dt)
-        elif square * dt**2 < -1e-12:
-            root = math.sqrt(-square)
-            slow, fast = math.exp((root - fade) * dt), math.exp(-(root + fade) * dt)
-            sine, cosine = 0.5 * (slow - fast) / root, 0.5 * (slow + fast)
-        else:
-            sine, cosine = dt * decay, decay
-        self.matrix = (cosine + fade * sine, sine, -(omega**2) * sine, cosine - fade * sine)
+        self.matrix = oscillation(1.0 / time_constant, damping_ratio, dt)
         self.reset()
 
     def reset(self) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from sysid.export.standalone.oscillator import oscillation
+
 
 class Friction:
     """One law of friction: ``slope`` [N·s/m or N·m·s/rad] of its smooth part, ``dry`` [N or N·m] of its dry part."""
@@ -76,7 +78,13 @@ class RigidDrive:
         """Mean speed of a step under a held force."""
         before = self.speed
         self.speed = self.against_friction(before, force, before, self.dt / self.mass)
-        return 0.5 * (before + self.speed)
+        if before == 0.0 or (before > 0.0 and self.speed > 0.0) or (before < 0.0 and self.speed < 0.0):
+            return 0.5 * (before + self.speed)
+        # Dry friction changes its direction within the step, after the time in which it stops the motion.
+        along = math.copysign(1.0, before) * (force - self.bias)
+        stop = self.mass * abs(before) / (sum(law.dry(before, before) for law in self.frictions) - along)
+        self.speed = self.against_friction(0.0, force, 0.0, (self.dt - stop) / self.mass)
+        return 0.5 * (before * stop + self.speed * (self.dt - stop)) / self.dt
 
     def against_friction(self, free: float, force: float, v: float, mobility: float) -> float:
         """Speed after a step that changes it from ``free`` by ``mobility`` times the force (implicit)."""
@@ -97,18 +105,7 @@ class FlexibleDrive(RigidDrive):
         omega, damping = 2.0 * math.pi * frequency * root, damping_ratio * root
         self.count = max(1, math.ceil(omega * dt))
         self.short, self.square = dt / self.count, omega**2
-        fade, rest = damping * omega, omega**2 * (1.0 - damping**2)
-        short, decay = self.short, math.exp(-damping * omega * dt / self.count)
-        if rest * short**2 > 1e-12:
-            turn = math.sqrt(rest)
-            sine, cosine = decay * math.sin(turn * short) / turn, decay * math.cos(turn * short)
-        elif rest * short**2 < -1e-12:
-            turn = math.sqrt(-rest)
-            slow, fast = math.exp((turn - fade) * short), math.exp(-(turn + fade) * short)
-            sine, cosine = 0.5 * (slow - fast) / turn, 0.5 * (slow + fast)
-        else:
-            sine, cosine = short * decay, decay
-        self.matrix = (cosine + fade * sine, sine, -(omega**2) * sine, cosine - fade * sine)
+        self.matrix = oscillation(omega, damping, self.short)
         super().__init__(dt, mass, bias, frictions)
 
     def reset(self, speed: float) -> None:

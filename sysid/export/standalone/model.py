@@ -156,6 +156,9 @@ class DriveModel:
         sensors: signal → its reading; other signals are ideal.
     """
 
+    #: Steps in which a machine at rest settles under the load of its deflected posture.
+    SETTLING = 20
+
     def __init__(
         self, dt: float, names: list[str], signals: list[str], axes: list[Axis], pump_limit: float,
         kinematics: Kinematics | None, sway: GripperSway | None, sensors: dict[str, SensorReading],
@@ -186,9 +189,11 @@ class DriveModel:
         if self.sway is not None:
             self.sway.reset()
         self.load = zeros if load is None else np.array(load, dtype=np.float64)
-        self._place(load)
-        for axis in self.axes:
-            axis.structure_backlash.reset(math.nan)
+        soft = any(axis.drive_compliance or axis.structure_compliance for axis in self.axes)
+        for _ in range(self.SETTLING if soft and load is None else 1):  # until the machine rests under the load of its posture
+            self._place(load)
+            for axis in self.axes:
+                axis.structure_backlash.reset(math.nan)
         state = self._state(load)
         for i, axis in enumerate(self.axes):
             command = axis.drive.position if isinstance(axis.drive, PositionDrive) else float(held[i])
@@ -234,7 +239,8 @@ class DriveModel:
         compliance = np.array([axis.drive_compliance for axis in self.axes])
         if self.kinematics is None or not compliance.any():
             return joints
-        straight, offset = joints, np.array([axis.offset for axis in self.axes])
-        for _ in range(10):
-            straight = joints + compliance * self.kinematics.pose(straight + offset)[1]
-        return straight
+        structure, load = np.array([axis.structure_compliance for axis in self.axes]), np.zeros(len(joints))
+        offset = np.array([axis.offset for axis in self.axes])
+        for _ in range(self.SETTLING if structure.any() else 1):
+            load = self.kinematics.pose(joints + offset - structure * load)[1]
+        return joints + compliance * load

@@ -70,9 +70,18 @@ class RigidDrive(nn.Module):
 
     def forward(self, force: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Mean speed of the step, and the state: speed."""
-        v = torch.nan_to_num(state[:, 0])
-        after = self.against_friction(v, force, v, self.dt / self.mass(theta), theta)
-        return 0.5 * (v + after), after[:, None]
+        v, mass = torch.nan_to_num(state[:, 0]), self.mass(theta)
+        after = self.against_friction(v, force, v, self.dt / mass, theta)
+        turns = (v != 0.0) & (torch.sign(after) != torch.sign(v))
+        # Dry friction changes its direction within the step, after the time in which it stops the motion.
+        against = -torch.sign(v) * (force - parameter(theta, self.bias_at, 0.0))
+        for law in self.laws:
+            against = against + law.dry(v, v, theta)
+        stop = mass * torch.abs(v) / torch.where(turns, against, torch.ones_like(against))
+        rest = torch.zeros_like(v)
+        back = self.against_friction(rest, force, rest, (self.dt - stop) / mass, theta)
+        mean = torch.where(turns, (v * stop + back * (self.dt - stop)) / self.dt, v + after)
+        return 0.5 * mean, torch.where(turns, back, after)[:, None]
 
     def mass(self, theta: Tensor) -> Tensor:
         return self.inertia * parameter(theta, self.ratio_at, 1.0)

@@ -11,6 +11,8 @@ from sysid.export.torchscript.joint_parts import GripperSway, Kinematics
 from sysid.export.torchscript.oscillator import parameter
 
 Signals = dict[str, Tensor]
+#: Steps in which a machine at rest settles under the load of its deflected posture.
+SETTLING = 20
 
 
 class DriveModel(nn.Module):
@@ -36,6 +38,8 @@ class DriveModel(nn.Module):
         self.pump_at = pump_at
         self.posed, self.kinematics = kinematics is not None, kinematics or _no_kinematics(len(axes))
         self.swings, self.sway = sway is not None, sway or GripperSway(dt, 0, 1)
+        soft = any(axis.drive_compliance_at >= 0 or axis.structure_compliance_at >= 0 for axis in axes)
+        self.settling = SETTLING if soft else 1
         self.signals = list(readings)
         self.sources, self.columns = [source for source, _ in readings.values()], [at for _, at in readings.values()]
         self.inner = sum(axis.width for axis in axes)
@@ -65,8 +69,10 @@ class DriveModel(nn.Module):
         state = torch.cat(
             [torch.cat(rows, dim=1), torch.zeros_like(joints), joints.new_full((joints.shape[0], 10), math.nan)], dim=1
         )
-        settled, _ = self.place(state, theta)
-        load = settled[:, self.inner : self.inner + self.count]
+        load = torch.zeros_like(joints)
+        for _ in range(self.settling):  # until the machine rests under the load of its posture
+            settled, _ = self.place(torch.cat([state[:, : self.inner], load, state[:, -10:]], dim=1), theta)
+            load = settled[:, self.inner : self.inner + self.count]
         state, signals = self.place(torch.cat([state[:, : self.inner], load, state[:, -10:]], dim=1), theta)
         state = torch.cat([self.demands(commands, state, theta, True)[1], state[:, self.inner :]], dim=1)
         return state, signals
@@ -153,15 +159,17 @@ class DriveModel(nn.Module):
         if not self.posed:
             return joints
         compliances: list[Tensor] = []
+        structures: list[Tensor] = []
         offsets: list[Tensor] = []
         for axis in self.axes:
             compliances.append(parameter(theta, axis.drive_compliance_at, 0.0))
+            structures.append(parameter(theta, axis.structure_compliance_at, 0.0))
             offsets.append(parameter(theta, axis.offset_at, 0.0))
-        compliance, offset = torch.stack(compliances, dim=1), torch.stack(offsets, dim=1)
-        straight = joints
-        for _ in range(10):
-            straight = joints + compliance * self.kinematics(straight + offset, theta)[1]
-        return straight
+        compliance, structure = torch.stack(compliances, dim=1), torch.stack(structures, dim=1)
+        straight, load = joints + torch.stack(offsets, dim=1), torch.zeros_like(joints)
+        for _ in range(self.settling):
+            load = self.kinematics(straight - structure * load, theta)[1]
+        return joints + compliance * load
 
 
 def _no_kinematics(axes: int) -> Kinematics:
