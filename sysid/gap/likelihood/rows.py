@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.compiled import kernel
+from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.problem import Problem
@@ -146,7 +146,7 @@ class StageRows:
         """Products (k, m) of ``effects`` (rows, k), in noise floors, with ``columns`` (rows, m), which are not."""
         total = np.zeros((effects.shape[1], columns.shape[1]))
         for s in self.series:
-            total += (effects[s.rows] / self.floor[s.signal]).T @ columns[s.rows]
+            _add_products(np.ascontiguousarray(effects[s.rows] / self.floor[s.signal]), columns[s.rows], total)
         return total
 
     def in_floors(self, columns: npt.NDArray[np.floating]) -> Array:
@@ -190,6 +190,15 @@ def _means(values, width, out):
                         total += x
                         there += 1
                 out[lane, b, k] = total / there if 2 * there > width else np.nan
+
+
+@summing
+def _add_products(effects, columns, out):
+    for r in range(len(effects)):
+        for i in range(effects.shape[1]):
+            x = effects[r, i]
+            for j in range(columns.shape[1]):
+                out[i, j] += x * columns[r, j]
 
 
 @kernel
