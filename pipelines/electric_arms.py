@@ -9,11 +9,11 @@ of its own; then it is compared with the truth. An interrupted run continues. Se
 139 are published, and only the final run of a row uses them, ten of them at least. A row that is published replaces its earlier
 cases; all others keep theirs.
 
-``--measured`` reads the results that pipelines/emps.py, xl330.py and so101.py left in a workspace, and calibrates TIAGo and
-UR10 anew.
+``--measured`` reads the results that pipelines/emps.py, xl330.py, so101.py and ur10e.py left in a workspace, and calibrates
+TIAGo and UR10 anew.
 
 Order of reading of arms/: case, motion, rigid; the rows arm, servo_sag, poses, flexible, smooth_friction; generate, solve,
-runner, names, score, published, measured, page.
+runner, names, score, published, measured, page, goals.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from arms.generate import ROWS, generate
+from arms.goals import goal_table
 from arms.measured import compared, figures, names
 from arms.page import measured_table, page_tables
 from arms.published import check_published, merged, result_of
@@ -71,11 +72,25 @@ def scored(rows: Sequence[str], seeds: Sequence[int], work: Path, command: str) 
 
 def publish(result: dict[str, Any]) -> None:
     """Write the result beside the rows that were published before, and the tables of the page."""
-    path, before = REPORTS / "result.json", REPORTS / "before.json"
-    whole = merged(json.loads(path.read_text("utf-8")) if path.exists() else None, result)
-    write_result(path, whole)
-    earlier = json.loads(before.read_text("utf-8")) if before.exists() else None
-    write_tables(PAGE, page_tables(whole, earlier), "pipelines/electric_arms.py")
+    whole = merged(stored("result"), result)
+    write_result(REPORTS / "result.json", whole)
+    write_tables(PAGE, page_tables(whole, stored("before")), "pipelines/electric_arms.py")
+    write_goals()
+
+
+def stored(name: str) -> dict[str, Any] | None:
+    """A committed result, or None."""
+    path = REPORTS / f"{name}.json"
+    found: dict[str, Any] | None = json.loads(path.read_text("utf-8")) if path.exists() else None
+    return found
+
+
+def write_goals() -> None:
+    """The table of the goals, where the simulated and the measured machines have figures."""
+    simulated, measured, before = (stored(name) for name in ("result", "measured", "measured_before"))
+    if simulated and measured and before:
+        changes = compared(before["figures"], measured["figures"])
+        write_tables(PAGE, goal_table(simulated["cases"], measured, changes), "pipelines/electric_arms.py: goals")
 
 
 def measure(workspace: Path, data: Path, base: bool) -> None:
@@ -87,6 +102,7 @@ def measure(workspace: Path, data: Path, base: bool) -> None:
         before = json.loads((REPORTS / "measured_before.json").read_text("utf-8"))
         table = measured_table(compared(before["figures"], found["figures"]))
         write_tables(PAGE, table, "pipelines/electric_arms.py --measured")
+        write_goals()
 
 
 def main(given: argparse.Namespace) -> None:

@@ -34,7 +34,7 @@ def figures(workspace: Path, data: Path) -> dict[str, float]:
 
 
 #: Pipeline → entry of its result that has the runs, and key of the gap of a run; None: the run is a gap.
-GAPS = {"emps": ("runs", "gap"), "xl330": ("views", "together"), "so101": ("runs", None)}
+GAPS = {"emps": ("runs", "gap"), "xl330": ("views", "together"), "so101": ("runs", None), "ur10e": ("runs", None)}
 
 
 def names(workspace: Path) -> dict[str, list[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -171,7 +171,7 @@ def _ratios(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> tuple[float 
         error = math.sqrt(sum(after[name] ** 2 for name in signals) / 3.0)
         floor = math.sqrt(sum(stated[name] ** 2 for name in signals) / 3.0)
         return error / truth["tip_noise"], error / floor if floor else None
-    bands = {item["axis"]: (item["bandwidth_hz"], item["position_hz"]) for item in answer.get("forces", ())}
+    bands = {i["axis"]: (i["bandwidth_hz"], i["position_hz"], i.get("notch")) for i in answer.get("forces", ())}
     ratios, stated_ratios = [], []
     for axis, noise in truth.get("torque_noise", {}).items():
         name = f"{axis}.command"
@@ -185,9 +185,14 @@ def _ratios(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> tuple[float 
     return max(ratios, default=None), max(stated_ratios, default=None)
 
 
-def noise_shares(rate_hz: float, force_hz: float, position_hz: float) -> tuple[float, float]:
+def noise_shares(
+    rate_hz: float, force_hz: float, position_hz: float, notch: Sequence[float] | None = None
+) -> tuple[float, float]:
     """Standard deviations behind the force filter for white noise of one unit: of the force, and of the acceleration by
-    differentiation of a position with this noise."""
+    differentiation of a position with this noise.
+
+    ``notch``: frequency [Hz] and damping ratios of numerator and denominator, run forward and backward.
+    """
     frequency = np.linspace(0.0, 0.5 * rate_hz, 1 << 14)
 
     def gain(hz: float) -> npt.NDArray[np.float64]:
@@ -196,6 +201,9 @@ def noise_shares(rate_hz: float, force_hz: float, position_hz: float) -> tuple[f
         return np.asarray(np.abs(signal.sosfreqz(sos, worN=frequency, fs=rate_hz)[1]) ** 2)
 
     force = gain(force_hz)
+    if notch:
+        s, above, below = 1j * frequency / notch[0], notch[1], notch[2]
+        force = force * np.abs((s**2 + 2.0 * above * s + 1.0) / (s**2 + 2.0 * below * s + 1.0)) ** 2
     acceleration = force * gain(position_hz) * (2.0 * math.pi * frequency) ** 2
     return float(np.sqrt(np.mean(force**2))), float(np.sqrt(np.mean(acceleration**2)))
 

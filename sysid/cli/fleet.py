@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import click
@@ -19,7 +20,8 @@ Condition = Literal["differs", "drift", "any"]
 def fleet() -> None:
     """Work on many machines of one type.
 
-    `sysid fleet gap NAME…` compares them; with --json FILE the result is written as JSON as well.
+    `sysid fleet gap NAME…` compares them, `sysid fleet watch NAME` watches one; with --json FILE the result is written as JSON
+    as well.
     """
 
 
@@ -68,9 +70,9 @@ def gap(
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.execution import open_executor
         from sysid.fleet import fleet_gap
+        from sysid.fleet.machines import described
         from sysid.fleet.page import fleet_page
         from sysid.fleet.tables import tables
-        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
@@ -89,5 +91,96 @@ def gap(
     out.line(f"Page: {write_page(workspace.output(PAGE), fleet_page(result, machine))}")
     write_json(json_file, result.to_json())
     if fail_on is not None and result.fulfils(fail_on):
+        out.line(f"Status {FAILED}: --fail-on {fail_on} holds.")
+        raise SystemExit(FAILED)
+
+
+@fleet.command()
+@click.argument("name", metavar="NAME")
+@click.argument("folders", metavar="[FOLDER]…", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@click.option(
+    "--like",
+    multiple=True,
+    metavar="NAME[@VERSION]",
+    help="Another machine of the type, whose named effects are watched as well; may be repeated.",
+)
+@click.option(
+    "--false-alarms",
+    type=click.FloatRange(0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Accepted false alarms of the machine, in 1000 hours of recorded motion.",
+)
+@click.option(
+    "--quiet",
+    type=click.FloatRange(0.0),
+    default=60.0,
+    show_default=True,
+    help="Seconds without a change after which a log without an end is complete.",
+)
+@click.option("--restart", is_flag=True, help="Begin again at the newest version of NAME.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(["drift", "new"]),
+    default=None,
+    help="End with status 3 if a parameter drifts, or only if a recording of this call shows it.",
+)
+@json_option
+@click.pass_obj
+def watch(
+    location: str,
+    name: str,
+    folders: tuple[Path, ...],
+    plant: str | None,
+    like: tuple[str, ...],
+    false_alarms: float,
+    quiet: float,
+    restart: bool,
+    fail_on: Literal["drift", "new"] | None,
+    json_file: str | None,
+) -> None:
+    """Watch one machine: add the recordings that arrived in FOLDER to NAME, and name the effects that drift.
+
+    The first call names the effects of the dataset. Each later call estimates them in the new recordings only.
+    """
+    out = Printer(json_file)
+    with progress_bar("watch") as progress:
+        progress(0.0, "loading")  # the numerical libraries, which takes seconds
+        from sysid.fleet.machines import described
+        from sysid.fleet.page import fleet_page
+        from sysid.fleet.tables import drift_table
+        from sysid.fleet.watching import watch as watch_machine
+        from sysid.reports.pages import write_page
+        from sysid.workspace import open_workspace
+
+        result = watch_machine(
+            location,
+            name,
+            folders,
+            plant,
+            like=like,
+            false_alarms_per_1000_hours=false_alarms,
+            quiet_s=quiet,
+            restart=restart,
+            progress=progress,
+        )
+    workspace = open_workspace(location)
+    _, machine = described(workspace, result.dataset)
+    begun = result.fleet.machines[0]
+    out.line(f"{result.dataset}, watched since {begun.dataset}: {len(begun.effects)} effects, {len(result.new)} new recordings")
+    for waiting in result.arrivals.waiting:
+        out.line(f"not complete yet: {waiting}")
+    for recording, why in result.arrivals.left_out:
+        out.line(f"left out: {recording}: {why}")
+    table = drift_table(result.fleet, machine)
+    if table.rows:
+        out.table(table.header, table.rows, table.right)
+    else:
+        out.line(table.empty)
+    page = write_page(workspace.output(f"fleet/watch/{name}.html"), fleet_page(result.fleet, machine))
+    out.line(f"Page: {page}")
+    write_json(json_file, result.to_json())
+    if (fail_on == "drift" and result.fleet.drifts) or (fail_on == "new" and result.noticed):
         out.line(f"Status {FAILED}: --fail-on {fail_on} holds.")
         raise SystemExit(FAILED)

@@ -3,9 +3,9 @@
 The residual of a recording, predicted from all before it, divided by its standard deviation, follows Student's t while nothing
 changes, whatever the unknown mean and the unknown common scale of the errors; transformed to a normal variable it enters a
 two-sided cumulative sum (self-starting CUSUM: Hawkins, The Statistician 36 (1987), 299; weights: Brown, Durbin and Evans,
-J. R. Stat. Soc. B 37 (1975), 149). The decision interval follows from the accepted rate of false alarms by Siegmund's
-approximation of the average run length (Siegmund, Sequential Analysis, 1985, §2.6; Montgomery, Introduction to Statistical
-Quality Control, §9.1).
+J. R. Stat. Soc. B 37 (1975), 149). The variance of a value is that of its own error and of a scatter between recordings. The
+decision interval follows from the accepted rate of false alarms by Siegmund's approximation of the average run length
+(Siegmund, Sequential Analysis, 1985, §2.6; Montgomery, Introduction to Statistical Quality Control, §9.1).
 """
 
 from __future__ import annotations
@@ -158,13 +158,27 @@ def date_of_change(values: Array, deviations: Array) -> int:
     return 1 + int(np.argmax(squares))
 
 
+def with_scatter(values: Array, deviations: Array) -> Array:
+    """Standard deviations (r,) of the values about a level that changes slowly or seldom: of their own errors and of a scatter
+    between recordings, which is the same for all.
+
+    The scatter follows from differences of neighbours (Rice, Ann. Stat. 12 (1984), 1215). A step makes it too large, which only
+    makes the weights of the recordings more alike.
+    """
+    if len(values) < 2:
+        return deviations
+    excess = np.diff(values) ** 2 - deviations[1:] ** 2 - deviations[:-1] ** 2
+    return np.asarray(np.sqrt(deviations**2 + max(0.0, 0.5 * float(np.mean(excess)))))
+
+
 def _changes(history: ParameterHistory, interval: float) -> list[Drift]:
     """The changes of one parameter; after one the search goes on with the recordings after it.
 
     A change is reported while the sum is beyond its interval, as soon as it is not negligible. A change that is negligible yet
     does not become the new normal, or a slow growth would never be reported.
     """
-    values, deviations = np.array(history.values), np.array(history.deviations)
+    values = np.array(history.values)
+    deviations = with_scatter(values, np.array(history.deviations))
     found: list[Drift] = []
     begin = 0
     while True:
@@ -173,7 +187,7 @@ def _changes(history: ParameterHistory, interval: float) -> list[Drift]:
             (
                 drift
                 for k in begin + np.flatnonzero(sums > interval)
-                if abs((drift := _change(history, begin, int(k))).after - drift.before) > history.negligible
+                if abs((drift := _change(history, deviations, begin, int(k))).after - drift.before) > history.negligible
             ),
             None,
         )
@@ -183,9 +197,9 @@ def _changes(history: ParameterHistory, interval: float) -> list[Drift]:
         begin = history.recordings.index(change.since)
 
 
-def _change(history: ParameterHistory, begin: int, noticed: int) -> Drift:
+def _change(history: ParameterHistory, deviations: Array, begin: int, noticed: int) -> Drift:
     """The change between the recordings ``begin`` and ``noticed``."""
-    values, deviations = np.array(history.values), np.array(history.deviations)
+    values = np.array(history.values)
     since = begin + date_of_change(values[begin : noticed + 1], deviations[begin : noticed + 1])
     latest = max(since, min((since + noticed + 1) // 2, noticed + 1 - _LATEST))
     before, before95 = _mean(values[begin:since], deviations[begin:since])

@@ -17,7 +17,8 @@ from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.intervals.criterion import criterion_at
 from sysid.gap.intervals.curvature import curvature_at
-from sysid.plant import Plant
+from sysid.gap.problem import Problem, for_recordings
+from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +31,12 @@ _Z = float(stats.norm.ppf(0.975))
 
 
 def estimate(
-    dataset: Dataset, plant: Plant, effects: Sequence[FleetEffect], seed: int = 0, progress: Progress = silent
+    dataset: Dataset,
+    plant: Plant,
+    effects: Sequence[FleetEffect],
+    seed: int = 0,
+    progress: Progress = silent,
+    later: Sequence[Recording] = (),
 ) -> tuple[ParameterHistory, ...]:
     """Values of the effects in every recording that determines them.
 
@@ -39,29 +45,35 @@ def estimate(
 
     Args:
         plant: the simulation of the type, the same for all machines.
+        later: recordings of the same machine after those of the dataset. If there are any, only they get values, from the fit
+            to the dataset; each is independent of the others. Their hours continue those of the dataset.
 
     Raises:
         ExcitationError: no stage is measured at both ends.
     """
     case, stages = open_case(dataset, plant, seed)
     ordered = _in_time(case)
-    hours = np.cumsum([len(r) / r.rate_hz for r in ordered]) / 3600.0
-    ends = {recording.name: float(end) for recording, end in zip(ordered, hours, strict=True)}
+    counted = (*ordered, *later)
+    hours = np.cumsum([len(r) / r.rate_hz for r in counted]) / 3600.0
+    ends = {recording.name: float(end) for recording, end in zip(counted, hours, strict=True)}
     found: list[ParameterHistory] = []
     for number, stage in enumerate(stages):
         chosen = _chosen(case, stage, effects)
         if chosen:
             own = part(progress, number / len(stages), (number + 1) / len(stages))
-            found += _of_stage(case, stage, chosen, ordered, ends, own)
+            found += _of_stage(case, stage, chosen, ordered, later, ends, own)
     progress(1.0, "estimated")
     return tuple(found)
 
 
 def _in_time(case: Case) -> tuple[Recording, ...]:
     """The recordings of motion, of all roles, in the order of time; without stamps in the order of the dataset."""
-    motion = (*case.split.seen, *case.split.held_out)
-    names = [recording.name for recording in case.dataset.recordings]
-    return tuple(sorted(motion, key=lambda r: (r.start_ns, names.index(r.name))))
+    return in_time([*case.split.seen, *case.split.held_out], [recording.name for recording in case.dataset.recordings])
+
+
+def in_time(recordings: Sequence[Recording], names: Sequence[str]) -> tuple[Recording, ...]:
+    """Recordings in the order of their time stamps, without stamps in that of ``names``."""
+    return tuple(sorted(recordings, key=lambda r: (r.start_ns, names.index(r.name))))
 
 
 def _chosen(case: Case, stage: Stage, effects: Sequence[FleetEffect]) -> list[tuple[FleetEffect, Candidate]]:
@@ -81,16 +93,20 @@ def _of_stage(
     stage: Stage,
     chosen: Sequence[tuple[FleetEffect, Candidate]],
     ordered: Sequence[Recording],
+    later: Sequence[Recording],
     ends: dict[str, float],
     progress: Progress,
 ) -> list[ParameterHistory]:
     candidates = [candidate for _, candidate in chosen]
     problem = stage.problem
-    recordings = [r for r in ordered if problem.only is None or r.name in problem.only]
+    recordings = _compared(problem, ordered)
     progress(0.0, f"{stage.label}: all recordings")
     whole = fit_candidates(
         Data(problem, recordings, stage.sigma), stage.theta, candidates, starting_values(candidates, [], case.seed)
     )
+    if later:
+        problem = for_recordings(problem, compile_plant(case.plant), later)
+        recordings = _compared(problem, later)
     values, deviations = np.full((2, len(recordings), len(whole.unknowns)), np.nan)
     for k, recording in enumerate(recordings):
         progress((k + 1) / (len(recordings) + 1), f"{stage.label}: {recording.name}")
@@ -112,6 +128,11 @@ def _of_stage(
                 )
             )  # fmt: skip
     return found
+
+
+def _compared(problem: Problem, recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings in which the stage can be compared."""
+    return [r for r in recordings if problem.only is None or r.name in problem.only]
 
 
 def _of_recording(data: Data, theta: Array, whole: Fit) -> tuple[Array, Array]:

@@ -44,7 +44,12 @@ def _machine(dataset: Dataset, verdict: Any, effects: Any) -> dict[str, Any]:
     return FleetMachine(dataset.reference, verdict, tuple(map(FleetEffect.of, effects))).to_json()
 
 
+def plant_sha256(plant: Plant) -> str:
+    """Content address of a plant, by its files."""
+    hashes = {file: sha256(content) for file, content in plant.to_files().items()}
+    return sha256(json.dumps(hashes, sort_keys=True).encode())
+
+
 def _own_file(place: Workspace, dataset: Dataset, plant: Plant) -> Path:
     """The names by this plant, in the results of the dataset version."""
-    hashes = {file: sha256(content) for file, content in plant.to_files().items()}
-    return place.output(f"fleet-{sha256(json.dumps(hashes, sort_keys=True).encode())[:16]}.json", dataset)
+    return place.output(f"fleet-{plant_sha256(plant)[:16]}.json", dataset)

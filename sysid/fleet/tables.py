@@ -41,13 +41,18 @@ def tables(result: FleetResult, machine: Machine) -> tuple[Table, ...]:
             (2, 3, 4),
             "No parameter is determined on two machines.",
         ),
-        Table(
-            "Drifts",
-            ("Machine", "Effect", "Parameter", "Before", "After", "Since", "Noticed"),
-            tuple(_drift(item, machine) for item in result.drifts),
-            (3, 4),
-            "No parameter drifts.",
-        ),
+        drift_table(result, machine),
+    )
+
+
+def drift_table(result: FleetResult, machine: Machine) -> Table:
+    """The parameters that changed."""
+    return Table(
+        "Drifts",
+        ("Machine", "Effect", "Parameter", "Before", "After", "Since", "Noticed"),
+        tuple(_drift(item, machine) for item in result.drifts),
+        (3, 4),
+        "No parameter drifts.",
     )
 
 

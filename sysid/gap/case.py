@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.drive_delay import drive_delay
+from sysid.gap.drive_notch import drive_notch
 from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import fit_candidates, spread_of
@@ -132,7 +133,7 @@ def _stage(case: Case, problem: Problem) -> Stage:
     split = stage_split(case, problem)
     resonance = _resonance(case, problem, split)
     if resonance is not None:
-        problem = _with_drive_delay(case, problem, split, resonance)
+        problem = _with_drive(case, problem, split, resonance)
         resonance = _resonance(case, problem, split) or resonance
     theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
     sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
@@ -153,11 +154,11 @@ def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | N
     return drive_resonance(split.seen, case.plant.machine.axis(problem.target), problem.force_filter)
 
 
-def _with_drive_delay(case: Case, problem: Problem, split: Split, resonance: DriveResonance) -> Problem:
-    """The force stage with the delay that the recordings show beside the resonance of the drive."""
+def _with_drive(case: Case, problem: Problem, split: Split, resonance: DriveResonance) -> Problem:
+    """The force stage with the delay that the recordings show beside the resonance of the drive, and with its notch."""
     axis, settings = case.plant.machine.axis(problem.target), problem.force_filter
     assert settings is not None
-    settings = replace(settings, delay=drive_delay(split.seen, axis, settings, resonance))
+    settings = replace(settings, delay=drive_delay(split.seen, axis, settings, resonance), notch=drive_notch(resonance))
     return force_problem(compile_plant(case.plant), axis, (*split.seen, *split.held_out), settings)
 
 
@@ -208,7 +209,8 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
         settings, recordings = stage.problem.force_filter, stage.split.seen
         if settings is not None and recordings:
             delay = settings.delay / recordings[0].rate_hz
-            found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay))
+            notch = None if settings.notch is None else astuple(settings.notch)
+            found.append(ForceComparison(stage.problem.target, settings.force_hz, settings.position_hz, delay, notch))
     return tuple(found)
 
 

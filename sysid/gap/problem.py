@@ -160,6 +160,21 @@ def force_determined(recording: Recording, axis: Axis, least_travel: float, sett
     return True
 
 
+def for_recordings(problem: Problem, model: Model, recordings: Sequence[Recording]) -> Problem:
+    """The same stage for recordings that are not among those it was made for: a force stage holds the filtered motion of each.
+
+    The filter is that of ``problem``. Recordings that do not determine the force are not among those in which it is compared.
+    """
+    if problem.only is None:
+        return problem
+    axes = [model.machine.axis(signal.partition(".")[0]) for signal in problem.signals]
+    settings = problem.force_filter or ForceFilter()
+    moving = [r for r in recordings if r.kind == "motion" and all(force_determined(r, axis, 0.0, settings) for axis in axes)]
+    if problem.stage == "force":
+        return force_problem(model, axes[0], moving, settings)
+    return links_problem(model, axes, moving)
+
+
 def _force_problems(model: Model, axis: Axis, split: Split) -> list[Problem]:
     """The force stage of an axis, if recordings of each role determine it; its filter is that of the seen recordings."""
     motion = (*split.seen, *split.held_out)

@@ -123,12 +123,14 @@ class ForceComparison:
     Args:
         bandwidth_hz, position_hz: cut-off of both forces, and of the position before it is differentiated [Hz].
         delay: by which the logged force is ahead of the measured motion [s].
+        notch: of both forces at the antiresonance of a drive: frequency [Hz] and damping ratios of numerator and denominator.
     """
 
     axis: str
     bandwidth_hz: float
     position_hz: float
     delay: float
+    notch: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
 from sysid.plant.link_torque import link_torque
+from sysid.plant.notch import Notch
 from sysid.plant.smooth_motion import HIGHEST, POSITION_HZ, smooth_motion
 from sysid.signals import axis_signal
 
@@ -50,6 +51,7 @@ class ForceFilter:
             speed, or within half a period of the position's low-pass around a reversal, where the sign of the filtered speed
             may differ from that of the true speed.
         delay: of the force against the motion [samples], see :func:`sysid.plant.force_delay.force_delay`.
+        notch: on both sides behind the low-pass, at the antiresonance of a drive.
     """
 
     position_hz: float = POSITION_HZ
@@ -57,6 +59,12 @@ class ForceFilter:
     order: int = 4
     still: float = 0.01
     delay: float = 0.0
+    notch: Notch | None = None
+
+    def sections(self, rate_hz: float) -> Array:
+        """Second-order sections (k, 6) of the filter of the force, which runs forward and backward."""
+        low_pass = signal.butter(self.order, min(self.force_hz, HIGHEST * rate_hz), fs=rate_hz, output="sos")
+        return np.asarray(low_pass if self.notch is None else np.vstack([low_pass, self.notch.section(rate_hz)]))
 
 
 def highest_force_hz(rate_hz: float) -> float:
@@ -147,7 +155,7 @@ def force_inputs(
     if motion is None:
         raise ExcitationError(where, "force and motion are not measured together", f"{LEAST_SAMPLES} samples")
     rate = motion.rate_hz
-    low_pass = signal.butter(settings.order, min(settings.force_hz, HIGHEST * rate), fs=rate, output="sos")
+    low_pass = settings.sections(rate)
     force = delayed(motion.force, settings.delay)
     position, speed, acceleration = smooth_motion(motion.position, rate, settings.position_hz, settings.order)
     filtered = signal.sosfiltfilt(low_pass, force)

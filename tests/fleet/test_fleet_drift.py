@@ -57,6 +57,18 @@ def test_a_slow_growth_is_noticed() -> None:
     assert all(item.after > item.before for item in found)
 
 
+def test_scatter_between_recordings_beside_errors_of_all_sizes_raises_no_more_alarms() -> None:
+    """The values scatter by 2e-4 whatever their errors, of which some are a tenth of others."""
+    rng = np.random.default_rng(15)
+    alarms = 0
+    for _ in range(20):
+        deviations = rng.choice([2e-6, 2e-5], 2000)
+        values = 0.006 + rng.normal(0.0, 2e-4, 2000)
+        alarms += len(drifts([history(values, deviations, negligible=0.0)], 1.0 / 60.0))
+    # 667 h in which 11 false alarms are accepted; weights by the errors alone give 31.
+    assert alarms < 25
+
+
 def test_outliers_alone_raise_no_alarm() -> None:
     rng = np.random.default_rng(11)
     values = rng.normal(0.006, 2e-4, 60)

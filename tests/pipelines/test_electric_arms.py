@@ -22,8 +22,8 @@ from sysid.datasets import ingest
 from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("arm", "case", "flexible", "generate", "measured", "names", "page", "poses", "published", "rigid", "runner", "score")
-MODULES += ("servo_sag", "smooth_friction")
+MODULES = ("arm", "case", "flexible", "generate", "goals", "measured", "names", "page", "poses", "published", "rigid", "runner")
+MODULES += ("score", "servo_sag", "smooth_friction")
 Array = npt.NDArray[np.float64]
 
 
@@ -263,6 +263,49 @@ def test_every_hidden_name_has_an_entry_and_every_case_a_line(arms: dict[str, Mo
     for kind in friction.KINDS:
         for hidden in friction.truth(friction.random_axis(np.random.default_rng(0), kind)):
             assert hidden.name in arms["names"].ACCEPTED
+
+
+def test_a_goal_is_reached_by_all_cases_or_missed(arms: dict[str, ModuleType]) -> None:
+    right = {**CASE, "errors": {"coulomb_friction(a).force": 0.02, "payload(tool).mass": 0.04}, "ratio": 1.1, "spread": 0.1}
+    cases = [{**right, "row": "arm"} for _ in range(20)]
+    drive = {**CASE, "row": "flexible", "variant": "force", "missed": [["viscous_friction", "drive"]], "outcome": "incomplete"}
+    changes = [("EMPS, rigid [relative]", "1", "1", "same"), ("UR10, calibrated [mm]", "1", "2", "worse")]
+    left = {f"UR10e, ur10e, {axis}.command [relative]": 0.05 for axis in ("shoulder_pan", "shoulder_lift", "elbow")}
+    figures = {**left, "UR10e, loaded, mass of the payload [relative]": 0.031}
+    named = [f"viscous_friction({axis})" for axis in ("shoulder_pan", "shoulder_lift", "elbow")]
+    measured = {"figures": figures, "named": {"ur10e, ur10e": named, "ur10e, loaded": ["payload(tool)"]}}
+
+    def row_of(text: str, **changed: Any) -> str:
+        table = arms["goals"].goal_table(**{"cases": [*cases, drive], "measured": measured, "changes": changes} | changed)
+        return next(line for line in table.splitlines() if line.startswith(f"| {text}"))
+
+    assert row_of("six-axis arm").endswith("| 20 of 20 | reached |")
+    assert row_of("six-axis arm", cases=cases[1:]).endswith("| 19 of 19 | **missed** |")
+    assert row_of("— mass of the payload").endswith("| 20 of 20 payloads, at most 4.0 % | reached |")
+    assert row_of("— force error", cases=[*cases, {**cases[0], "ratio": 1.3}]).endswith(
+        "at most 1.30; 20 of 21 within | **missed** |"
+    )
+    assert row_of("flexible drive, force axis").endswith("| 1 of 1 | reached |")
+    assert row_of("— its friction named too").endswith("| 0 of 1 | **missed** |")
+    assert row_of("flexible drive, force axis", cases=[{**drive, "outcome": "none"}]).endswith("**missed** |")
+    assert row_of("UR10e, measured").endswith("| 3 | reached |")
+    assert row_of("— error of the payload").endswith("| 3.1 % | **missed** |")
+    assert row_of("EMPS").endswith("reached |")
+    assert row_of("UR10, measured").endswith("| 1 worse | **missed** |")
+    assert row_of("all simulated machines", cases=[{**drive, "wrong": [["payload", "tool"]]}]).endswith(
+        "| 1 of 1 | **missed** |"
+    )
+
+
+def test_the_page_has_the_goals_of_the_committed_results(arms: dict[str, ModuleType]) -> None:
+    root = Path(PIPELINES).parent
+    parts = [
+        json.loads((root / f"reports/electric_arms/{name}.json").read_text("utf-8"))
+        for name in ("result", "measured", "measured_before")
+    ]
+    changes = arms["measured"].compared(parts[2]["figures"], parts[1]["figures"])
+    table = arms["goals"].goal_table(parts[0]["cases"], parts[1], changes)
+    assert table in (root / "docs/arms.md").read_text("utf-8")
 
 
 def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path, monkeypatch: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def dataset_of(manifest: Manifest, samples: Sequence[pa.Table]) -> Dataset:
-    """The version of ``manifest``; ``samples`` is one table for each part.
+def dataset_of(manifest: Manifest, samples: Mapping[int, pa.Table]) -> Dataset:
+    """The version of ``manifest``; ``samples``: number of a part → its table, for every part with recordings.
 
     Raises:
         StoreError: a recording with missing rows.
     """
     reference = f"{manifest['name']}@{manifest['version']}"
-    tables = [_rows_of(table) for table in samples]
+    tables = {number: _rows_of(table) for number, table in samples.items()}
     recordings = tuple(_recording(item, tables[item["part"]], manifest["units"]) for item in manifest["recordings"])
     return Dataset(
         name=manifest["name"],

@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -38,7 +38,7 @@ from sysid.datasets.versions.manifest import (
     to_text,
 )
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
-from sysid.errors import StoreError
+from sysid.errors import StoreError, nearest
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 
@@ -54,14 +54,20 @@ _STATE = "no version was made, existing ones are complete"
 class Store(VersionIndex):
     """The datasets of one workspace: a folder, or the URL of an object store (``s3://…``, ``gs://…``, ``file:///…``)."""
 
-    def load(self, reference: str) -> Dataset:
+    def load(self, reference: str, recordings: Collection[str] | None = None) -> Dataset:
         """``"name"`` (its newest version) or ``"name@3"``.
 
+        Args:
+            recordings: names of the only ones to load; tables without them are not read. By default all.
+
         Raises:
-            StoreError: no such dataset or version, or its files are damaged.
+            StoreError: no such dataset, version or recording, or its files are damaged.
         """
         manifest = self.manifest(reference)
-        tables = [self._table(manifest, part, "samples") for part in manifest["parts"]]
+        if recordings is not None:
+            manifest = _only(manifest, recordings)
+        needed = {item["part"] for item in manifest["recordings"]}
+        tables = {k: self._table(manifest, part, "samples") for k, part in enumerate(manifest["parts"]) if k in needed}
         try:
             return dataset_of(manifest, tables)
         except (KeyError, ValueError, TypeError, ArithmeticError, NotImplementedError) as error:  # those of Arrow are such, too
@@ -263,3 +269,18 @@ class Store(VersionIndex):
 
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+
+def _only(manifest: Manifest, names: Collection[str]) -> Manifest:
+    """The manifest with these recordings.
+
+    Raises:
+        StoreError: one that it does not have.
+    """
+    known = [item["name"] for item in manifest["recordings"]]
+    for name in names:
+        if name not in known:
+            where = f"dataset {manifest['name']}@{manifest['version']}"
+            raise StoreError(where, f"no recording {name!r}", nearest(name, known))
+    splits = {name: role for name, role in manifest["splits"].items() if name in names}
+    return {**manifest, "recordings": [item for item in manifest["recordings"] if item["name"] in names], "splits": splits}

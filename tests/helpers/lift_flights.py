@@ -1,0 +1,46 @@
+"""Flight logs of a lift whose valve has a dead-band, as the runner writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from fleet_logs import MACHINE, RATE, recorded
+
+from sysid.runner import flight_log
+from sysid.runner.cycle import Cycle
+from sysid.runner.flight_log import FlightLog
+from sysid.runner.transport import MachineInputs, Measurement
+
+
+def fly(folder: Path, band: float, seed: int) -> Path:
+    """Write one flight log below ``folder``/flights; returns its file."""
+    machine = folder / "machine.toml"
+    folder.mkdir(exist_ok=True)
+    if not machine.exists():
+        machine.write_text(MACHINE)
+    table = recorded(band, seed)
+    log = FlightLog(folder / "flights", machine, ("boom",), ("boom.joint",), {}, clock_ns=0)
+    # The loop is much faster than a real one: as many pieces as if it were not.
+    with mock.patch.object(flight_log, "SYNC_EVERY", 0.01), log:
+        for number, (command, joint) in enumerate(zip(table["boom.command"], table["boom.joint [rad]"], strict=True)):
+            log.record(cycle(number, float(command), float(joint)))
+    return log.path
+
+
+def cycle(number: int, command: float, joint: float) -> Cycle:
+    """The cycle ``number`` of a loop that sends and measures what it is given."""
+    at = round(number * 1e9 / RATE)
+    place, sent, nowhere = np.array([joint]), np.array([command]), np.full(3, np.nan)
+    readings = {"boom.joint": Measurement(joint, at, at, number + 1)}
+    return Cycle(
+        number, at, at, "running", MachineInputs(True, False, ""), readings, place, nowhere, nowhere, place,
+        place, place, sent, sent, True, (), "policy", 50_000, 700_000,
+    )  # fmt: skip
+
+
+def interrupt(path: Path, share: float) -> None:
+    """Leave of a log what a runner that was killed after ``share`` of it has written."""
+    content = path.read_bytes()
+    path.write_bytes(content[: round(share * len(content))])
