@@ -10,7 +10,7 @@ of its own; then it is compared with the truth. An interrupted run continues. Se
 cases; all others keep theirs.
 
 ``--measured`` reads the results that pipelines/emps.py, xl330.py, so101.py and ur10e.py left in a workspace, and calibrates
-TIAGo and UR10 anew.
+TIAGo and UR10 anew. A machine without a result there keeps its earlier figures.
 
 Order of reading of arms/: case, motion, rigid; the rows arm, servo_sag, poses, flexible, smooth_friction; generate, solve,
 runner, names, score, published, measured, page, goals.
@@ -26,7 +26,7 @@ from typing import Any
 
 from arms.generate import ROWS, generate
 from arms.goals import goal_table
-from arms.measured import compared, figures, names
+from arms.measured import compared, figures, merged_machines, names
 from arms.page import measured_table, page_tables
 from arms.published import check_published, merged, result_of
 from arms.runner import commits_of, folders, run_all
@@ -96,7 +96,8 @@ def write_goals() -> None:
 def measure(workspace: Path, data: Path, base: bool) -> None:
     """Compare the measured machines with their base, or record the base."""
     found = {**provenance(f"python pipelines/electric_arms.py --measured {'--base' if base else ''}".rstrip(), None)}
-    found |= {"figures": figures(workspace, data), "named": names(workspace)}
+    fresh = {"figures": figures(workspace, data), "named": names(workspace)}
+    found |= fresh if base else merged_machines(stored("measured") or {}, fresh)
     write_result(REPORTS / ("measured_before.json" if base else "measured.json"), found)
     if not base:
         before = json.loads((REPORTS / "measured_before.json").read_text("utf-8"))
@@ -136,7 +137,12 @@ if __name__ == "__main__":
     parser.add_argument("--generate", action="store_true", help="write the cases and stop")
     parser.add_argument("--publish", action="store_true", help="write reports/electric_arms/result.json and the page's tables")
     parser.add_argument("--measured", type=Path, metavar="WORKSPACE", help="compare the measured machines instead")
-    parser.add_argument("--data", type=Path, default=ROOT / ".." / "shared" / "data", help="folder with tiago_mocap")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        default=ROOT / ".." / "shared" / "data",
+        help="folder with tiago_mocap, or without it: no calibration",
+    )
     parser.add_argument("--base", action="store_true", help="with --measured: record these figures as those before")
     try:
         main(parser.parse_args())

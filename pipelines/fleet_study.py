@@ -23,17 +23,16 @@ from fleet.sealed import BEFORE, CURRIE, FIRST, NAMED, SECONDS, HiddenMachine, l
 from sysid.datasets import ingest
 from sysid.fleet import fleet_gap
 from sysid.fleet.drift import drifts
-from sysid.fleet.effects import FleetEffect, ParameterHistory
+from sysid.fleet.effects import FleetEffect, ParameterHistory, union
 from sysid.fleet.estimates import estimate
 from sysid.fleet.names import name_effects
+from sysid.fleet.result import FleetMachine
 from sysid.workspace import open_workspace
 
 SEED = 20261126
 RESULT, PAGE = ROOT / "reports/fleet/result.json", ROOT / "docs/fleet-study.md"
 #: Accepted false alarms of a machine in 1000 hours.
 FALSE_ALARMS = 1.0
-#: Hours of false-alarm simulation.
-HOURS = 10_000
 GOALS = {"differing": 0.9, "minutes": 10.0, "false alarms in 1000 h": 1.0}
 
 
@@ -46,14 +45,21 @@ def name_machine(machine: HiddenMachine, work: Path, seed: int) -> None:
 
 
 def watch_machine(machine: HiddenMachine, effects: Sequence[FleetEffect], work: Path, seed: int) -> dict[str, Any]:
-    """The values of the effects of the type in all recordings, and their drifts."""
+    """The values of the effects of the type in all recordings, and their drifts; kept for the next call."""
+    kept = work / "machines" / f"{machine.name}.json"
+    chosen = [effect.to_json() for effect in effects]
+    if kept.exists() and (known := json.loads(kept.read_text()))["effects"] == json.loads(json.dumps(chosen)):
+        return dict(known)
     place = open_workspace(work / "workspace")
     dataset = place.dataset(f"{machine.name}@1")
     plant = place.plant(dataset)
     before, after = estimate(dataset, plant, effects), estimate(dataset, plant, effects, later=later(machine, seed))
     histories = [_joined(one, more) for one, more in zip(before, after, strict=True)]
     found = drifts(histories, FALSE_ALARMS / 1000.0)
-    return {"histories": [item.to_json() for item in histories], "drifts": [item.to_json() for item in found]}
+    values = {"effects": chosen, "histories": [h.to_json() for h in histories], "drifts": [d.to_json() for d in found]}
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_text(json.dumps(values))
+    return dict(json.loads(kept.read_text()))
 
 
 def _joined(one: ParameterHistory, more: ParameterHistory) -> ParameterHistory:
@@ -61,11 +67,11 @@ def _joined(one: ParameterHistory, more: ParameterHistory) -> ParameterHistory:
     return replace(one, **parts)
 
 
-def study(machines: list[HiddenMachine], work: Path, seed: int) -> dict[str, Any]:
+def study(machines: list[HiddenMachine], work: Path, seed: int, hours: int) -> dict[str, Any]:
     """The scores."""
     found = fleet_gap(work / "workspace", [f"{m.name}@1" for m in machines])
     fleet = json.loads(json.dumps(found.to_json()))
-    watched = {m.name: json.loads(json.dumps(watch_machine(m, found.effects, work, seed))) for m in machines}
+    watched = {m.name: watch_machine(m, found.effects, work, seed) for m in machines}
     calm = [_calm(m, watched[m.name]) for m in machines]
     complete = [histories for histories in calm if len(histories) == len(NAMED)]
     values, deviations, neighbours = pooled(complete)
@@ -75,7 +81,7 @@ def study(machines: list[HiddenMachine], work: Path, seed: int) -> dict[str, Any
             spread[history.effect.name].append(np.var(history.values, ddof=1))
     sigma = {name: float(np.mean(found) ** 0.5) for name, found in spread.items()}
     rows = [_row(m, watched[m.name], fleet, sigma) for m in machines]
-    alarms = measured(complete[0], (values, deviations), SECONDS, HOURS, seed)
+    alarms = measured(complete[0], (values, deviations), SECONDS, hours, seed)
     differing, drifting = [r for r in rows if r["differs"]], [r for r in rows if r["drift"]]
     minutes = [r["minutes"] for r in drifting]
     return {
@@ -210,16 +216,23 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--machines", default="0:20", help="first:last+1")
-    parser.add_argument("--publish", action="store_true")
+    parser.add_argument("--watch", action="store_true", help="also estimate their later recordings")
+    parser.add_argument("--hours", type=int, default=10_000, help="of drawn values, for false alarms")
+    parser.add_argument("--publish", action="store_true", help="score these machines")
     options = parser.parse_args()
-    machines = sealed(options.seed)
     begin, _, end = options.machines.partition(":")
-    for machine in machines[int(begin) : int(end)]:
+    machines = sealed(options.seed)[int(begin) : int(end)]
+    for machine in machines:
         name_machine(machine, options.work, options.seed)
         print(machine.name, flush=True)
+    if options.watch:
+        named = [FleetMachine.from_json(name_effects(str(options.work / "workspace"), f"{m.name}@1", None)) for m in machines]
+        for machine in machines:
+            watch_machine(machine, union(item.effects for item in named), options.work, options.seed)
     if options.publish:
-        head = provenance(f"python pipelines/fleet_study.py --work WORK --seed {options.seed} --publish", options.seed)
-        result = {**head, **study(machines, options.work, options.seed)}
+        words = f"--seed {options.seed} --machines {options.machines} --hours {options.hours} --publish"
+        head = provenance(f"python pipelines/fleet_study.py --work WORK {words}", options.seed)
+        result = {**head, **study(machines, options.work, options.seed, options.hours)}
         write_result(RESULT, result)
         write_tables(PAGE, tables(result), "pipelines/fleet_study.py")
 

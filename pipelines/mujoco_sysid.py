@@ -28,6 +28,7 @@ from committed import markdown, provenance, write_result, write_tables
 from sysid.cli.init_from import drafted_files
 from sysid.cli.output import Printer
 from sysid.datasets import Dataset, Recording
+from sysid.errors import SettingsError
 from sysid.gap import find_gap
 from sysid.gap.adapters.mujoco.force_axes import is_force_driven, open_force_model
 from sysid.gap.adapters.mujoco.force_repair import write_force_model
@@ -259,6 +260,8 @@ def peer(
     """Values of mujoco.sysid and its time [s]."""
     from mujoco import sysid as peer_package
 
+    if not hasattr(peer_package, "ParameterDict"):
+        raise SettingsError("mujoco.sysid", "it lacks packages", "its own extra", "Type: pip install 'mujoco-core[sysid]'")
     spec = specification(case, numbers, {})
     for sensor in list(spec.sensors):
         spec.delete(sensor)

@@ -25,8 +25,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
+from sysid.execution import LocalExecutor
+from sysid.execution.local import cores
 from sysid.files import plain
-from sysid.rl.seeds import side_by_side
 from trained.page import by_arm, curves, tables
 from trained.peer import peer
 from trained.policies import baselines, kept, one
@@ -102,7 +103,7 @@ def _all(
             last[0] = share
             print(f"{100.0 * share:4.0f} %  {text}", flush=True)
 
-    return side_by_side(work, calls, workers, tell)
+    return LocalExecutor(workers or cores()).run(work, calls, tell, reports=True)
 
 
 if __name__ == "__main__":

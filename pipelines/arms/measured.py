@@ -21,14 +21,14 @@ def figures(workspace: Path, data: Path) -> dict[str, float]:
     """Name → figure, from ``<workspace>/<pipeline>/result.json`` where it is there, and pose sets calibrated anew.
 
     Args:
-        data: folder with ``tiago_mocap``.
+        data: folder with ``tiago_mocap``; without it no pose set is calibrated.
     """
     found: dict[str, float] = {}
     for name, read in (("emps", _emps), ("xl330", _xl330), ("so101", _so101), ("ur10e", _ur10e)):
         path = workspace / name / "result.json"
         if path.exists():
             found |= read(json.loads(path.read_text("utf-8")))
-    for arm in poses.ARMS:
+    for arm in poses.ARMS if (data / "tiago_mocap").is_dir() else ():
         found |= calibrated(arm, data / "tiago_mocap")
     return found
 
@@ -81,6 +81,16 @@ def _ur10e(result: Mapping[str, Any]) -> dict[str, float]:
     return found | {
         f"UR10e, {log}, mass of the payload [relative]": abs(mass / published - 1.0) for log, mass in masses.items()
     }
+
+
+def merged_machines(earlier: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[str, Any]:
+    """``fresh`` figures and names beside those of ``earlier`` whose machine it does not have."""
+    found: dict[str, Any] = {}
+    for key in ("figures", "named"):
+        own = {text.partition(",")[0] for text in fresh[key]}
+        found[key] = {text: value for text, value in earlier.get(key, {}).items() if text.partition(",")[0] not in own}
+        found[key] |= fresh[key]
+    return found
 
 
 def calibrated(arm: poses.Arm, folder: Path) -> dict[str, float]:

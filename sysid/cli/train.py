@@ -17,6 +17,13 @@ from sysid.errors import SettingsError
     "--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies with consecutive seeds, in parallel."
 )
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one per core.")
+@click.option(
+    "--cluster",
+    envvar="SYSID_CLUSTER",
+    default=None,
+    metavar="ADDRESS",
+    help="For --seeds: address of a Dask scheduler, as tcp://HOST:PORT.",
+)
 @click.option("--tensorboard", is_flag=True, help="Event files in WORKSPACE/tensorboard.")
 @click.option("--mlflow", metavar="URI", default=None, help="Also log to an MLflow server (or sqlite:///FILE).")
 @json_option
@@ -27,6 +34,7 @@ def train(
     seed: int | None,
     seeds: int | None,
     workers: int | None,
+    cluster: str | None,
     tensorboard: bool,
     mlflow: str | None,
     json_file: str | None,
@@ -48,11 +56,12 @@ def train(
         with progress_bar(f"train {settings.name}") as progress:
             results = [_one(location, recipes[0], tensorboard, mlflow, progress)]
     else:
-        from sysid.rl.seeds import side_by_side
+        from sysid.execution import open_executor
+        from sysid.execution.local import cores
 
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
             calls = [(location, entry, tensorboard, mlflow) for entry in recipes]
-            results = side_by_side(_one, calls, workers, progress)
+            results = open_executor(cluster, workers or cores()).run(_one, calls, progress, reports=True)
     columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
     out.line("The actor alone, root mean square error in mm, from 512 random poses to random targets, then staying there.")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
+#: Largest ratio: a rotor that is described at the motor lacks the square of the gear ratio, up to a hundred.
+MOST = 1e4
+
 EFFECT = Effect(
     name="inertia_error",
     title="Wrong inertia",
@@ -12,7 +15,7 @@ EFFECT = Effect(
     stage="force",
     target="axis",
     slots=(Slot("ratio", 1.0),),
-    forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.4), 0.01, "true inertia / nominal inertia"),)),),
+    forms=(Form((Parameter("ratio", "1", (0.05, MOST), (0.7, 1.4), 0.01, "true inertia / nominal inertia"),)),),
     equation="M = ratio · inertia",
     source="definition",
     excited_by="acceleration that is large against friction",

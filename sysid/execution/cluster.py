@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sysid.execution.executor import Task, TaskError
+from sysid.execution.executor import Task, TaskError, failed
 from sysid.progress import Progress, silent
 
 #: Time to wait for the scheduler [s].
@@ -26,7 +26,9 @@ class ClusterExecutor:
     address: str
     connect_s: float = CONNECT_S
 
-    def run(self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent) -> list[Any]:
+    def run(
+        self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
+    ) -> list[Any]:
         """See :class:`~sysid.execution.executor.Executor`."""
         from distributed import Client, as_completed
         from distributed.client import FutureCancelledError
@@ -41,12 +43,13 @@ class ClusterExecutor:
         with client:
             if not client.scheduler_info()["workers"]:
                 raise TaskError(self._where, "has no workers", "at least one", f"Start one: dask worker {self.address}")
-            futures = [client.submit(task, *call, pure=False) for call in calls]
+            own = (silent,) if reports else ()
+            futures = [client.submit(task, *call, *own, pure=False) for call in calls]
             try:
                 for k, future in enumerate(as_completed(futures, loop=client.loop)):
                     if future.status == "error":
                         client.cancel([other for other in futures if not other.done()])
-                        raise future.exception()
+                        raise failed(future.exception(), self._where)
                     progress((k + 1) / len(futures), f"{k + 1} of {len(futures)}")
                 return list(client.gather(futures))
             except KilledWorker as error:

@@ -2,47 +2,72 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing.context import SpawnContext
 from typing import Any
 
 from sysid.children import end_with_parent, safe_children
-from sysid.execution.executor import Task, TaskError
-from sysid.progress import Progress, silent
+from sysid.execution.executor import Task, TaskError, failed
+from sysid.progress import Progress, part, silent
+
+#: Seconds between two progress reports.
+POLL_S = 0.5
+#: Smallest change of the share done that a task reports.
+_STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class LocalExecutor:
-    """Runs calls in ``workers`` processes; one worker is this process."""
+    """Runs calls in ``workers`` processes; one worker is this process.
+
+    An interrupt kills the processes without waiting for them: what tasks store survives a kill at any moment.
+    """
 
     workers: int = 1
 
-    def run(self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent) -> list[Any]:
+    def run(
+        self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
+    ) -> list[Any]:
         """See :class:`~sysid.execution.executor.Executor`."""
         count = min(self.workers, len(calls))
         if count <= 1:
             results = []
             for k, call in enumerate(calls):
                 progress(k / len(calls), f"{k + 1} of {len(calls)}")
-                results.append(task(*call))
+                results.append(task(*call, part(progress, k / len(calls), (k + 1) / len(calls))) if reports else task(*call))
             return results
         context = multiprocessing.get_context("spawn")
-        with safe_children(), ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool:
-            futures: list[Future[Any]] = [pool.submit(task, *call) for call in calls]
+        with (
+            safe_children(),
+            _shares(context, reports) as shares,
+            ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool,
+            _killed_on_interrupt(),
+        ):
+            if shares is None:
+                futures: list[Future[Any]] = [pool.submit(task, *call) for call in calls]
+            else:
+                futures = [pool.submit(_reporting, task, call, shares, number) for number, call in enumerate(calls)]
             left = set(futures)
+            watched = 0.0
             while left:
-                done, left = wait(left, 0.5, FIRST_EXCEPTION)
-                progress(1.0 - len(left) / len(futures), f"{len(futures) - len(left)} of {len(futures)}")
+                done, left = wait(left, POLL_S, FIRST_EXCEPTION)
+                share, text = _state(futures, {} if shares is None else dict(shares))
+                watched = max(watched, share)
+                progress(watched, text)
                 if any(future.exception() is not None for future in done):
                     for future in left:
                         future.cancel()
                     break
             try:
                 return [future.result() for future in _first_failed(futures) or futures]
+            except MemoryError as error:
+                raise failed(error, "worker processes") from None
             except BrokenProcessPool:
                 raise TaskError(
                     "worker processes", "one ended without a result, perhaps for lack of memory", "enough memory for all",
@@ -50,6 +75,53 @@ class LocalExecutor:
                 ) from None  # fmt: skip
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _first_failed(futures: Sequence[Future[Any]]) -> list[Future[Any]]:
     """The first future that ended with an error, if any did."""
     return [future for future in futures if future.done() and not future.cancelled() and future.exception() is not None][:1]
+
+
+def _state(futures: Sequence[Future[Any]], shares: dict[int, tuple[float, str]]) -> tuple[float, str]:
+    """The share done of all calls, and what those that run say, else how many are done."""
+    done = [future.done() for future in futures]
+    running = [shares[k] for k in sorted(shares) if not done[k]]
+    share = (sum(done) + sum(each for each, _ in running)) / len(futures)
+    return share, ", ".join(text for _, text in running) or f"{sum(done)} of {len(futures)}"
+
+
+@contextlib.contextmanager
+def _shares(context: SpawnContext, reports: bool) -> Iterator[Any]:
+    """A table between processes, number of a call → what it reported; None without reports."""
+    if not reports:
+        yield None
+        return
+    with context.Manager() as manager:
+        yield manager.dict()
+
+
+def _reporting(task: Task, call: tuple[Any, ...], shares: Any, number: int) -> Any:
+    """In a worker: the task, whose progress goes into the table."""
+    last = [-1.0]
+
+    def progress(share: float, text: str) -> None:
+        if share - last[0] >= _STEP:
+            last[0] = share
+            shares[number] = (share, text)
+
+    return task(*call, progress)
+
+
+@contextlib.contextmanager
+def _killed_on_interrupt() -> Iterator[None]:
+    """On an interrupt, kill the processes started within."""
+    before = set(multiprocessing.active_children())
+    try:
+        yield
+    except KeyboardInterrupt:
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        raise

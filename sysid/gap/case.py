@@ -82,6 +82,7 @@ class Stage:
         result: of the search.
         resonance: of the drive of a force axis, where its force responds to its motion like that of a load behind a spring.
         oscillation: of a speed-commanded axis, where its speed responds like that of a load behind a spring.
+        open_load: of a force axis, standard deviation of the constant load that its adjusted links may have [N·m or N].
     """
 
     problem: Problem
@@ -91,6 +92,7 @@ class Stage:
     result: StageResult | None = None
     resonance: DriveResonance | None = None
     oscillation: SpeedResonance | None = None
+    open_load: float = 0.0
 
     @property
     def label(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -47,7 +47,8 @@ class StageFit:
     combinations of parameters that static poses do not determine. ``framed``: of static poses, the model of the frame alone,
     against which the other effects are compared. ``cause``: of an error that no effect explains, where it is known.
     ``beside``: where errors accumulate, the smallest set with the further effect that leaves least of the free run, and
-    that set without each effect of the smallest one, by label.
+    that set without each effect of the smallest one, by label. ``open_loads``: of the links of an arm, by axis, the standard
+    deviation of a constant load that the adjusted links may have instead [N·m or N].
     """
 
     models: tuple[ModelFit, ...]
@@ -60,6 +61,7 @@ class StageFit:
     framed: ModelFit | None = None
     cause: str = ""
     beside: tuple[ModelFit, Mapping[str, ModelFit]] | None = None
+    open_loads: Mapping[str, float] = field(default_factory=dict)
 
 
 def fit_stage(

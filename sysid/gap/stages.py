@@ -15,11 +15,12 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, inertia_error, sensor_scale
+from sysid.effects import backlash, clock_offset, inertia_error, load_bias, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
+from sysid.gap.arm.unknowns import CERTAIN
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
@@ -47,6 +48,7 @@ BACKLASH_OVER_NOISE = 4.0
 SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
 #: Condition that an error of a rotor's inertia fails.
 ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
+LOAD = "the first moment of its link is adjusted, and the postures of the recordings do not separate its torque from a constant"
 #: Stage of the links of an arm.
 LINKS = "links"
 
@@ -85,7 +87,7 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
     if links:
         with threadpool_limits(1):  # as below: the answer does not depend on the number of threads
             first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
-        rest = [replace(s, theta=_with_links(s, first)) for s in stages if s.problem.stage != LINKS]
+        rest = [_with_links(s, first) for s in stages if s.problem.stage != LINKS]
         return (first, *_in_parallel(case, rest, forms, part(progress, 0.1, 1.0)))
     stages = [_with_shown_floor(case, stage) for stage in stages]
     done = [0.0] * len(stages)
@@ -122,9 +124,13 @@ def _with_shown_floor(case: Case, stage: Stage) -> Stage:
     return replace(stage, sigma=shown_floor(model, stage.problem, stage.split.seen, stage.theta, stage.sigma))
 
 
-def _with_links(stage: Stage, links: Stage) -> Array:
-    """The vector of a stage, with the masses that the links stage found where it is a force axis."""
-    return links.found.fit.theta.copy() if stage.problem.stage == "force" else stage.theta
+def _with_links(stage: Stage, links: Stage) -> Stage:
+    """A stage with the masses that the links stage found where it is a force axis."""
+    if stage.problem.stage != "force":
+        return stage
+    fit = links.found.stage_fit
+    loads = fit.open_loads if fit is not None else {}
+    return replace(stage, theta=links.found.fit.theta.copy(), open_load=loads.get(stage.problem.target, 0.0))
 
 
 def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
@@ -220,12 +226,17 @@ def _found_in_links(
 
 
 def _beside_links(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
-    """The fit without a name for the inertia of a rotor whose link is adjusted: torques determine the sum of both."""
-    axis, model = stage.problem.target, compile_plant(case.plant)
+    """The fit without names for what adjusted links may cause: torques determine the sum of both.
+
+    That is the inertia of a rotor, and a constant load where the links' own is as uncertain.
+    """
+    axis, model, chosen = stage.problem.target, compile_plant(case.plant), fitted.decision.model
     if model.rigid is None or axis not in links_adjusted(model, stage.theta, case.theta):
         return fitted
-    rotors = {c.label: ROTOR for c in fitted.decision.model.candidates if c.effect is inertia_error.EFFECT}
-    return replace(fitted, decision=fitted.decision.without_names(rotors)) if rotors else fitted
+    lacks = {c.label: ROTOR for c in chosen.candidates if c.effect is inertia_error.EFFECT}
+    loads = [c for c in chosen.candidates if c.effect is load_bias.EFFECT]
+    lacks |= {c.label: LOAD for c in loads if abs(chosen.values_of(c)[0]) < CERTAIN * stage.open_load}
+    return replace(fitted, decision=fitted.decision.without_names(lacks)) if lacks else fitted
 
 
 def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,20 @@ def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(tmp_path: Path, n
     result = watch(place, "lift-1", [flights])
     assert result.new == (whole.parent.name,)
     assert [name for name, _ in result.arrivals.left_out] == [broken.parent.name]
+
+
+def test_two_watchers_at_once_hold_each_recording_once(tmp_path: Path, named: list[str]) -> None:
+    place, flights = begun(tmp_path), tmp_path / "flights"
+    watch(place, "lift-1")
+    paths = [fly(tmp_path, 0.08, 50 + k) for k in range(3)]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda _: watch(place, "lift-1", [flights]), range(2)))
+    held = watch(place, "lift-1", [flights])
+    assert not held.new
+    for history in held.fleet.histories:
+        assert [history.recordings.count(path.parent.name) for path in paths] == [1, 1, 1]
+    names = [recording.name for recording in open_workspace(place).dataset("lift-1").recordings]
+    assert len(names) == len(set(names))
 
 
 def test_another_plant_a_rebuilt_dataset_and_a_damaged_state_are_refused(tmp_path: Path, named: list[str]) -> None:

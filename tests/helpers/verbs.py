@@ -5,9 +5,11 @@ What they do is what the command line does, without its parsing. They run in oth
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest import mock
 
 from one_axis_logs import MACHINE, record
 from registry_verbs import FILES, PASSED, broken, promote, register, registered, repair
@@ -16,6 +18,10 @@ from stored import small_dataset
 from sysid.datasets import Store, append, ingest
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
+from sysid.fleet import watching
+from sysid.fleet.effects import FleetEffect
+from sysid.fleet.result import FleetMachine
+from sysid.fleet.watching import WatchState
 from sysid.registry import Registry, decide
 from sysid.reports.archive import load_gap
 from sysid.workspace import Workspace
@@ -50,7 +56,16 @@ def seen(workspace: Path) -> State:
         for folder in sorted((workspace / "results").glob("*"))
         if (result := load_gap(folder / "gap")) is not None
     )
-    return datasets, models(Registry(workspace)), results
+    return datasets, models(Registry(workspace)), results, watched(workspace)
+
+
+def watched(workspace: Path) -> State:
+    """What the states of watched machines hold."""
+    found = []
+    for path in sorted((workspace / "fleet" / "watch").glob("*.json")):
+        state = WatchState.from_json(json.loads(path.read_text("utf-8")))
+        found.append((state.machine.dataset, state.recordings, tuple(h.recordings for h in state.histories)))
+    return tuple(found)
 
 
 def models(registry: Registry) -> State:
@@ -85,6 +100,15 @@ def ingested(workspace: Path) -> None:
     logs(workspace.parent / "more", 3)
 
 
+def begun(workspace: Path) -> None:
+    """A watched machine, and one more recording; what is named on it is given."""
+    ingested(workspace)
+    effect = FleetEffect("valve_deadband", "a", None, ("positive", "negative"))
+    machine = FleetMachine("demo@1", "named", (effect,)).to_json()
+    with mock.patch.object(watching, "name_effects", return_value=machine):
+        watching.watch(workspace, "demo")
+
+
 def several(workspace: Path) -> None:
     store = Store(workspace)
     for seed in (1, 2, 3):
@@ -117,6 +141,10 @@ def ingest_logs(workspace: Path) -> None:
 
 def append_logs(workspace: Path) -> None:
     append(workspace.parent / "more", workspace, "demo")
+
+
+def watch(workspace: Path) -> None:
+    watching.watch(workspace, "demo", [workspace.parent / "more"], quiet_s=0.0)
 
 
 def vacuum(workspace: Path) -> None:
@@ -166,6 +194,7 @@ def train(workspace: Path) -> None:
 VERBS = (
     Verb("ingest", nothing, ingest_logs),
     Verb("append", ingested, append_logs),
+    Verb("fleet watch", begun, watch, between=True),  # the version first, then the state
     Verb("vacuum", several, vacuum, between=True),  # one version after the other goes
     Verb("register, first of a workspace", lambda workspace: None, register),
     Verb("register", registered, register),

@@ -23,7 +23,7 @@ from sysid.machine import load_machine
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
 MODULES = ("arm", "case", "flexible", "generate", "goals", "measured", "names", "page", "poses", "published", "rigid", "runner")
-MODULES += ("score", "servo_sag", "smooth_friction")
+MODULES += ("score", "servo_sag", "smooth_friction", "solve")
 Array = npt.NDArray[np.float64]
 
 
@@ -308,16 +308,35 @@ def test_the_page_has_the_goals_of_the_committed_results(arms: dict[str, ModuleT
     assert table in (root / "docs/arms.md").read_text("utf-8")
 
 
-def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path, monkeypatch: Any) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [10, 110])
+def test_eleven_joints_that_bend_under_their_weight_get_the_right_names(
+    arms: dict[str, ModuleType], tmp_path: Path, seed: int
+) -> None:
+    """Compliances move the tip by centimetres; the loads of the undeflected posture gave wrong names, or none."""
+    site = arms["case"].write_case(arms["poses"].make(seed, eleven=True), tmp_path)
+    arms["solve"].solve(site, tmp_path / "answer.json")
+    found = arms["score"].score_case(tmp_path)
+    assert (found.outcome, found.ratio) == ("right", pytest.approx(1.0, abs=0.1))
+
+
+def test_figures_of_the_ur10e_are_read_from_its_result(arms: dict[str, ModuleType], tmp_path: Path) -> None:
     result = {"left": {"ur10e": {"elbow.command": 0.02}}, "published": {"payload": 2.0}, "payload": {"one": 2.1, "two": None}}
     (tmp_path / "ur10e").mkdir()
     (tmp_path / "ur10e" / "result.json").write_text(json.dumps(result), "utf-8")
-    monkeypatch.setattr(arms["measured"], "calibrated", lambda *_: {})
     found = arms["measured"].figures(tmp_path, tmp_path)
     assert found == {
         "UR10e, ur10e, elbow.command [relative]": 0.02,
         "UR10e, one, mass of the payload [relative]": pytest.approx(0.05),
     }
+
+
+def test_a_measured_machine_without_a_new_result_keeps_its_figures(arms: dict[str, ModuleType]) -> None:
+    earlier = {"figures": {"EMPS, a": 1.0, "UR10, b": 2.0}, "named": {"emps, x": ["old(a)"]}}
+    fresh = {"figures": {"EMPS, c": 3.0, "UR10e, d": 4.0}, "named": {"ur10e, y": ["payload(tool)"]}}
+    found = arms["measured"].merged_machines(earlier, fresh)
+    assert found["figures"] == {"UR10, b": 2.0, "EMPS, c": 3.0, "UR10e, d": 4.0}
+    assert found["named"] == {"emps, x": ["old(a)"], "ur10e, y": ["payload(tool)"]}
 
 
 # ---- Publishing ---------------------------------------------------------------------------------------------------------

@@ -45,3 +45,34 @@ def test_the_dead_time_is_found_by_both_and_only_one_says_so(study: ModuleType, 
     for method in ("sysid gap", "mujoco.sysid, right parameters"):
         assert rows[method]["rmse"] < 0.01 * rows["model under test"]["rmse"]
     assert rows["mujoco.sysid, other parameters"]["rmse"] > 0.1 * rows["model under test"]["rmse"]
+
+
+def gap_row(study: ModuleType, case: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    """The row of `sysid gap`, without runs of the other method."""
+    monkeypatch.setattr(study, "peer", lambda case, *rest: (dict.fromkeys(case.right, 0.0), 0.0))
+    monkeypatch.setattr(study, "CASES", ())
+    bare = replace(case, other={})  # type: ignore[type-var]
+    return next(row for row in study.solve(bare, folder) if row["method"] == "sysid gap")
+
+
+@pytest.mark.slow
+def test_worn_joints_of_an_arm_and_nothing_else(
+    study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """A constant load of the elbow is as large as the torque by which the first moment of its link is uncertain."""
+    row = gap_row(study, study.CASES[2], tmp_path, monkeypatch)
+    names = [part.split(" ")[0] for part in str(row["found"]).split(", ")]
+    assert names == ["viscous_friction", "coulomb_friction"]
+    assert float(str(row["rmse"])) < 1e-3
+
+
+@pytest.mark.slow
+def test_rotors_described_fifty_times_too_small(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mujoco.sysid.tests import test_integration as example
+
+    case = study.own_example()
+    row = gap_row(study, case, tmp_path, monkeypatch)
+    found = dict(part.removeprefix("inertia_error (").split(") ") for part in str(row["found"]).split(", "))
+    assert set(found) == set(example.TRUE_ARMATURE)
+    for name, value in example.TRUE_ARMATURE.items():
+        assert 0.01 * float(found[name]) == pytest.approx(value, rel=0.1)

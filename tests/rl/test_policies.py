@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from crane_model import crane_plant
-from squares import squared
 from training_case import recipe, trainer
 
 from sysid.cli.app import app
@@ -26,7 +25,6 @@ from sysid.plant import compile_plant
 from sysid.rl.policy import CandidateSearchPolicy, load_policy
 from sysid.rl.reach import joint_limits, tips
 from sysid.rl.recipe import load_training, parse_training
-from sysid.rl.seeds import side_by_side
 from sysid.rl.training import policy_of, train_policy
 from sysid.versions import export_onnx
 from sysid.workspace import Workspace, open_workspace
@@ -257,13 +255,6 @@ def test_the_recipes_are_the_papers() -> None:
 def test_impossible_recipes_say_why(values: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         parse_training({"name": "a", "plant": "b", "forward": "c", **values}, "r.toml")
-
-
-def test_several_seeds_side_by_side_and_the_error_of_one() -> None:
-    record: list[float] = []
-    assert side_by_side(squared, [(2,), (3,)], 2, lambda share, _: record.append(share)) == [4, 9]
-    with pytest.raises(SettingsError, match=r"^seed 1: failed; expected luck$"):
-        side_by_side(squared, [(1,)], 1)
 
 
 def test_tensorboard_is_told(tmp_path: Path) -> None:

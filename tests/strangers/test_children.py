@@ -19,13 +19,13 @@ TRAP = "from pathlib import Path\nPath({!r}).write_text('ran')\nraise SystemExit
 FIRST = ("multiprocessing", "sysid", "numpy", "click", "pickle", "typing_extensions")
 SEEDS = """
 import sys
-from sysid.rl.seeds import side_by_side
+from sysid.execution import LocalExecutor
 
 def double(number, progress):
     return 2 * number
 
 if __name__ == "__main__":
-    print(side_by_side(double, [(1,), (2,)], workers=2))
+    print(LocalExecutor(2).run(double, [(1,), (2,)], reports=True))
 """
 
 

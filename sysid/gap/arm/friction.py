@@ -13,6 +13,8 @@ Array = npt.NDArray[np.float64]
 
 #: Columns of the friction of a joint; the last is the acceleration, or zero where the inertia of the rotor is known.
 FRICTION = 7
+#: The column of a constant load.
+CONSTANT = 4
 
 
 def friction_columns(v: Array, a: Array, load: Array, known: bool = False) -> Array:

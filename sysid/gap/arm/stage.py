@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
-from sysid.gap.arm.friction import FRICTION, without
+from sysid.gap.arm.friction import CONSTANT, FRICTION, without
 from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency, linearised, with_carried
 from sysid.gap.arm.unknowns import (
     FORCE_CONSTANT,
@@ -170,11 +170,15 @@ class _Whole:
 
     def _projected(self, axis: AxisRows, weight: float) -> Array:
         """Target, effects and errors of an axis without what its friction explains, weighted, (m, 1 + K + p)."""
-        links = [columns_of(axis.links, changes) for changes in (self.changes, self.errors.change)]
+        effects = columns_of(axis.links, self.changes)
+        return weight * without(np.column_stack([axis.target, effects, self._of_errors(axis)]), axis.friction)
+
+    def _of_errors(self, axis: AxisRows) -> Array:
+        """Slopes of the force of an axis by all small errors, with its friction, (m, p)."""
         constants, rotors = np.zeros((2, len(axis.target), len(self.rows)))
         here = [own.axis for own in self.rows].index(axis.axis)
         constants[:, here], rotors[:, here] = axis.carried, axis.rotor
-        return weight * without(np.column_stack([axis.target, *links, constants, rotors]), axis.friction)
+        return np.column_stack([columns_of(axis.links, self.errors.change), constants, rotors])
 
     def _stacked(self, weights: Array) -> _Stack:
         parts = [self._projected(axis, float(w)) for axis, w in zip(self.rows, weights, strict=True)]
@@ -237,12 +241,34 @@ class _Whole:
 
     def coefficients(self, members: Set) -> tuple[Array, Array]:
         """Most likely linear changes of a set (k,), and small errors (p,), together."""
+        columns, scale = self._scaled(members)
+        noise, count = self.sizes(members).noise, len(self.unknowns_of(members))
+        found = scale * np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ self.stack.target / noise)
+        return found[:count], found[count:]
+
+    def _scaled(self, members: Set) -> tuple[Array, Array]:
+        """Columns of a set and of all small errors with prior and noise of unit size, and the size of each."""
         at, sizes = self.unknowns_of(members), self.sizes(members)
-        tau = sizes.tau[self.kind]
-        width = self.prior.width[at]
-        columns = np.hstack([self.stack.effects[:, at] * width, self.stack.errors * tau]) / sizes.noise
-        found = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ self.stack.target / sizes.noise)
-        return found[: len(at)] * width, found[len(at) :] * tau
+        scale = np.concatenate([self.prior.width[at], sizes.tau[self.kind]])
+        return np.hstack([self.stack.effects[:, at], self.stack.errors]) * scale / sizes.noise, scale
+
+    def open_loads(self, members: Set) -> dict[str, float]:
+        """Standard deviation of the constant load on each axis that the adjusted links may have instead [N·m or N].
+
+        A constant is left out of the regression as friction is: what the postures of the recordings do not distinguish from
+        it, a first moment of a link may be. Empty where the links are not adjusted.
+        """
+        if self.needed(members) < LEAST:
+            return {}
+        columns, scale = self._scaled(members)
+        spread = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1])) * np.outer(scale, scale)
+        first = len(self.unknowns_of(members))
+        spread, found = spread[first:, first:], {}
+        for axis in self.rows:
+            constant = axis.friction[:, CONSTANT]
+            share = constant @ self._of_errors(axis) / max(float(constant @ constant), 1e-300)
+            found[axis.axis] = float(np.sqrt(share @ spread @ share))
+        return found
 
     def model_of(self, members: Set) -> ModelFit:
         """A set of effects as a model of the decision; its parameter vector contains the small errors too."""
@@ -359,7 +385,8 @@ def _decided(whole: _Whole, best: Set) -> StageFit:
     decision = Decision(chosen, tuple(named), tuple(tied), tuple(near), (chosen,), (chosen,), exact=True, accumulates=False)
     dropped = {c.label: _absent(chosen, model_of(best - {k}), c) for k, c in enumerate(whole.candidates) if k in best}
     models.sort(key=lambda f: -f.evidence)
-    return StageFit(tuple(models), decision, dropped, Explained(chosen.left, chosen.left, {}), chosen)
+    explained = Explained(chosen.left, chosen.left, {})
+    return StageFit(tuple(models), decision, dropped, explained, chosen, open_loads=whole.open_loads(best))
 
 
 def _absent(chosen: ModelFit, less: ModelFit, candidate: Candidate) -> ModelFit:

@@ -16,6 +16,7 @@ from sysid.gap import find_gap, steps
 from sysid.gap.arm.friction import without
 from sysid.gap.arm.posture import posture_share
 from sysid.gap.arm.rows import axis_rows
+from sysid.gap.arm.stage import fit_links_stage
 from sysid.gap.arm.unknowns import doubled, plausible
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import stage_candidates
@@ -33,8 +34,13 @@ RATE = 200.0
 VISCOUS, COULOMB, NOISE, JOINT_NOISE = np.array([1.5, 0.6]), np.array([2.0, 1.0]), np.array([0.1, 0.05]), 2e-5
 
 
-def recording(name: str, seed: int, m1: float, m2: float, c2: Array, i2: float, constants: Array, friction: float) -> Recording:
-    """Fifteen seconds of both joints; torque of the links and of friction, times a constant of each joint."""
+def recording(
+    name: str, seed: int, m1: float, m2: float, c2: Array, i2: float, constants: Array, friction: float, reach: float = 1.0
+) -> Recording:
+    """Fifteen seconds of both joints; torque of the links and of friction, times a constant of each joint.
+
+    ``reach``: share of their usual motion.
+    """
     draw = np.random.default_rng(seed)
     t = np.arange(round(15.0 * RATE)) / RATE
     q, v, a = (np.zeros((len(t), 2)) for _ in range(3))
@@ -44,6 +50,7 @@ def recording(name: str, seed: int, m1: float, m2: float, c2: Array, i2: float, 
             q[:, k] += size * np.sin(rate * t + phase)
             v[:, k] += size * rate * np.cos(rate * t + phase)
             a[:, k] -= size * rate**2 * np.sin(rate * t + phase)
+    q, v, a = reach * q, reach * v, reach * a
     torque = planar(q, v, a, m1, m2, c2, i2) + friction * (VISCOUS * v + COULOMB * np.sign(v))
     torque = constants * torque + NOISE * draw.standard_normal(torque.shape)
     q = q + JOINT_NOISE * draw.standard_normal(q.shape)
@@ -61,6 +68,7 @@ def dataset(
     constants: tuple[float, float] = (1.0, 1.0),
     seed: int = 0,
     friction: float = 1.0,
+    reach: float = 1.0,
 ) -> Dataset:
     arm = probe_arm()
     text = (
@@ -69,7 +77,9 @@ def dataset(
     )
     machine = machine_from_files({**arm.files(), "machine.toml": text}, "arm")
     roles = {"one": "fit", "two": "fit", "three": "select", "four": "held_out"}
-    runs = tuple(recording(name, 10 * seed + k, m1, m2, c2, i2, np.array(constants), friction) for k, name in enumerate(roles))
+    runs = tuple(
+        recording(name, 10 * seed + k, m1, m2, c2, i2, np.array(constants), friction, reach) for k, name in enumerate(roles)
+    )
     return Dataset.of(machine, runs, roles)  # type: ignore[arg-type]
 
 
@@ -142,6 +152,25 @@ def test_a_payload_is_in_proportion_to_wrong_constants_of_the_drives() -> None:
     exact = left_by_links(dataset(**heavy))  # type: ignore[arg-type]
     found = left_by_links(dataset(**{**heavy, "constants": tuple(constants.values())}))  # type: ignore[arg-type]
     assert found == {axis: pytest.approx(constant * exact[axis], rel=0.15) for axis, constant in constants.items()}
+
+
+def study_of(data: Dataset) -> steps.Study:
+    return steps.open_study(data, nominal_plant(data.machine))
+
+
+@pytest.mark.parametrize(("reach", "open_"), [(1.0, False), (0.1, True)])
+def test_a_constant_load_is_open_where_a_link_turns_by_few_degrees(reach: float, open_: bool) -> None:
+    """Its first moment causes the same torque there. Five per cent of that of the second link weigh 0.15 N·m, of both 0.9."""
+    study = study_of(dataset(m1=1.15 * M1, m2=0.9 * M2, constants=(1.1, 0.9), reach=reach))
+    stage = next(stage for stage in study.stages if stage.problem.stage == "links")
+    model = compile_plant(study.case.plant)
+    some = stage_candidates(study.case, stage)
+    names = [c.label for c in some]
+    fit = fit_links_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, some, names, lambda text: None)
+    assert set(fit.open_loads) == {"lift", "elbow"}
+    typical = {"lift": 0.9, "elbow": 0.15}
+    for axis, load in fit.open_loads.items():
+        assert (load > 0.3 * typical[axis]) if open_ else (0.0 < load < 0.05 * typical[axis])
 
 
 def test_a_much_heavier_upper_arm_is_no_payload() -> None:

@@ -10,7 +10,7 @@ from sysid.datasets.recording import Dataset
 from sysid.errors import InputError
 from sysid.gap import steps
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
-from sysid.gap.adapters.mujoco.inside import write_inside
+from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
 from sysid.gap.proof import stage_gap
 from sysid.gap.result import Gap, WrittenEffect
@@ -34,8 +34,9 @@ def write_force_model(
     """
     check_other_file(model, out)
     spec, compiled = load_spec(model), load_mjcf(model)
-    effects = [KnownEffect(row.name, row.target, dict(row.parameters), row.side) for row in written]  # type: ignore[arg-type]
-    native, left = write_inside(spec, compiled, tested.machine, effects, model.name)
+    kept, dropped = _separable(written)
+    native, left = write_inside(spec, compiled, tested.machine, [_known(row) for row in kept], model.name)
+    left += [_known(row) for row in dropped]
     relocate(spec, model, out)
     try:
         write_spec(spec, out)
@@ -47,3 +48,19 @@ def write_force_model(
     if not left:
         check_gap(gap, promised, out)
     return RepairedModel(out, None, tuple(native), tuple(left), gap)
+
+
+def _separable(written: Sequence[WrittenEffect]) -> tuple[list[WrittenEffect], list[WrittenEffect]]:
+    """Effects that hold by themselves, and those that do not.
+
+    What is adjusted without a name holds beside the other adjusted parameters only: a constant load beside the first moment of
+    a link, for instance. Where MJCF has no place for one of them, none is written.
+    """
+    adjusted = [row for row in written if row.kind == "adjusted"]
+    if all(row.name in WRITERS for row in adjusted):
+        return list(written), []
+    return [row for row in written if row.kind != "adjusted"], adjusted
+
+
+def _known(row: WrittenEffect) -> KnownEffect:
+    return KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]
