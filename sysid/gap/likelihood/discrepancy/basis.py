@@ -38,7 +38,7 @@ class Discrepancy:
     @property
     def absent(self) -> Discrepancy:
         """The timing alone."""
-        return Discrepancy(np.zeros((len(self.timing), 0), dtype=np.float32), np.zeros(0, dtype=np.int64), (), self.timing)
+        return Discrepancy(np.zeros((len(self.timing), 0), dtype=np.float64), np.zeros(0, dtype=np.int64), (), self.timing)
 
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
@@ -53,7 +53,7 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
         columns = make(recording)
         width = rows.series[at].width
         for name, values in columns.items():
-            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width)).astype(np.float32)  # (m, bins, d)
+            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width))  # (m, bins, d)
             found.setdefault(name, []).append(np.concatenate([means[:, :, k].T for k in range(signals)]))
         for k in range(signals):
             s = rows.series[at + k]
@@ -61,7 +61,7 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
         at += signals
     groups = tuple(found)
     sizes = [found[name][0].shape[1] for name in groups]
-    table, ends = np.empty((rows.count, sum(sizes)), dtype=np.float32), np.cumsum([0, *sizes])
+    table, ends = np.empty((rows.count, sum(sizes)), dtype=np.float64), np.cumsum([0, *sizes])
     for name, first, last in zip(groups, ends[:-1], ends[1:], strict=True):
         np.concatenate(found.pop(name), out=table[:, first:last])
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
