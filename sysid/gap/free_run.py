@@ -124,14 +124,14 @@ def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[
     """Fits of ``candidates`` to the free run of a stage: the likelihood of independent errors of one noise floor."""
     none = NO_DISTURBANCE
     white = tuple(Disturbance(float(f), none * float(f), none * float(f), 1.0, none * float(f), 1.0) for f in rows.floor)
-    variances = Variances(white, np.zeros(len(discrepancy.groups)), np.ones(rows.count))
+    variances = Variances(white, np.zeros(0), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
-    likelihood = StageLikelihood(rows, discrepancy, variances, calm, _clusters(rows), False, CONVERGED)
+    likelihood = StageLikelihood(rows, discrepancy.absent, variances, calm, _clusters(rows), False, CONVERGED)
     return LeastSquares(Proposals(likelihood, candidates))
 
 
 def _clusters(rows: StageRows) -> npt.NDArray[np.int64]:
-    """Cluster of rows with dependent errors, (rows,): neighbouring blocks of a recording over the correlation length."""
+    """Cluster of blocks with dependent errors, (blocks,): neighbouring blocks of a recording over the correlation length."""
     first = np.searchsorted(rows.recording_of_block, np.arange(len(rows.recordings)))
     within = np.arange(rows.blocks) - first[rows.recording_of_block]
-    return np.asarray(rows.recording_of_block * rows.blocks + within // (LAGS + 1), dtype=np.int64)[rows.block]
+    return np.asarray(rows.recording_of_block * rows.blocks + within // (LAGS + 1), dtype=np.int64)

@@ -17,9 +17,10 @@ from scipy.stats import t as student
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.fit import place
+from sysid.gap.likelihood.block_products import block_products
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood
-from sysid.gap.likelihood.uncertainty import scatter_of_clusters
+from sysid.gap.likelihood.uncertainty import cluster_covariance
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +69,8 @@ def speed_classes(likelihood: StageLikelihood, model: ModelFit, candidate: Candi
     ridge = RIDGE * max(float(np.trace(squares)), 1e-300) * np.eye(CLASSES)
     inverse = np.asarray(np.linalg.inv(squares + ridge), dtype=np.float64)
     off = inverse @ (X.T @ y)
-    covariance, clusters = scatter_of_clusters(X, y - X @ off, inverse, likelihood.clusters)
+    products = block_products(X, y, rows.block, rows.blocks).over(likelihood.clusters)
+    covariance, clusters = cluster_covariance(products, off, inverse)
     return SpeedClasses(1.0 + off, np.sqrt(np.diag(covariance)), clusters)
 
 

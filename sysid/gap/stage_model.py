@@ -16,7 +16,7 @@ from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
@@ -104,20 +104,21 @@ def fit_stage(
     known = dict(free.proposals.fits)
     found = [_converged(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
     # A large discrepancy would replace effects that explain the output, whatever its evidence.
-    models = [rich for _, rich in found]
-    kept = [each for each in found if problem.integrates or not outdone(each[1], models)]
-    likelihood, rich = max(kept, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
-    variances = robust(likelihood, rich)
-    likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
+    likeliest = [each[2] for each in found]
+    kept = [each for each in found if problem.integrates or not outdone(each[2], likeliest)]
+    discrepancy, variances, rich = max(kept, key=lambda each: each[2].evidence + log_prior(each[1], start))
+    variances = robust(StageLikelihood(rows, discrepancy, variances, extra), rich)
+    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     proposals = Proposals(likelihood, candidates, on_fit, known)
-    for _, other in found:
+    del found, kept  # tables of all rows
+    for other in likeliest:
         proposals.warm(other.candidates, other)
 
     @cache
     def own_of(fit: ModelFit) -> float:
         return own_evidence(likelihood, start, fit)
 
-    bare = StageLikelihood(rows, likelihood.discrepancy, replace(variances, groups=0.0 * variances.groups), extra)
+    bare = StageLikelihood(rows, discrepancy.absent, replace(variances, groups=np.zeros(0)), extra)
 
     @cache
     def needed(fit: ModelFit) -> float:
@@ -190,29 +191,32 @@ def _converged(
     first: ModelFit,
     known: dict[frozenset[str], ModelFit],
     on_fit: Callable[[str], None],
-) -> tuple[StageLikelihood, ModelFit]:
-    """Effects and variances estimated alternately, from the effects ``first``: the likelihood, and its likeliest model.
+) -> tuple[Discrepancy, Variances, ModelFit]:
+    """Effects and variances estimated alternately, from the effects ``first``: the variances, and their likeliest model.
 
     ``known``: fits under other variances, as start values; those of this one are added.
     """
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
-    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-    rich: ModelFit | None = None
-    for _ in range(2):
-        proposals = Proposals(likelihood, candidates, on_fit, known)
-        before = first if rich is None else rich
-        begin = proposals.warm(before.candidates, before)
-        rich = proposals.forward(begin)
+    rich = first
+
+    def proposals_under(variances: Variances, discrepancy: Discrepancy) -> Proposals:
+        return Proposals(StageLikelihood(rows, discrepancy, variances, extra), candidates, on_fit, known)
+
+    def searched(variances: Variances, discrepancy: Discrepancy, before: ModelFit) -> ModelFit:
+        proposals = proposals_under(variances, discrepancy)
+        found = proposals.forward(proposals.warm(before.candidates, before))
         known.update(proposals.fits)
+        return found
+
+    for _ in range(2):
+        rich = searched(variances, discrepancy, rich)
         discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
-        likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-    assert rich is not None
-    proposals = Proposals(likelihood, candidates, on_fit, known)
+    proposals = proposals_under(variances, discrepancy)
     proposals.warm(rich.candidates, rich)
     for candidate in rich.candidates:
         proposals.without(rich, candidate)
-    return likelihood, proposals.best
+    return discrepancy, variances, proposals.best
 
 
 def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:

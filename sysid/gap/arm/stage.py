@@ -38,9 +38,10 @@ from sysid.gap.arm.unknowns import (
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import BLOCK_NATS, LEAST, Decision, NearMiss
 from sysid.gap.fit import place
+from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior, Sizes
-from sysid.gap.likelihood.stage import ModelFit, Prior, block_densities, prior_of
+from sysid.gap.likelihood.stage import ModelFit, Prior, prior_of
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
 from sysid.machine.rigid_body import PARAMETERS
@@ -287,9 +288,8 @@ class _Whole:
         tau = sizes.tau[self.kind]
         effects = self.stack.effects[:, at]
         table = np.hstack([self.stack.errors * tau, effects * self.prior.width[at]]) / sizes.noise
-        predictive = block_densities(
-            table, self.stack.target / sizes.noise, table.T @ table + np.eye(table.shape[1]), self.stack
-        )
+        products = block_products(table, self.stack.target / sizes.noise, self.stack.block, self.stack.blocks)
+        predictive = predictive_densities(products, products.right.sum(axis=0), products.information)
         left = self.stack.target - effects @ change - self.stack.errors @ errors
         count = max(self.stack.independent, 1.0)
         response = np.sqrt((effects**2).sum(axis=0) / count)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.rows import Series
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, residual_and_slopes, share_of
 
@@ -34,16 +35,28 @@ def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
     scale = likelihood.variances.groups[found.group]
     table = residual_and_slopes(rows, fit.unknowns, fit.values, prior_of(fit.candidates).width)
     effects = table[:, 1:]
-    discrepancy = found.columns * scale
-    discrepancy = discrepancy - effects @ share_of(rows.scaled(effects), rows.scaled(discrepancy))
-    whitened = likelihood.whitened(np.hstack([discrepancy, found.timing[:, None], effects, table[:, :1]]))
-    columns, target = whitened[:, :-1], whitened[:, -1]
-    weights = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ target)[: len(scale)]
-    parts = np.column_stack([discrepancy @ (weights * (found.group == g)) for g in range(len(found.groups))])
+    scaled = rows.scaled(effects)
+    share = share_of(scaled, rows.products_in_floors(scaled, found.columns) * scale)
+    count = len(scale) + 1 + effects.shape[1]
+    products = np.zeros((count + 1, count + 1))
+    for k, s in enumerate(rows.series):  # without a table of all rows
+        beside = np.hstack(
+            [_beside(found, scale, effects, share, s), found.timing[s.rows, None], effects[s.rows], table[s.rows, :1]]
+        )
+        whitened = likelihood.whitened_series(k, beside)
+        products += whitened.T @ whitened
+    weights = np.linalg.solve(products[:-1, :-1] + np.eye(count), products[:-1, -1])[: len(scale)]
+    by_group = weights[:, None] * (found.group[:, None] == np.arange(len(found.groups)))
+    parts = np.concatenate([_beside(found, scale, effects, share, s) @ by_group for s in rows.series])
     centred = _centred(rows.series, np.column_stack([table[:, 0], table[:, 0] - parts.sum(axis=1), parts]))
     sizes = rows.in_floors(centred)
     groups = dict(sorted(zip(found.groups, map(float, sizes[2:]), strict=True), key=lambda item: -item[1]))
     return Explained(float(sizes[0]), float(sizes[1]), groups)
+
+
+def _beside(found: Discrepancy, scale: Array, effects: Array, share: Array, s: Series) -> Array:
+    """Columns of the discrepancy in the rows of a series, in unit prior, less what the effects explain, (n, m)."""
+    return np.asarray(found.columns[s.rows] * scale - effects[s.rows] @ share)
 
 
 def _centred(series: Sequence[Series], columns: Array) -> Array:

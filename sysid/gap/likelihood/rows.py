@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.compiled import kernel
+from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.problem import Problem
@@ -104,6 +104,7 @@ class StageRows:
         for s in self.series:
             self.recording_of_block[self.block[s.rows]] = s.recording
         self.theta = theta
+        self._present = np.concatenate([s.present for s in self.series])
         self._nominal = np.zeros(begin)
         self._nominal = self.residuals(theta[None])[0]
 
@@ -127,14 +128,11 @@ class StageRows:
         signals = len(self.problem.signals)
         for r, recording in enumerate(self.recordings):
             series = self.series[r * signals : (r + 1) * signals]
-            left = self.problem.measured(recording)[None] - self.problem.predict(thetas, recording)
-            means = bin_means(left, series[0].width)
             here = slice(series[0].rows.start, series[-1].rows.stop)
-            out = np.zeros((len(thetas), here.stop - here.start))
-            for k, s in enumerate(series):
-                part = means[:, :, k]
-                part = np.where(np.isnan(part), self._nominal[s.rows], part)
-                out[:, s.rows.start - here.start : s.rows.stop - here.start] = np.where(s.present, part, 0.0)
+            measured = np.ascontiguousarray(self.problem.measured(recording))
+            predicted = np.ascontiguousarray(self.problem.predict(thetas, recording))
+            out = np.empty((len(thetas), here.stop - here.start))
+            _residuals(measured, predicted, series[0].width, self._present[here], self._nominal[here], out)
             yield here, out
 
     def scaled(self, columns: Array) -> Array:
@@ -144,7 +142,14 @@ class StageRows:
             out[s.rows] = np.where(s.present[:, None], columns[s.rows] / self.floor[s.signal], 0.0)
         return out
 
-    def in_floors(self, columns: Array) -> Array:
+    def products_in_floors(self, effects: Array, columns: npt.NDArray[np.floating]) -> Array:
+        """Products (k, m) of ``effects`` (rows, k), in noise floors, with ``columns`` (rows, m), which are not."""
+        total = np.zeros((effects.shape[1], columns.shape[1]))
+        for s in self.series:
+            _add_products(np.ascontiguousarray(effects[s.rows] / self.floor[s.signal]), columns[s.rows], total)
+        return total
+
+    def in_floors(self, columns: npt.NDArray[np.floating]) -> Array:
         """Root mean square of columns (rows, m) over the measured rows, in noise floors, (m,)."""
         total = np.zeros(columns.shape[1])
         for s in self.series:
@@ -185,6 +190,36 @@ def _means(values, width, out):
                         total += x
                         there += 1
                 out[lane, b, k] = total / there if 2 * there > width else np.nan
+
+
+@summing
+def _add_products(effects, columns, out):
+    for r in range(len(effects)):
+        for i in range(effects.shape[1]):
+            x = effects[r, i]
+            for j in range(columns.shape[1]):
+                out[i, j] += x * columns[r, j]
+
+
+@kernel
+def _residuals(measured, predicted, width, present, nominal, out):
+    lanes, _, signals = predicted.shape
+    bins = out.shape[1] // signals
+    for lane in range(lanes):
+        for k in range(signals):
+            for b in range(bins):
+                at = k * bins + b
+                if not present[at]:
+                    out[lane, at] = 0.0
+                    continue
+                total = 0.0
+                there = 0
+                for i in range(b * width, (b + 1) * width):
+                    x = measured[i, k] - predicted[lane, i, k]
+                    if not np.isnan(x):
+                        total += x
+                        there += 1
+                out[lane, at] = total / there if 2 * there > width else nominal[at]
 
 
 def bin_means(values: Array, width: int) -> Array:

@@ -18,14 +18,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
+from sysid.gap.likelihood.block_products import BlockProducts, predictive_densities, products_by_block
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
 from sysid.gap.likelihood.rows import Series, StageRows
@@ -73,12 +73,12 @@ class Variances:
 class Linear:
     """The linear part, whitened and in unit prior: ``columns`` (rows, p), their products ``gram`` (p, p).
 
-    ``outputs``: change of the output by the discrepancy in each column, in noise floors, (rows, p).
+    ``weights``: of the columns of the discrepancy (m,) in each of them, (m, p).
     """
 
     columns: Array
     gram: Array
-    outputs: Array
+    weights: Array
 
     @cached_property
     def alone(self) -> Orthogonal:
@@ -86,12 +86,11 @@ class Linear:
         none = np.zeros((len(self.columns), 0))
         return Orthogonal(self.columns, none, np.zeros((0, len(self.gram))), _factor(self.gram))
 
-    def beside(self, slopes: Array, outputs: Array) -> Orthogonal:
-        """Orthogonal to the effects of a model: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors.
+    def beside(self, slopes: Array, share: Array) -> Orthogonal:
+        """Less ``share`` (k, p) of the effects of a model: ``slopes`` (rows, k) whitened.
 
         Computed from products, without a table of rows.
         """
-        share = share_of(outputs, self.outputs)
         both = share.T @ (slopes.T @ self.columns)
         gram = self.gram - both - both.T + share.T @ (slopes.T @ slopes) @ share
         return Orthogonal(self.columns, slopes, share, _factor(gram))
@@ -106,11 +105,6 @@ class Orthogonal:
     share: Array
     factor: Array
 
-    @property
-    def columns(self) -> Array:
-        """(rows, p)."""
-        return np.asarray(self.whole - self.slopes @ self.share)
-
     def products(self, columns: Array, rows: slice = slice(None)) -> Array:
         """Of ``columns`` (n, m), which belong to some of the rows, with the linear part there, (p, m)."""
         return np.asarray(self.whole[rows].T @ columns - self.share.T @ (self.slopes[rows].T @ columns))
@@ -124,15 +118,16 @@ class Orthogonal:
         return self.solved(self.products(columns))
 
 
-def share_of(effects: Array, discrepancy: Array) -> Array:
-    """Least-squares coefficients (k, p) of each column of a discrepancy (rows, p) on the effects' outputs (rows, k).
+def share_of(effects: Array, products: Array) -> Array:
+    """Least-squares coefficients (k, p) of the columns of a discrepancy on the effects' outputs (rows, k), in noise floors.
 
-    Both in noise floors, the effects in units of their prior, which suppresses effects without a slope.
+    ``products`` (k, p): of the effects with these columns. The effects are in units of their prior, which suppresses effects
+    without a slope.
     """
     scale = np.maximum(np.linalg.norm(effects, axis=0), 1.0)
     unit = effects / scale
-    found = np.linalg.solve(unit.T @ unit + np.diag(scale**-2.0) + RIDGE * np.eye(len(scale)), unit.T @ discrepancy)
-    return np.asarray(found / scale[:, None])
+    normal = unit.T @ unit + np.diag(scale**-2.0) + RIDGE * np.eye(len(scale))
+    return np.asarray(np.linalg.solve(normal, products / scale[:, None]) / scale[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +250,8 @@ class StageLikelihood:
 
     Args:
         extra: of each series, as in :func:`filter_of`.
-        clusters: of each row, (rows,): errors within one are dependent for the covariance of the unknowns; blocks by default.
+        clusters: of each block, (blocks,): errors within one are dependent for the covariance of the unknowns; the block itself
+            by default.
         predicts: whether predictive densities of blocks are computed.
         converged: relative gain in cost below which a fit ends; at least :data:`CONVERGED`.
     """
@@ -272,7 +268,7 @@ class StageLikelihood:
     ) -> None:
         self.predicts, self.converged = predicts, converged
         self.rows, self.discrepancy, self.variances, self.extra = rows, discrepancy, variances, extra
-        self.clusters = rows.block if clusters is None else clusters
+        self.clusters = np.arange(rows.blocks) if clusters is None else clusters
         self.filters: tuple[Filter, ...] = tuple(
             whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
         )
@@ -292,20 +288,39 @@ class StageLikelihood:
 
         gram = np.zeros((1 + int(active.sum()),) * 2)
         for k, s in enumerate(rows.series):
-            whitened = self._whitened(k, part(s))
+            whitened = self.whitened_series(k, part(s))
             gram += whitened.T @ whitened
         values, vectors = np.linalg.eigh(gram)
         there = values > NEGLIGIBLE
         kept = vectors[:, there]
-        columns, outputs = np.empty((rows.count, int(there.sum()))), np.empty((rows.count, int(there.sum())))
+        columns = np.empty((rows.count, int(there.sum())))
         for k, s in enumerate(rows.series):
-            own = part(s)
-            columns[s.rows] = self._whitened(k, own @ kept)
-            output = own[:, 1:] @ kept[1:] / rows.floor[s.signal]
-            outputs[s.rows] = np.where(s.present[:, None], output, 0.0)
-        return Linear(columns, np.diag(values[there]), outputs)
+            columns[s.rows] = self.whitened_series(k, part(s) @ kept)
+        weights = np.zeros((len(scale), kept.shape[1]))
+        weights[active] = scale[active, None] * kept[1:]
+        return Linear(columns, np.diag(values[there]), weights)
 
-    def _whitened(self, k: int, columns: Array) -> Array:
+    def share(self, effects: Array) -> Array:
+        """:func:`share_of` of the linear part, (k, p): its part by the discrepancy on ``effects`` (rows, k) in noise floors."""
+        return share_of(effects, self.rows.products_in_floors(effects, self.discrepancy.columns) @ self.linear.weights)
+
+    @cached_property
+    def _linear_products(self) -> Array:
+        """Products of the linear part in each block, (blocks, p, p)."""
+        return products_by_block(self.linear.columns, self.linear.columns, self.rows.block, self.rows.blocks)
+
+    def products_beside(self, slopes: Array, residual: Array) -> BlockProducts:
+        """Of the linear part and ``slopes`` (rows, k) side by side with a ``residual`` (rows,), all whitened."""
+        rows, p, k = self.rows, self.linear.columns.shape[1], slopes.shape[1]
+        own = np.column_stack([slopes, residual])
+        across = products_by_block(self.linear.columns, own, rows.block, rows.blocks)
+        within = products_by_block(own, own, rows.block, rows.blocks)
+        gram = np.empty((rows.blocks, p + k, p + k))
+        gram[:, :p, :p], gram[:, :p, p:], gram[:, p:, p:] = self._linear_products, across[:, :, :k], within[:, :k, :k]
+        gram[:, p:, :p] = np.swapaxes(across[:, :, :k], 1, 2)
+        return BlockProducts(gram, np.hstack([across[:, :, k], within[:, :k, k]]), within[:, k, k])
+
+    def whitened_series(self, k: int, columns: Array) -> Array:
         """Weighted innovations of columns (n, m) of series ``k``."""
         out = np.empty(columns.shape)
         self.filters[k].whiten(np.ascontiguousarray(columns), out)
@@ -316,7 +331,7 @@ class StageLikelihood:
         """Innovations of columns (rows, m), weighted."""
         out = np.empty(columns.shape)
         for k, s in enumerate(self.rows.series):
-            out[s.rows] = self._whitened(k, columns[s.rows])
+            out[s.rows] = self.whitened_series(k, columns[s.rows])
         return out
 
     def residuals(self, thetas: Array) -> Array:
@@ -335,7 +350,7 @@ class StageLikelihood:
             for k in range(r * signals, (r + 1) * signals):
                 rows = self.rows.series[k].rows
                 own = slice(rows.start - here.start, rows.stop - here.start)
-                out[own] = self._whitened(k, part[:, own].T)
+                out[own] = self.whitened_series(k, part[:, own].T)
             yield here, out
 
     def costs(self, thetas: Array, linear: Orthogonal) -> Array:
@@ -412,7 +427,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         raw = changes_at(x)
         table = likelihood.whitened(raw)
         w, slopes = table[:, 0], table[:, 1:]
-        linear = likelihood.linear.beside(slopes, rows.scaled(raw[:, 1:]))
+        linear = likelihood.linear.beside(slopes, likelihood.share(rows.scaled(raw[:, 1:])))
         z = linear.projected(np.column_stack([slopes, w]))
         away = (x - prior.centre) / prior.width
         cost = 0.5 * float(w @ w - z[:, -1] @ z[:, -1] + away @ away)
@@ -511,61 +526,36 @@ def _finished(
     size = rows.in_floors(table)
     whitened = likelihood.whitened(np.ascontiguousarray(table))
     w, slopes = whitened[:, 0], whitened[:, 1:]
-    scaled = rows.scaled(table[:, 1:])
-    linear = likelihood.linear.beside(slopes * prior.width, scaled * prior.width).columns
+    share = likelihood.share(rows.scaled(table[:, 1:]) * prior.width)
     confounded = np.zeros(k)
     if k and not rows.problem.integrates:
-        confounded = np.linalg.norm(share_of(scaled * prior.width, likelihood.linear.outputs), axis=1) * prior.width
-    p = linear.shape[1]
+        confounded = np.linalg.norm(share, axis=1) * prior.width
+    basis = likelihood.products_beside(slopes, w)
+    p = len(share.T)
+
+    def at_values(widths: Array) -> tuple[BlockProducts, Array, Array]:
+        """Products beside effects in units of ``widths``, the coefficients of ``values``, and the pull on these."""
+        weights = np.eye(p + k)
+        weights[p:, :p] = -prior.width[:, None] * share
+        weights[p:, p:] = -np.diag(widths)  # the residual falls where a parameter explains it
+        products, here = basis.combined(weights), np.concatenate([np.zeros(p), (values - prior.centre) / widths])
+        return products, here, products.right.sum(axis=0) - here
+
     covariance = np.zeros((0, 0))
     if k:
-        wide = -slopes * prior.width
-        start = w + wide @ ((values - prior.centre) / prior.width)
-        covariance = posterior_covariance(np.hstack([linear, wide]), k, start, likelihood.clusters)
+        products, _, pull = at_values(prior.width)
+        covariance = posterior_covariance(products.over(likelihood.clusters), k, pull)
         covariance = covariance * np.outer(prior.width, prior.width)
     widths, cost = prior.at_scale(values)
-    X = np.hstack([linear, -slopes * widths])  # the residual falls where a parameter explains it
-    offset = (values - prior.centre) / widths
-    r = w + (X[:, p:] @ offset if k else 0.0)
-    H = X.T @ X + np.eye(p + k)
-    m = cho_solve(cho_factor(H, lower=True), X.T @ r)
-    e = r - X @ m
-    evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
-    predictive = block_densities(X, r, H, rows) if likelihood.predicts else np.zeros(rows.blocks)
+    products, here, pull = at_values(widths)
+    H = products.information
+    change = np.linalg.solve(H, pull)
+    m = here + change
+    squares = float(products.remaining_squares(change).sum())
+    evidence = -0.5 * (squares + float(m @ m)) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
+    predictive = predictive_densities(products, pull, H) if likelihood.predicts else np.zeros(rows.blocks)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
-    rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
+    rms = float(np.sqrt(max(squares, 0.0) / max(rows.measured_rows, 1)))
     return ModelFit(
         candidates, unknowns, values, theta, covariance, confounded, evidence, predictive, rms, size[1:], rows.left(table[:, 0])
     )
-
-
-class Blocks(Protocol):
-    """Rows in blocks of cross-validation: ``block`` of each row, (rows,), and the number of blocks."""
-
-    @property
-    def block(self) -> npt.NDArray[np.int64]: ...
-
-    @property
-    def blocks(self) -> int: ...
-
-
-def block_densities(X: Array, r: Array, H: Array, rows: Blocks) -> Array:
-    """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,)."""
-    out = np.zeros(rows.blocks)
-    total = X.T @ r
-    order = np.argsort(rows.block, kind="stable")
-    edges = np.searchsorted(rows.block[order], np.arange(rows.blocks + 1))
-    whole = cho_factor(H, lower=True)
-    volume = float(np.log(np.diag(whole[0])).sum())
-    for b in range(rows.blocks):
-        at = order[edges[b] : edges[b + 1]]
-        Xb, rb = X[at], r[at]
-        G = Xb.T @ Xb
-        rest = cho_factor(H - G, lower=True)
-        m = cho_solve(rest, total - Xb.T @ rb)
-        e = rb - Xb @ m
-        # The block's covariance is 1 + Xb·(H − G)⁻¹·Xbᵀ; its inverse by Woodbury is 1 − Xb·H⁻¹·Xbᵀ.
-        z = Xb.T @ e
-        q = float(e @ e - z @ cho_solve(whole, z))
-        out[b] = -0.5 * q - volume + float(np.log(np.diag(rest[0])).sum())
-    return out

@@ -10,38 +10,36 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sysid.gap.likelihood.block_products import BlockProducts
+
 Array = npt.NDArray[np.float64]
 
 
-def posterior_covariance(columns: Array, parameters: int, residual: Array, block: npt.NDArray[np.int64]) -> Array:
+def posterior_covariance(products: BlockProducts, parameters: int, pull: Array) -> Array:
     """Covariance of the last ``parameters`` coefficients of a regression with unit priors and unit noise, (k, k).
 
     Args:
-        columns: whitened, (rows, p + k). residual: whitened, at coefficients of zero, (rows,).
-        block: of each row, (rows,); rows without a measurement are zero.
+        products: of the whitened columns and of the residual at some coefficients, by clusters of dependent rows.
+        pull: products of the columns with that residual over all clusters, less these coefficients, (p,).
     """
     k = parameters
-    bread = np.asarray(np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1])), dtype=np.float64)
-    left = residual - columns @ (bread @ (columns.T @ residual))
+    bread = np.asarray(np.linalg.inv(products.information), dtype=np.float64)
     within = bread[-k:, -k:]
-    scatter, count = scatter_of_clusters(columns, left, bread[:, -k:], block)
+    scatter, count = cluster_covariance(products, bread @ pull, bread[:, -k:])
     if count < 2:
         return within
     wider = np.sqrt(np.maximum(1.0, np.diag(scatter) / np.diag(within)))
     return np.asarray(within * np.outer(wider, wider))
 
 
-def scatter_of_clusters(columns: Array, left: Array, bread: Array, cluster: npt.NDArray[np.int64]) -> tuple[Array, int]:
+def cluster_covariance(products: BlockProducts, change: Array, bread: Array) -> tuple[Array, int]:
     """Sandwich covariance of coefficients, (k, k), and the number of clusters; zero with fewer than two.
 
     Args:
-        columns: (rows, p). left: residual at the optimum, (rows,).
+        change: of all coefficients, from those of the residual of ``products`` to the optimum, (p,).
         bread: columns of the inverse information that belong to the coefficients, (p, k).
-        cluster: of each row, (rows,).
     """
-    order = np.argsort(cluster, kind="stable")
-    first = np.flatnonzero(np.diff(cluster[order], prepend=-1))
-    pulls = np.add.reduceat((columns * left[:, None])[order], first, axis=0)
+    pulls = products.right - products.gram @ change
     count = len(pulls)
     if count < 2:
         return np.zeros((bread.shape[1],) * 2), count

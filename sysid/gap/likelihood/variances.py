@@ -6,7 +6,7 @@ the Gram matrix of the whitened columns).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -190,7 +190,8 @@ def _disturbances(
     z = np.log(first)
     for k in range(signals):  # each signal of a stage has its own filters
         rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
-        one = _Signal(rows, k, table, scale, rest, variances.weights, extra, np.log(centre[k]))
+        tables = {j: table.of(s) for j, s in enumerate(rows.series) if s.signal == k}
+        one = _Signal(rows, tables, scale, rest, variances.weights, extra, np.log(centre[k]))
         low, high = np.log(centre[k]) - MAX_DISTANCE, np.log(centre[k]) + MAX_DISTANCE
         bounds = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         # Disturbances at rest and in motion are separate local optima: descend from the two best start values.
@@ -210,13 +211,13 @@ class _Signal:
     """Negative log evidence as a function of the logarithms of one signal's disturbance, (6,).
 
     Args:
+        tables: columns of each series of the signal, by its index.
         rest: products of the columns whitened for the other signals.
         centre: of the prior, (6,).
     """
 
     rows: StageRows
-    signal: int
-    columns: _Columns
+    tables: Mapping[int, Array]
     scale: Array
     rest: Array
     weights: Array
@@ -227,37 +228,26 @@ class _Signal:
         return self._cost(z)[0]
 
     def cost_and_slope(self, z: Array) -> tuple[float, Array]:
-        cost, by_column = self._cost(z)
+        cost, by_column, whitened = self._cost(z)
         slope = (z - self.centre) / SPREAD**2
-        for k in self._series:
-            columns, whitened, _ = self._whitened(k, z)
+        for k, columns in self.tables.items():
             weights = self.weights[self.rows.series[k].rows, None]
-            slope += gradient_of(columns, (whitened @ by_column) * weights, self._filters(k), z)
+            slope += gradient_of(columns, (whitened[k] @ by_column) * weights, self._filters(k), z)
         return cost, slope
 
-    @property
-    def _series(self) -> list[int]:
-        return [k for k, s in enumerate(self.rows.series) if s.signal == self.signal]
-
-    def _cost(self, z: Array) -> tuple[float, Array]:
-        """The cost, and the matrix that maps whitened columns to its derivatives with respect to them."""
-        gram, log_scale = self.rest.copy(), 0.0
-        for k in self._series:
-            _, whitened, scale = self._whitened(k, z)
-            gram += whitened.T @ whitened
-            log_scale += scale
+    def _cost(self, z: Array) -> tuple[float, Array, dict[int, Array]]:
+        """The cost, the matrix that maps whitened columns to its derivatives by them, and the whitened columns."""
+        gram, log_scale, whitened = self.rest.copy(), 0.0, {}
+        for k, columns in self.tables.items():
+            whitener, out = self._filters(k)(z), np.empty(columns.shape)
+            whitener.whiten(columns, out)
+            out *= self.weights[self.rows.series[k].rows, None]
+            gram += out.T @ out
+            log_scale += whitener.log_scale
+            whitened[k] = out
         value, by_column = evidence_and_slope(gram, self.scale)
         prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
-        return float(log_scale - value + prior), by_column
-
-    def _whitened(self, k: int, z: Array) -> tuple[Array, Array, float]:
-        """Columns of a series, whitened, and the log scale of its innovations."""
-        s, whitener = self.rows.series[k], self._filters(k)(z)
-        columns = self.columns.of(s)
-        out = np.empty(columns.shape)
-        whitener.whiten(columns, out)
-        out *= self.weights[s.rows, None]
-        return columns, out, whitener.log_scale
+        return float(log_scale - value + prior), by_column, whitened
 
     def _filters(self, k: int) -> Callable[[Array], Filter]:
         return lambda z: whitening_of(self.rows, k, Disturbance(*map(float, np.exp(z))), self.extra[k])
@@ -330,6 +320,6 @@ def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
     w = likelihood.innovations(model.theta[None])[:, 0]
     weights = likelihood.variances.weights
     linear = likelihood.linear.alone
-    fitted = linear.columns @ np.linalg.solve(linear.factor.T, linear.projected(w[:, None]))[:, 0]
+    fitted = linear.whole @ np.linalg.solve(linear.factor.T, linear.projected(w[:, None]))[:, 0]
     left = np.abs(w - fitted) / np.maximum(weights, 1e-6)
     return np.asarray(np.sqrt(np.minimum(1.0, HUBER / np.maximum(left, 1e-12))))

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.fit import place
-from sysid.gap.likelihood.stage import ModelFit, block_densities
+from sysid.gap.likelihood.block_products import block_products, predictive_densities
+from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.poses.rows import PoseRows
 from sysid.gap.poses.search import Set, SetSearch
 
@@ -24,8 +25,8 @@ def as_model(rows: PoseRows, search: SetSearch, members: Set, weights: Array) ->
     noise, tau = regression.sizes.noise, regression.sizes.tau[regression.kind]
     effects = regression.columns[:, at]
     table = np.hstack([regression.errors * tau, effects * regression.prior.width[at]]) / noise
-    whole = table.T @ table + np.eye(table.shape[1])
-    predictive = block_densities(table, regression.target / noise, whole, rows)
+    products = block_products(table, regression.target / noise, rows.block, rows.blocks)
+    predictive = predictive_densities(products, products.right.sum(axis=0), products.information)
     by_row = np.maximum(rows.by_row(weights), 1e-9)
     left = (regression.target - effects @ found.change) / by_row
     count = max(regression.rows, 1)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 from regression_stage import NOISE, candidate, discrepancy, functions, likelihood, rows_of
 from scipy.stats import multivariate_normal
 
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, block_densities, fit_model, prior_of, share_of
+from sysid.gap.likelihood.block_products import block_products, predictive_densities
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model, prior_of, share_of
 
 Array = npt.NDArray[np.float64]
 
@@ -25,8 +24,12 @@ def test_block_densities_are_those_of_a_refit_without_the_block() -> None:
     X, r = rng.standard_normal((40, 5)) * [3.0, 1.0, 0.3, 5.0, 0.01], rng.standard_normal(40)
     block = rng.integers(0, 6, 40)
     X[7], r[7] = 0.0, 0.0  # a row that is not measured
-    rows = SimpleNamespace(block=block, blocks=6)
-    found = block_densities(X, r, X.T @ X + np.eye(5), rows)  # type: ignore[arg-type]
+    products = block_products(X, r, block, 6)
+    found = predictive_densities(products, X.T @ r, products.information)
+    begin = rng.standard_normal(5)  # the same from the residual at other coefficients
+    moved = block_products(X, r - X @ begin, block, 6)
+    pull = X.T @ (r - X @ begin) - begin
+    assert predictive_densities(moved, pull, moved.information) == pytest.approx(found)
     for b in range(6):
         inside = block == b
         rest = X[~inside]
@@ -35,6 +38,19 @@ def test_block_densities_are_those_of_a_refit_without_the_block() -> None:
         Xb = X[inside]
         density = multivariate_normal(Xb @ mean, np.eye(inside.sum()) + Xb @ covariance @ Xb.T)
         assert found[b] == pytest.approx(density.logpdf(r[inside]) + 0.5 * inside.sum() * np.log(2 * np.pi)), b
+
+
+def test_products_side_by_side_are_those_of_the_whole_table() -> None:
+    rows = rows_of((0.6, 0.2, 0.0), count=2, seconds=8.0)
+    table, rng = likelihood(rows, tau=0.2), np.random.default_rng(0)
+    slopes, residual = rng.standard_normal((rows.count, 2)), rng.standard_normal(rows.count)
+    found = table.products_beside(slopes, residual)
+    whole = np.hstack([table.linear.columns, slopes])
+    for b in range(rows.blocks):
+        X, r = whole[rows.block == b], residual[rows.block == b]
+        assert found.gram[b] == pytest.approx(X.T @ X)
+        assert found.right[b] == pytest.approx(X.T @ r)
+        assert found.squares[b] == pytest.approx(r @ r)
 
 
 @pytest.mark.parametrize("places", [(), (0,), (0, 1)])
@@ -57,7 +73,7 @@ def test_the_evidence_is_the_density_of_the_data(places: tuple[int, ...], distur
     slopes = functions(time)[:, list(places)]
     smooth = 0.2 * discrepancy(rows).columns
     wide = slopes * prior.width
-    smooth = smooth - wide @ share_of(rows.scaled(wide), rows.scaled(smooth))
+    smooth = smooth - wide @ share_of(rows.scaled(wide), rows.scaled(wide).T @ rows.scaled(smooth))
     covariance += smooth @ smooth.T
     widths, cost = prior.at_scale(found.values)
     covariance += (slopes * widths) @ (slopes * widths).T

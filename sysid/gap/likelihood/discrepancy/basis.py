@@ -34,6 +34,11 @@ class Discrepancy:
     groups: tuple[str, ...]
     timing: Array
 
+    @property
+    def absent(self) -> Discrepancy:
+        """The timing alone."""
+        return Discrepancy(np.zeros((len(self.timing), 0)), np.zeros(0, dtype=np.int64), (), self.timing)
+
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
     """The columns of a stage, with the dead time and lag of ``theta``."""
@@ -54,9 +59,10 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
             timing[s.rows] = 0.5 / recording.rate_hz * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
         at += signals
     groups = tuple(found)
-    joined = [np.concatenate(found[name]) for name in groups]
-    sizes = [part.shape[1] for part in joined]
-    table = np.concatenate(joined, axis=1) if joined else np.zeros((rows.count, 0))
+    sizes = [found[name][0].shape[1] for name in groups]
+    table, ends = np.empty((rows.count, sum(sizes))), np.cumsum([0, *sizes])
+    for name, first, last in zip(groups, ends[:-1], ends[1:], strict=True):
+        np.concatenate(found.pop(name), out=table[:, first:last])
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
 
 

@@ -1,0 +1,95 @@
+"""Products of the columns of a regression within blocks of rows: covariances and predictive densities follow from them.
+
+A set of effects adds a few columns to those of the linear part, whose products are known. No table of all columns is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.compiled import summing
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class BlockProducts:
+    """Sums over the rows of each block, of p columns and of the residual at some coefficients.
+
+    Args:
+        gram: products of the columns, (blocks, p, p). right: of the columns with the residual, (blocks, p).
+        squares: of the residual, (blocks,).
+    """
+
+    gram: Array
+    right: Array
+    squares: Array
+
+    def combined(self, weights: Array) -> BlockProducts:
+        """Of the combinations ``columns @ weights``, weights (p, q)."""
+        return BlockProducts(weights.T @ self.gram @ weights, self.right @ weights, self.squares)
+
+    def over(self, cluster: Index) -> BlockProducts:
+        """Sums over clusters of blocks; ``cluster`` of each block, (blocks,)."""
+        _, place = np.unique(cluster, return_inverse=True)
+        order = np.argsort(place, kind="stable")
+        first = np.flatnonzero(np.diff(place[order], prepend=-1))
+        return BlockProducts(*(np.add.reduceat(part[order], first, axis=0) for part in (self.gram, self.right, self.squares)))
+
+    @property
+    def information(self) -> Array:
+        """Products of the columns over all blocks with a unit prior, (p, p)."""
+        return np.asarray(self.gram.sum(axis=0) + np.eye(self.gram.shape[1]))
+
+    def remaining_squares(self, change: Array) -> Array:
+        """Squares of the residual of each block after a ``change`` of the coefficients, (p,) or (blocks, p)."""
+        change = np.broadcast_to(change, self.right.shape)
+        bent = np.einsum("bij,bj->bi", self.gram, change)
+        return np.asarray(self.squares - 2.0 * (change * self.right).sum(axis=1) + (change * bent).sum(axis=1))
+
+
+def block_products(columns: Array, residual: Array, block: Index, blocks: int) -> BlockProducts:
+    """Products of ``columns`` (rows, p) and ``residual`` (rows,) by the ``block`` of each row, (rows,)."""
+    table = np.ascontiguousarray(np.column_stack([columns, residual]))
+    found = products_by_block(table, table, block, blocks)
+    return BlockProducts(found[:, :-1, :-1], found[:, :-1, -1], found[:, -1, -1])
+
+
+def products_by_block(left: Array, right: Array, block: Index, blocks: int) -> Array:
+    """Sums over the rows of each block of the products of ``left`` (rows, p) and ``right`` (rows, q), (blocks, p, q)."""
+    out = np.zeros((blocks, left.shape[1], right.shape[1]))
+    _add_products(np.ascontiguousarray(left), np.ascontiguousarray(right), block, out)
+    return out
+
+
+@summing
+def _add_products(left, right, block, out):
+    for r in range(len(left)):
+        b = block[r]
+        for i in range(left.shape[1]):
+            x = left[r, i]
+            for j in range(right.shape[1]):
+                out[b, i, j] += x * right[r, j]
+
+
+def predictive_densities(products: BlockProducts, pull: Array, information: Array) -> Array:
+    """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,).
+
+    Args:
+        products: of whitened columns with a unit prior, and of the residual at some coefficients.
+        pull: products of the columns with that residual over all blocks, less these coefficients, (p,).
+        information: :attr:`BlockProducts.information` of ``products``, (p, p).
+    """
+    rest = information - products.gram
+    factor = np.linalg.cholesky(rest)
+    change = np.linalg.solve(rest, (pull - products.right)[:, :, None])[:, :, 0]
+    # The block's covariance is 1 + Xb·(H − G)⁻¹·Xbᵀ; its inverse by Woodbury is 1 − Xb·H⁻¹·Xbᵀ.
+    z = products.right - np.einsum("bij,bj->bi", products.gram, change)
+    squares = products.remaining_squares(change) - (z * np.linalg.solve(information, z.T).T).sum(axis=1)
+    volume = np.linalg.slogdet(information)[1]
+    diagonal = np.diagonal(factor, axis1=1, axis2=2)
+    return np.asarray(-0.5 * squares - 0.5 * volume + np.log(diagonal).sum(axis=1))
