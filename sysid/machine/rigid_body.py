@@ -132,31 +132,6 @@ def point_mass(mass: float, first_moment: Array) -> Array:
     return np.concatenate([[mass], first_moment, square / mass if mass > 0.0 else np.zeros(6)])
 
 
-def mass_centre_inertia(parameters: Array) -> tuple[float, Array, Array] | None:
-    """Mass [kg], centre (3,) [m] and inertia about it (3, 3) [kg·m²] of a body with inertial parameters (10,).
-
-    None where no rigid body has them: a mass or a moment that is not positive, or a moment above the sum of the other two.
-    """
-    mass, moments = float(parameters[0]), np.empty((3, 3))
-    if mass <= 0.0:
-        return None
-    centre = parameters[1:4] / mass
-    for value, (i, j) in zip(parameters[4:], ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
-        moments[i, j] = moments[j, i] = value
-    moments -= mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    principal = np.linalg.eigvalsh(moments)
-    if principal[0] <= 0.0 or principal[2] > principal[0] + principal[1]:
-        return None
-    return mass, centre, moments
-
-
-def inertial_parameters_of(mass: float, centre: Array, inertia: Array) -> Array:
-    """Inertial parameters (10,) of a body with a centre (3,) [m] and an inertia about it (3, 3) [kg·m²]."""
-    moments = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    square = [moments[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
-    return np.array([mass, *(mass * centre), *square])
-
-
 @functools.lru_cache(maxsize=16)
 def _known(joints: tuple[str, ...], tip: str, urdf: str) -> RigidBody:
     return RigidBody(Kinematics.from_urdf(urdf, joints, tip), urdf)
