@@ -86,7 +86,7 @@ def predictive_densities(products: BlockProducts, pull: Array, information: Arra
     """
     rest = information - products.gram
     factor = np.linalg.cholesky(rest)
-    change = np.linalg.solve(rest, (pull - products.right)[:, :, None])[:, :, 0]
+    change: Array = np.linalg.solve(rest, (pull - products.right)[:, :, None])[:, :, 0].astype(np.float64)
     # The block's covariance is 1 + Xb·(H − G)⁻¹·Xbᵀ; its inverse by Woodbury is 1 − Xb·H⁻¹·Xbᵀ.
     z = products.right - np.einsum("bij,bj->bi", products.gram, change)
     squares = products.remaining_squares(change) - (z * np.linalg.solve(information, z.T).T).sum(axis=1)

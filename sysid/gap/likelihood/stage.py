@@ -549,7 +549,7 @@ def _finished(
     widths, cost = prior.at_scale(values)
     products, here, pull = at_values(widths)
     H = products.information
-    change = np.linalg.solve(H, pull)
+    change: Array = np.linalg.solve(H, pull).astype(np.float64)
     m = here + change
     squares = float(products.remaining_squares(change).sum())
     evidence = -0.5 * (squares + float(m @ m)) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
