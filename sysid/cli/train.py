@@ -56,8 +56,8 @@ def train(
         with progress_bar(f"train {settings.name}") as progress:
             results = [_one(location, recipes[0], tensorboard, mlflow, progress)]
     else:
+        from sysid.cores import cores
         from sysid.execution import open_executor
-        from sysid.execution.local import cores
 
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
             calls = [(location, entry, tensorboard, mlflow) for entry in recipes]

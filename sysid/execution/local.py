@@ -75,11 +75,6 @@ class LocalExecutor:
                 ) from None  # fmt: skip
 
 
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _first_failed(futures: Sequence[Future[Any]]) -> list[Future[Any]]:
     """The first future that ended with an error, if any did."""
     return [future for future in futures if future.done() and not future.cancelled() and future.exception() is not None][:1]

@@ -7,7 +7,6 @@ On a CPU a member's result has the same bits whatever the other members, the num
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sysid.cores import cores
 from sysid.errors import SettingsError
 from sysid.networks.batch import padded, parameters, unpack
 from sysid.networks.checkpoint import Checkpoints
@@ -66,7 +66,7 @@ def train(
     scalers = [scalers_of(member) for member in members]
     device = _device(settings, members, layers)
     jobs = [job_of(*each, settings, seed, device.type, checkpoints) for each in zip(members, layers, scalers, strict=True)]
-    workers = (settings.threads or len(os.sched_getaffinity(0))) if device.type == "cpu" else 1
+    workers = (settings.threads or cores()) if device.type == "cpu" else 1
     files = {job.file for job in jobs}
     try:
         with one_thread(), _interruptible(checkpoints is not None):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from sysid.cores import cores
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import Machine
@@ -377,7 +377,7 @@ def measured_point(recording: Recording, point: str) -> Array:
 
 
 #: Cores for the lanes.
-WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1))
+WORKERS = cores()
 _pool: ThreadPoolExecutor | None = None
 #: Fewer steps than this are faster on one core than on several.
 SERIAL = 20_000
