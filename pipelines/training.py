@@ -25,8 +25,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
+from sysid.cores import cores
 from sysid.execution import LocalExecutor
-from sysid.execution.local import cores
 from sysid.files import plain
 from trained.page import by_arm, curves, tables
 from trained.peer import peer

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.crane import FOLDER, RATE, commands, crane, joint_speeds, middle, recorded
 from benchmarks.rows import in_turns, seconds
+from sysid.cores import cores
 from sysid.datasets import Recording
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant, free_run
@@ -35,10 +35,6 @@ MUJOCO_PART = 120.0
 ENVIRONMENTS, STEPS = 256, 500
 #: PyBullet steps one environment so often.
 BULLET_STEPS = 5000
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0))
 
 
 def rollout(repeats: int) -> dict[str, Any]:
