@@ -34,6 +34,14 @@ if TYPE_CHECKING:
 @click.option("--reader", default=None, help="With --inspect: read the files as this format.")
 @click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
 @click.option("--propose-frame", is_flag=True, help="Only print the capture frame that follows from the recipe's survey.")
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes on this machine.")
+@click.option(
+    "--cluster",
+    envvar="SYSID_CLUSTER",
+    default=None,
+    metavar="ADDRESS",
+    help="Address of a Dask scheduler, as tcp://HOST:PORT.",
+)
 @json_option
 @click.pass_obj
 def ingest(
@@ -49,6 +57,8 @@ def ingest(
     reader: str | None,
     dbc: Path | None,
     propose_frame: bool,
+    workers: int,
+    cluster: str | None,
     json_file: str | None,
 ) -> None:
     """Turn raw logs into a new dataset version.
@@ -80,15 +90,17 @@ def ingest(
     from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
     from sysid.datasets.plausibility import check_plausibility
+    from sysid.execution import open_executor
 
+    executor = open_executor(cluster, workers) if cluster is not None or workers > 1 else None
     store = datasets.Store(workspace)
     before = store.manifest(to)["version"] if to is not None else 0
     begin = time.perf_counter()
     with progress_bar("ingest") as progress:
         if to is not None:
-            dataset = datasets.append(list(paths), workspace, to, machine, recipe, role, progress)
+            dataset = datasets.append(list(paths), workspace, to, machine, recipe, role, progress, executor)
         else:
-            dataset = datasets.ingest(list(paths), workspace, machine, recipe, name, progress)
+            dataset = datasets.ingest(list(paths), workspace, machine, recipe, name, progress, executor)
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
     show_dataset(out, dataset)

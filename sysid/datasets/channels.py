@@ -29,6 +29,8 @@ from sysid.progress import Progress, part, silent
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
+#: Key of the recipe's entry → body → its poses on its link, (4, 4) each.
+ReferencePoses = Mapping[str, Mapping[str, Sequence[npt.NDArray[np.float64]]]]
 
 
 @dataclass(frozen=True)
@@ -47,15 +49,41 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
         InputError: a body is not visible, or moves, in the reference pose.
         SettingsError: no reference, or it names a missing recording.
     """
-    with_bodies = [(files.name, path, m) for files in found for path, m in files.streams if m is not None and m.bodies]
-    own: dict[tuple[str, str], dict[str, list[npt.NDArray[np.float64]]]] = {}
-    for name, path, mapping in with_bodies:
+    own = {(files.name, key): poses for files in found for key, poses in reference_poses(files, machine).items()}
+    return combined_mounts(found, own)
+
+
+def reference_poses(files: RecordingFiles, machine: Machine) -> ReferencePoses:
+    """Poses of the rigid bodies on their links in the reference poses of one recording; none where it contains no reference.
+
+    Raises:
+        InputError: a body is not visible, or moves, in the reference pose.
+    """
+    found: dict[str, dict[str, list[npt.NDArray[np.float64]]]] = {}
+    for path, mapping in files.streams:
+        if mapping is None or not mapping.bodies:
+            continue
         pattern = mapping.reference.recording if mapping.reference is not None else None
-        if pattern is None or fnmatchcase(name, pattern):
+        if pattern is None or fnmatchcase(files.name, pattern):
             until = mapping.reference.seconds[1] if mapping.reference is not None else None
-            own[name, mapping.key] = find_mounts(read_streams(path, mapping, until), mapping, machine)
+            found[mapping.key] = find_mounts(read_streams(path, mapping, until), mapping, machine)
+    return found
+
+
+def combined_mounts(
+    found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]]
+) -> Mounts:
+    """Mounts for each recording: of its own reference pose, or the mean of all where they share one.
+
+    Args:
+        own: (recording, key of the recipe's entry) → :func:`reference_poses`.
+
+    Raises:
+        SettingsError: a reference names a missing recording.
+    """
+    with_bodies = [(files.name, m) for files in found for _, m in files.streams if m is not None and m.bodies]
     mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
-    for name, _, mapping in with_bodies:
+    for name, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
         sources = [m for (_, files), m in own.items() if files == mapping.key] if shared else [own[name, mapping.key]]
         if not sources:

@@ -228,12 +228,21 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
     for number, (block, start, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):
         first = start if number == 1 else start + guard - guard // 2
         last = end if number == len(blocks) else end - guard // 2
-        table = recording.table.iloc[first:last].reset_index(drop=True)
-        table["time"] = computed(len(table), lambda a, b: np.arange(a, b) / recording.rate_hz)
-        table.attrs = dict(recording.table.attrs)
-        start_ns = recording.start_ns + round(first / recording.rate_hz * 1e9)
-        parts.append((Recording(f"{recording.name}#{number}", table, recording.rate_hz, recording.kind, start_ns), block.role))
+        parts.append((rows_of(recording, f"{recording.name}#{number}", first, last), block.role))
     return parts
+
+
+def rows_of(recording: Recording, name: str, first: int, last: int) -> Recording:
+    """Rows ``first`` … ``last`` − 1 of a recording as one of its own, whose time begins at zero."""
+    table = recording.table.iloc[first:last].reset_index(drop=True)
+    table["time"] = computed(len(table), lambda a, b: np.arange(a, b) / recording.rate_hz)
+    table.attrs = dict(recording.table.attrs)
+    return Recording(name, table, recording.rate_hz, recording.kind, start_of(recording, first))
+
+
+def start_of(recording: Recording, first: int) -> int:
+    """Stamp of a row on the grid of a recording [ns]."""
+    return recording.start_ns + round(first / recording.rate_hz * 1e9)
 
 
 def _motion(recording: Recording) -> npt.NDArray[np.float64]:

@@ -8,12 +8,16 @@ network, since its workers execute what a client sends.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sysid.execution.executor import Task, TaskError, failed
+from sysid.execution.executor import Executor, Task, TaskError, failed
 from sysid.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 #: Time to wait for the scheduler [s].
 CONNECT_S = 10.0
@@ -30,39 +34,65 @@ class ClusterExecutor:
         self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
     ) -> list[Any]:
         """See :class:`~sysid.execution.executor.Executor`."""
-        from distributed import Client, as_completed
-        from distributed.client import FutureCancelledError
-        from distributed.scheduler import KilledWorker
+        with self.kept() as connected:
+            return connected.run(task, calls, progress, reports=reports)
 
+    @contextmanager
+    def kept(self) -> Iterator[Executor]:
+        """See :class:`~sysid.execution.executor.Executor`."""
+        from distributed import Client
+
+        where = f"cluster {self.address}"
         try:
             client = Client(self.address, timeout=self.connect_s, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise TaskError(
-                self._where, f"does not answer ({type(error).__name__})", "the address of a running Dask scheduler"
+                where, f"does not answer ({type(error).__name__})", "the address of a running Dask scheduler"
             ) from None
         with client:
             if not client.scheduler_info()["workers"]:
-                raise TaskError(self._where, "has no workers", "at least one", f"Start one: dask worker {self.address}")
-            own = (silent,) if reports else ()
-            futures = [client.submit(task, *call, *own, pure=False) for call in calls]
-            try:
-                for k, future in enumerate(as_completed(futures, loop=client.loop)):
-                    if future.status == "error":
-                        client.cancel([other for other in futures if not other.done()])
-                        raise failed(future.exception(), self._where)
-                    progress((k + 1) / len(futures), f"{k + 1} of {len(futures)}")
-                return list(client.gather(futures))
-            except KilledWorker as error:
-                raise TaskError(
-                    self._where, f"a task ended the workers that ran it: {error}", "workers with enough memory",
-                    "Call again: results that were stored are used.",
-                ) from None  # fmt: skip
-            except (FutureCancelledError, OSError, TimeoutError) as error:
-                raise TaskError(
-                    self._where, f"was lost during the work ({type(error).__name__})", "a running scheduler",
-                    "Call again: results that were stored are used.",
-                ) from None  # fmt: skip
+                raise TaskError(where, "has no workers", "at least one", f"Start one: dask worker {self.address}")
+            yield _Connected(client, where)
 
-    @property
-    def _where(self) -> str:
-        return f"cluster {self.address}"
+
+@dataclass(frozen=True)
+class _Connected:
+    """A connection to a scheduler."""
+
+    client: Client
+    where: str
+
+    def run(
+        self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
+    ) -> list[Any]:
+        from distributed import as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+
+        own = (silent,) if reports else ()
+        error_of_task: BaseException | None = None
+        try:
+            futures = [self.client.submit(task, *call, *own, pure=False) for call in calls]
+            for k, future in enumerate(as_completed(futures, loop=self.client.loop)):
+                if future.status == "error":
+                    error_of_task = future.exception()
+                    self.client.cancel([other for other in futures if not other.done()])
+                    break
+                progress((k + 1) / len(futures), f"{k + 1} of {len(futures)}")
+            if error_of_task is None:
+                return list(self.client.gather(futures))
+        except (FutureCancelledError, OSError, TimeoutError) as error:
+            raise TaskError(
+                self.where, f"was lost during the work ({type(error).__name__})", "a running scheduler",
+                "Call again: results that were stored are used.",
+            ) from None  # fmt: skip
+        if isinstance(error_of_task, KilledWorker):
+            raise TaskError(
+                self.where, f"a task ended the workers that ran it: {error_of_task}", "workers with enough memory",
+                "Call again: results that were stored are used.",
+            )  # fmt: skip
+        raise failed(error_of_task, self.where)
+
+    @contextmanager
+    def kept(self) -> Iterator[Executor]:
+        yield self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from sysid.errors import SysidError
@@ -31,6 +32,10 @@ class Executor(Protocol):
             SysidError: of the first call that failed; calls that have not begun are then cancelled.
             TaskError: the workers or the scheduler were lost.
         """
+        ...
+
+    def kept(self) -> AbstractContextManager[Executor]:
+        """An executor for several calls of :meth:`run`, whose processes or connection are kept between them."""
         ...
 
 

@@ -13,7 +13,7 @@ from multiprocessing.context import SpawnContext
 from typing import Any
 
 from sysid.children import end_with_parent, safe_children
-from sysid.execution.executor import Task, TaskError, failed
+from sysid.execution.executor import Executor, Task, TaskError, failed
 from sysid.progress import Progress, part, silent
 
 #: Seconds between two progress reports.
@@ -36,35 +36,63 @@ class LocalExecutor:
     ) -> list[Any]:
         """See :class:`~sysid.execution.executor.Executor`."""
         count = min(self.workers, len(calls))
-        if count <= 1:
-            results = []
-            for k, call in enumerate(calls):
-                progress(k / len(calls), f"{k + 1} of {len(calls)}")
-                results.append(task(*call, part(progress, k / len(calls), (k + 1) / len(calls))) if reports else task(*call))
-            return results
-        context = multiprocessing.get_context("spawn")
-        with (
-            safe_children(),
-            _shares(context, reports) as shares,
-            ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool,
-            _killed_on_interrupt(),
-        ):
-            if shares is None:
-                futures: list[Future[Any]] = [pool.submit(task, *call) for call in calls]
-            else:
-                futures = [pool.submit(_reporting, task, call, shares, number) for number, call in enumerate(calls)]
-            left = set(futures)
-            watched = 0.0
-            while left:
-                done, left = wait(left, POLL_S, FIRST_EXCEPTION)
-                share, text = _state(futures, {} if shares is None else dict(shares))
-                watched = max(watched, share)
-                progress(watched, text)
-                if any(future.exception() is not None for future in done):
-                    for future in left:
-                        future.cancel()
-                    break
+        if count > 1:
+            with _processes(count) as pool:
+                return pool.run(task, calls, progress, reports=reports)
+        results = []
+        for k, call in enumerate(calls):
+            progress(k / len(calls), f"{k + 1} of {len(calls)}")
+            results.append(task(*call, part(progress, k / len(calls), (k + 1) / len(calls))) if reports else task(*call))
+        return results
+
+    @contextlib.contextmanager
+    def kept(self) -> Iterator[Executor]:
+        """See :class:`~sysid.execution.executor.Executor`."""
+        if self.workers == 1:
+            yield self
+            return
+        with _processes(self.workers) as pool:
+            yield pool
+
+
+@contextlib.contextmanager
+def _processes(count: int) -> Iterator[_Processes]:
+    context = multiprocessing.get_context("spawn")
+    with (
+        safe_children(),
+        ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool,
+        _killed_on_interrupt(),
+    ):
+        yield _Processes(pool, context)
+
+
+@dataclass(frozen=True)
+class _Processes:
+    """Processes that are started when there is work for them, and run until the end of the block that made them."""
+
+    pool: ProcessPoolExecutor
+    context: SpawnContext
+
+    def run(
+        self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
+    ) -> list[Any]:
+        with _shares(self.context, reports) as shares:
             try:
+                if shares is None:
+                    futures: list[Future[Any]] = [self.pool.submit(task, *call) for call in calls]
+                else:
+                    futures = [self.pool.submit(_reporting, task, call, shares, number) for number, call in enumerate(calls)]
+                left = set(futures)
+                watched = 0.0
+                while left:
+                    done, left = wait(left, POLL_S, FIRST_EXCEPTION)
+                    share, text = _state(futures, {} if shares is None else dict(shares))
+                    watched = max(watched, share)
+                    progress(watched, text)
+                    if any(future.exception() is not None for future in done):
+                        for future in left:
+                            future.cancel()
+                        break
                 return [future.result() for future in _first_failed(futures) or futures]
             except MemoryError as error:
                 raise failed(error, "worker processes") from None
@@ -73,6 +101,10 @@ class LocalExecutor:
                     "worker processes", "one ended without a result, perhaps for lack of memory", "enough memory for all",
                     "Use fewer workers; results that were stored are used by the next call.",
                 ) from None  # fmt: skip
+
+    @contextlib.contextmanager
+    def kept(self) -> Iterator[Executor]:
+        yield self
 
 
 def _first_failed(futures: Sequence[Future[Any]]) -> list[Future[Any]]:

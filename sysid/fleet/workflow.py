@@ -49,14 +49,16 @@ def fleet_gap(
     place, text = open_workspace(location), str(location)
     exact = exact_references(place, references)
     calls = [(text, reference, plant) for reference in exact]
-    machines = [FleetMachine.from_json(values) for values in executor.run(name_effects, calls, part(progress, 0.0, 0.7))]
-    effects = union(machine.effects for machine in machines)
     histories: list[ParameterHistory] = []
-    if effects:
-        chosen = [effect.to_json() for effect in effects]
-        fits = [(text, reference, plant, chosen) for reference in exact]
-        for rows in executor.run(estimate_effects, fits, part(progress, 0.7, 1.0)):
-            histories += map(ParameterHistory.from_json, rows)
+    with executor.kept() as kept:
+        named = kept.run(name_effects, calls, part(progress, 0.0, 0.7))
+        machines = [FleetMachine.from_json(values) for values in named]
+        effects = union(machine.effects for machine in machines)
+        if effects:
+            chosen = [effect.to_json() for effect in effects]
+            fits = [(text, reference, plant, chosen) for reference in exact]
+            for rows in kept.run(estimate_effects, fits, part(progress, 0.7, 1.0)):
+                histories += map(ParameterHistory.from_json, rows)
     progress(1.0, "done")
     changes = drifts(histories, false_alarms_per_1000_hours / 1000.0)
     return FleetResult(

@@ -98,34 +98,74 @@ def aligned(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew
     Raises:
         AlignmentError: the machine's own clock was set.
     """
-    found: dict[tuple[str, str], tuple[Piece, ...]] = {}
-    for recording in recordings:
-        for clock, channels in recording.clocks().items():
-            if recording.kind == "motion":
-                found[recording.name, clock] = pieces(_pairs(recording, channels))
-        if recording.kind == "motion":
-            _check_machine(recording, {clock: found[recording.name, clock] for clock in recording.clocks()})
-    earlier = known if known is not None else {}
-    skews = {}
-    for domain in {_domain(clock) for _, clock in found} | {*earlier}:
-        own = [(name, p.estimate) for (name, clock), parts in found.items() if _domain(clock) == domain for p in parts]
-        skews[domain] = pooled(own, earlier.get(domain))
+    found = {recording.name: pieces_of(recording) for recording in recordings}
+    skews = skews_of(found, known)
     records: list[ClockRecord] = []
     refused: dict[str, AlignmentError] = {}
     for recording in recordings:
-        placed: list[ClockRecord] = []
         try:
-            for clock, channels in recording.clocks().items():
-                shared = skews.get(_domain(clock))
-                if recording.kind == "poses":
-                    placed += _static(recording, channels, shared)
-                else:
-                    placed += _moving(recording, channels, found[recording.name, clock], shared)
+            records += records_of(recording, found[recording.name], skews)
         except AlignmentError as error:
             refused[recording.name] = error
-        else:
-            records += placed
     return Alignment(tuple(records), refused)
+
+
+def pieces_of(recording: RecordingClocks) -> dict[str, tuple[Piece, ...]]:
+    """Clock → its pieces with their estimates, from one recording alone; none for static poses.
+
+    Raises:
+        AlignmentError: the machine's own clock was set.
+    """
+    if recording.kind == "poses":
+        return {}
+    found = {clock: pieces(_pairs(recording, channels)) for clock, channels in recording.clocks().items()}
+    _check_machine(recording, found)
+    return found
+
+
+def skews_of(
+    found: Mapping[str, Mapping[str, Sequence[Piece]]], known: Mapping[str, KnownSkew] | None = None
+) -> dict[str, Skew | None]:
+    """Clock domain → the skew that its recordings share; None where they contradict each other.
+
+    Args:
+        found: recording → :func:`pieces_of`.
+        known: as of :func:`aligned`.
+    """
+    earlier = known if known is not None else {}
+    skews = {}
+    for domain in {_domain(clock) for own in found.values() for clock in own} | {*earlier}:
+        estimates = [
+            (name, piece.estimate)
+            for name, own in found.items()
+            for clock, parts in own.items()
+            if _domain(clock) == domain
+            for piece in parts
+        ]
+        skews[domain] = pooled(estimates, earlier.get(domain))
+    return skews
+
+
+def records_of(
+    recording: RecordingClocks, found: Mapping[str, Sequence[Piece]], skews: Mapping[str, Skew | None]
+) -> list[ClockRecord]:
+    """Clock records of one recording.
+
+    Args:
+        found: its :func:`pieces_of`.
+        skews: clock domain → :func:`skews_of`.
+
+    Raises:
+        AlignmentError: no offset is observable and the stamps do not overlap.
+    """
+    records: list[ClockRecord] = []
+    for clock, channels in recording.clocks().items():
+        shared = skews.get(_domain(clock))
+        if recording.kind == "poses":
+            records += _static(recording, channels, shared)
+        else:
+            records += _moving(recording, channels, found[clock], shared)
+    return records
 
 
 def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord] | None) -> Array:

@@ -37,11 +37,13 @@ def describe(
     clocks: Sequence[ClockRecord],
     machine: Machine,
     progress: Progress = silent,
+    scales: Mapping[str, Scale] | None = None,
 ) -> dict[str, Any]:
     """Quality of each recording and of its streams, as JSON values. Excitation: :func:`sysid.datasets.quality.evidence_of`.
 
     Args:
         progress: called with the share done.
+        scales: of the axes over all recordings; by default those of ``recordings``.
 
     Returns:
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
@@ -52,7 +54,7 @@ def describe(
     """
     still = {recording.name for recording in recordings if recording.kind == "poses"}
     streams = _streams(readings, part(progress, 0.0, _STREAMS))
-    scales = scales_of(recordings, machine)
+    scales = scales_of(recordings, machine) if scales is None else scales
     result: dict[str, Any] = {}
     done, total = 0, max(1, sum(map(len, recordings)))
     for recording in recordings:

@@ -16,14 +16,16 @@ from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, check_sources, discover
 from sysid.datasets.ingestion import DESCRIBED, STORED, read_and_align
-from sysid.datasets.plan import content_of, plan_of, sources_of
+from sysid.datasets.plan import Plan, content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
+from sysid.datasets.tasks.driver import Survey, TaskIngest
 from sysid.datasets.versions.files import OvertakenError, scratch_folder
 from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.execution import Executor
 from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
@@ -41,6 +43,7 @@ def append(
     recipe: Path | str | None = None,
     role: Role | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Dataset:
     """Read the recordings that ``to`` does not hold yet, and store it with them as the next version.
 
@@ -59,6 +62,7 @@ def append(
         recipe: ``recipe.toml``; else the one beside the logs, else the last one of ``to``.
         role: of the new recordings.
         progress: called with the share done and a text.
+        executor: as of :func:`sysid.datasets.ingest`.
 
     Returns:
         The new version; ``to`` where nothing is new.
@@ -76,7 +80,7 @@ def append(
     with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
         while True:
             try:
-                return _append(paths, Store(workspace), to, machine, recipe, role, report)
+                return _append(paths, Store(workspace), to, machine, recipe, role, report, executor)
             except OvertakenError as error:  # each time another writer has stored a version, so that this ends
                 report(0.0, f"{error.found}: repeated on that version")
 
@@ -89,6 +93,7 @@ def _append(
     recipe: Path | str | None,
     role: Role | None,
     report: Progress,
+    executor: Executor | None,
 ) -> Dataset:
     base = store.manifest(to)
     name, reference = base["name"], f"{base['name']}@{base['version']}"
@@ -109,18 +114,42 @@ def _append(
         return known
 
     skews = known_skews([clock_from(item) for item in base["clocks"]], store.clock_domains(reference))
-    ingested = read_and_align(found, plan, _mounts(found, plan.machine, base), report, skews)
     settings = plan.rules.splits if plan.rules is not None else Splits()
-    parts, roles = split(ingested.recordings, _roles(ingested.recordings, settings, role), plan.where)
+
+    def divide(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], dict[str, Role]]:
+        return split(recordings, _roles(recordings, settings, role), plan.where)
+
+    if executor is not None:
+        with store.new_part(name, digest) as folder, executor.kept() as kept:
+            tasks = TaskIngest(kept, store)
+            mounts = _mounts(found, base, lambda open_files: tasks.survey(open_files, plan, report))
+            written = tasks.written(found, plan, mounts, settings, divide, folder, report, skews)
+            addition = _checked(written.named(name, digest, sources), base, plan)
+            saved = store.append_written(reference, addition, written.part, "@" not in to)
+        report(1.0, f"stored {saved.reference}")
+        return saved
+
+    mounts = _mounts(found, base, lambda open_files: survey_mounts(open_files, plan.machine))
+    ingested = read_and_align(found, plan, mounts, report, skews)
+    parts, roles = divide(ingested.recordings)
     addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
-    for signal, unit in addition.units.items():
-        if base["units"].get(signal, unit) != unit:
-            expected = f"[{base['units'][signal]}] as in {reference}"
-            raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
-    addition = replace(addition, quality=joined_quality(base["quality"], addition.quality))
+    addition = _checked(addition, base, plan)
     saved = store.append(reference, addition, ingested.channels, ingested.made, "@" not in to, stretch(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
+
+
+def _checked(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
+    """The new recordings with the quality of all.
+
+    Raises:
+        InputError: a signal with another unit than in ``base``.
+    """
+    for signal, unit in addition.units.items():
+        if base["units"].get(signal, unit) != unit:
+            expected = f"[{base['units'][signal]}] as in {base['name']}@{base['version']}"
+            raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
+    return replace(addition, quality=joined_quality(base["quality"], addition.quality))
 
 
 def _check_machine(given: Machine, expected: Machine, reference: str) -> None:
@@ -176,7 +205,7 @@ def _new_recordings(
     return tuple(new), tuple(sources)
 
 
-def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -> Mounts:
+def _mounts(found: Sequence[RecordingFiles], base: Manifest, survey: Survey) -> Mounts:
     """Mounts of the bodies: those of ``base`` with one reference pose for all recordings, else from the recordings."""
     known: dict[str, dict[str, Any]] = {}
     for part in base["parts"]:
@@ -193,7 +222,7 @@ def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -
             else:
                 rest.append((path, stream))
         open_files.append(replace(files, streams=tuple(rest)))
-    return {**survey_mounts(open_files, machine), **mounts}
+    return {**survey(open_files), **mounts}
 
 
 def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -> Splits:

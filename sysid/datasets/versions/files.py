@@ -7,11 +7,14 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from sysid.errors import StorageError, StoreError
+
+#: State of the store after a failed write, for the message of :func:`explained`.
+UNCHANGED = "no version was made, existing ones are complete"
 
 
 class TakenError(StoreError):
@@ -54,6 +57,10 @@ class Files(Protocol):
         """A new file to write bytes to; its folder is made."""
         ...
 
+    def replaced(self, path: str) -> AbstractContextManager[BinaryIO]:
+        """A file to write bytes to, which appears at ``path`` when the block ends; an earlier one there is replaced."""
+        ...
+
     def settle(self, folder: str) -> None:
         """Return when the files written to ``folder`` survive a power cut."""
         ...
@@ -84,6 +91,14 @@ class Files(Protocol):
 
     def lock(self, folder: str) -> Any:
         """A context for one writer at a time."""
+        ...
+
+    def unlock(self, folder: str) -> None:
+        """Remove what :meth:`lock` left in a folder; called within it."""
+        ...
+
+    def is_locked(self, folder: str) -> bool:
+        """Whether a writer is at work in ``folder``; without locks this is unknown, and False."""
         ...
 
 

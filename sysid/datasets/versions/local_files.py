@@ -18,6 +18,7 @@ from sysid.root import Root
 
 #: How long a writer waits for another one [s].
 LOCK_WAIT_S = 300.0
+_LOCK = ".lock"
 _NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
@@ -56,6 +57,17 @@ class LocalFiles:
     def create(self, path: str) -> BinaryIO:
         return self.below.create(path)
 
+    @contextmanager
+    def replaced(self, path: str) -> Iterator[BinaryIO]:
+        folder, _, name = path.rpartition("/")
+        draft = f"{folder}/.{name}.{uuid.uuid4().hex[:8]}.part"
+        try:
+            with self.create(draft) as file:
+                yield file
+            self.below.rename(draft, path)
+        finally:
+            self.below.remove(draft)
+
     def settle(self, folder: str) -> None:
         self.below.settle(folder)
 
@@ -91,7 +103,7 @@ class LocalFiles:
 
         place = self.root / folder
         with explained(place, "nothing was changed"):
-            lock = FileLock(self.below.output(f"{folder}/.lock"), timeout=LOCK_WAIT_S)
+            lock = FileLock(self.below.output(f"{folder}/{_LOCK}"), timeout=LOCK_WAIT_S)
             try:
                 lock.acquire()
             except Timeout:
@@ -101,6 +113,22 @@ class LocalFiles:
             yield
         finally:
             lock.release()
+
+    def unlock(self, folder: str) -> None:
+        self.below.remove(f"{folder}/{_LOCK}")
+
+    def is_locked(self, folder: str) -> bool:
+        from filelock import FileLock, Timeout
+
+        if self.below.kind(f"{folder}/{_LOCK}") != "file":
+            return False
+        lock = FileLock(self.below.path(f"{folder}/{_LOCK}"), timeout=0.0)
+        try:
+            lock.acquire()
+        except Timeout:
+            return True
+        lock.release()
+        return False
 
 
 def _move_new(root: Root, draft: str, final: str) -> None:

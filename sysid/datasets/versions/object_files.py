@@ -88,6 +88,11 @@ class ObjectFiles:
         system.create_dir(place.rpartition("/")[0], recursive=True)
         return cast("BinaryIO", system.open_output_stream(place))
 
+    @contextmanager
+    def replaced(self, path: str) -> Iterator[BinaryIO]:
+        with self.create(path) as file:  # a put is atomic
+            yield file
+
     def settle(self, folder: str) -> None:
         """Nothing to do: a put has reached the store when it returns."""
 
@@ -144,6 +149,12 @@ class ObjectFiles:
     def lock(self, folder: str) -> Iterator[None]:
         """Does nothing: numbers are claimed instead, and vacuum keeps young tables."""
         yield
+
+    def unlock(self, folder: str) -> None:
+        """Nothing to do."""
+
+    def is_locked(self, folder: str) -> bool:
+        return False
 
 
 def _claim_of(path: str) -> str:

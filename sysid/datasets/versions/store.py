@@ -16,7 +16,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import uuid
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.versions.assemble import dataset_of
-from sysid.datasets.versions.files import OvertakenError, TakenError, explained
+from sysid.datasets.versions.files import UNCHANGED, OvertakenError, TakenError, explained
 from sysid.datasets.versions.index import VersionIndex, manifest_path, numbers_of
 from sysid.datasets.versions.manifest import (
     Manifest,
@@ -44,10 +45,6 @@ from sysid.progress import part as stretch
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-
-#: State of the store after a failed write, for the message.
-_STATE = "no version was made, existing ones are complete"
 
 
 @dataclass(frozen=True)
@@ -168,18 +165,21 @@ class Store(VersionIndex):
             StorageError: the disk is full or read-only; no version is made then.
         """
 
-        def build(number: int, own: Manifest) -> Manifest:
-            manifest = self._whole(base)
-            last = self.versions(addition.name)[-1]
-            if newest and last != manifest["version"]:
-                found = f"{addition.name}@{last} was stored in the meantime"
-                remedy = "Run the command again to append to it."
-                raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
-            return appended(manifest, addition, number, own)
-
         self.manifest(base)  # before anything is written
-        version = self._store(addition, channels, made, progress, build)
+        version = self._store(
+            addition, channels, made, progress, lambda number, own: self._appended(base, addition, number, own, newest)
+        )
         return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
+
+    def _appended(self, base: str, addition: Dataset, number: int, own: Manifest, newest: bool) -> Manifest:
+        """The manifest of an append under the lock of the dataset; arguments and errors as of :meth:`append`."""
+        manifest = self._whole(base)
+        last = self.versions(addition.name)[-1]
+        if newest and last != manifest["version"]:
+            found = f"{addition.name}@{last} was stored in the meantime"
+            remedy = "Run the command again to append to it."
+            raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
+        return appended(manifest, addition, number, own)
 
     def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
         """A version with the same tables and other roles, or an existing one with these roles.
@@ -188,7 +188,7 @@ class Store(VersionIndex):
             StorageError: the disk is full or read-only.
         """
         name = self.manifest(reference)["name"]
-        with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
             base = self._whole(reference)
             digest = split_digest(base, splits)
             number = self.find_digest(name, digest)
@@ -215,28 +215,81 @@ class Store(VersionIndex):
         with this content.
         """
         name = dataset.name
-        with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
             known = self.intact(name, dataset.digest)
             if known is not None:
                 return known
-            if self.files.locks:  # leftovers of a killed ingest of the same content
-                for folder in self.leftovers(name):
-                    if folder.startswith(dataset.digest[:16]):
-                        self.files.remove(f"datasets/{name}/data/{folder}")
-            folder = f"datasets/{name}/data/{dataset.digest[:16]}-{uuid.uuid4().hex[:8]}"
+            self._remove_leftovers(name, dataset.digest)
+            folder = new_folder(name, dataset.digest)
             try:
                 cells = sum(recording.table.size for recording in dataset.recordings)
                 half = cells / max(1, cells + 2 * sum(len(c.stamps) for own in channels.values() for c in own))
-                samples = write_samples(self.files, f"{folder}/samples", dataset, stretch(progress, 0.0, half))
+                samples = write_samples(self.files, f"{folder}/samples", dataset, channels, stretch(progress, 0.0, half))
                 raw = write_channels(self.files, f"{folder}/channels", channels, stretch(progress, half, 1.0))
                 self.files.settle(folder)
                 written = new_part(folder, samples, raw, made)
                 return self._publish(name, dataset.digest, lambda number: build(number, written))
             except BaseException:
-                with contextlib.suppress(OSError):
-                    if folder.rpartition("/")[2] in self.leftovers(name):  # else it was published before the interruption
-                        self.files.remove(folder)
+                self._remove_unpublished(name, folder)
                 raise
+
+    @contextmanager
+    def new_part(self, name: str, digest: str) -> Iterator[str]:
+        """A new folder for the tables of a part that tasks of other processes write: ``samples`` and ``channels``.
+
+        It is locked within the block, and removed at its end unless :meth:`save_written` or :meth:`append_written` has
+        published it.
+        """
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
+            self._remove_leftovers(name, digest)
+        folder = new_folder(name, digest)
+        try:
+            with self.files.lock(folder):
+                yield folder
+        finally:
+            self._remove_unpublished(name, folder)
+
+    def save_written(self, dataset: Dataset, part: Manifest) -> Dataset:
+        """:meth:`save` with tables that are there.
+
+        Args:
+            part: their entry of the manifest.
+        """
+        number = self._publish_written(dataset, part, lambda number: new_manifest(dataset, number, part))
+        return self.load(f"{dataset.name}@{number}")
+
+    def append_written(self, base: str, addition: Dataset, part: Manifest, newest: bool = False) -> Dataset:
+        """:meth:`append` with tables that are there.
+
+        Args:
+            part: their entry of the manifest.
+        """
+        number = self._publish_written(addition, part, lambda number: self._appended(base, addition, number, part, newest))
+        return self.load(f"{addition.name}@{number}")
+
+    def _publish_written(self, dataset: Dataset, part: Manifest, build: Callable[[int], Manifest]) -> int:
+        """Publish tables that are there, in one step; returns the number, or that of an existing version with this content."""
+        name = dataset.name
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
+            known = self.intact(name, dataset.digest)
+            if known is not None:
+                return known.version
+            self.files.unlock(part["folder"])
+            self.files.settle(part["folder"])
+            return self._publish(name, dataset.digest, build)
+
+    def _remove_leftovers(self, name: str, digest: str) -> None:
+        """Remove the folders of killed ingests of the same content."""
+        for folder in self.leftovers(name) if self.files.locks else ():
+            path = f"datasets/{name}/data/{folder}"
+            if folder.startswith(digest[:16]) and not self.files.is_locked(path):
+                self.files.remove(path)
+
+    def _remove_unpublished(self, name: str, folder: str) -> None:
+        """Remove a folder, unless a version refers to it."""
+        with contextlib.suppress(OSError):
+            if folder.rpartition("/")[2] in self.leftovers(name):
+                self.files.remove(folder)
 
     def _publish(self, name: str, digest: str, build: Callable[[int], Manifest]) -> int:
         """Publish the manifest under the next number, which it returns; without locks another writer may claim it first."""
@@ -269,6 +322,11 @@ class Store(VersionIndex):
 
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+
+def new_folder(name: str, digest: str) -> str:
+    """Path of the folder of a new part."""
+    return f"datasets/{name}/data/{digest[:16]}-{uuid.uuid4().hex[:8]}"
 
 
 def _only(manifest: Manifest, names: Collection[str]) -> Manifest:

@@ -1,29 +1,34 @@
 """Samples and raw channels as Delta tables of one part: written once, addressed by the sha256 of their Parquet files.
 
+Each table has one file for each recording (before it was cut into blocks), so that recordings can be written and read apart.
 Parquet with zstd under a Delta log of one commit, readable as either. Units are in the metadata of columns. Missing values are
 null.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.recording import Dataset
+from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.versions.files import Files
 from sysid.errors import StoreError
-from sysid.progress import Progress
-from sysid.scratch import leave
+from sysid.progress import Progress, silent
+from sysid.progress import part as stretch
+from sysid.scratch import empty, leave
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-FILE = "part-00000.zstd.parquet"
+Stamps = npt.NDArray[np.int64]
+Values = npt.NDArray[np.float64]
+
 #: Rows written at a time, so that a long recording is not copied as a whole.
 ROWS = 1 << 20
 
@@ -37,30 +42,69 @@ class PartTables:
     channels: str
 
 
-def write_samples(files: Files, folder: str, dataset: Dataset, progress: Progress) -> dict[str, Any]:
-    """``recording, row, stamp_ns, time`` and one column a signal; the entry of the manifest."""
-    import pyarrow as pa
+def write_samples(files: Files, folder: str, dataset: Dataset, names: Iterable[str], progress: Progress) -> dict[str, Any]:
+    """``recording, row, stamp_ns, time`` and one column a signal, one file for each uncut recording; the entry of the manifest.
 
-    types: dict[str, Any] = {}
+    Args:
+        names: of the uncut recordings.
+    """
+    groups: dict[str, list[Recording]] = {name: [] for name in names}
+    for recording in dataset.recordings:
+        groups.setdefault(uncut_name(recording.name, groups), []).append(recording)
+    columns = sample_columns(dataset)
+    total, done = max(1, sum(map(len, dataset.recordings))), 0
+    written = []
+    for number, own in enumerate(groups.values()):
+        rows = sum(map(len, own))
+        share = stretch(progress, done / total, (done + rows) / total)
+        written.append(write_sample_file(files, folder, number, own, columns, share))
+        done += rows
+    return committed(files, folder, written or [write_sample_file(files, folder, 0, [], columns)])
+
+
+def uncut_name(name: str, names: Container[str]) -> str:
+    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
+    return name if name in names or "#" not in name else name.rpartition("#")[0]
+
+
+#: Columns of samples: name, NumPy type and SI unit, None for one without.
+Columns = Sequence[tuple[str, str, str | None]]
+
+
+def sample_columns(dataset: Dataset) -> Columns:
+    """The columns of all recordings of a dataset."""
+    types: dict[str, str] = {}
     for recording in dataset.recordings:
         for column in recording.table.columns:
-            types.setdefault(str(column), pa.from_numpy_dtype(recording.table[column].to_numpy().dtype))
-    fields = [pa.field("recording", pa.string()), pa.field("row", pa.int64()), pa.field("stamp_ns", pa.int64())]
-    fields += [pa.field(name, kind, metadata=_unit(dataset.units.get(name))) for name, kind in types.items()]
-    schema = pa.schema(fields)
+            types.setdefault(str(column), recording.table[column].to_numpy().dtype.str)
+    return [(name, kind, dataset.units.get(name)) for name, kind in types.items()]
 
-    total = max(1, sum(map(len, dataset.recordings)))
+
+def write_sample_file(
+    files: Files, folder: str, number: int, recordings: Sequence[Recording], columns: Columns, progress: Progress = silent
+) -> dict[str, Any]:
+    """File ``number`` of the samples in ``folder``, with the blocks of one recording; its entry of the manifest.
+
+    Args:
+        columns: of all files of the table.
+    """
+    import pyarrow as pa
+
+    fields = [pa.field("recording", pa.string()), pa.field("row", pa.int64()), pa.field("stamp_ns", pa.int64())]
+    fields += [pa.field(name, pa.from_numpy_dtype(np.dtype(kind)), metadata=_unit(unit)) for name, kind, unit in columns]
+    schema = pa.schema(fields)
+    total = max(1, sum(map(len, recordings)))
 
     def batches() -> Iterator[pa.RecordBatch]:
         done = 0
-        for recording in dataset.recordings:
+        for recording in recordings:
             for first in range(0, len(recording), ROWS):
                 progress(done / total, f"storing {recording.name}")
                 table = recording.table.iloc[first : first + ROWS]
                 yield _sample_batch(recording.name, recording.start_ns, table, schema, first)
                 done += len(table)
 
-    return _write(files, folder, schema, batches())
+    return _write(files, folder, number, schema, batches())
 
 
 def _sample_batch(name: str, start_ns: int, table: pd.DataFrame, schema: pa.Schema, first: int) -> pa.RecordBatch:
@@ -77,36 +121,73 @@ def _sample_batch(name: str, start_ns: int, table: pd.DataFrame, schema: pa.Sche
 
 
 def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Channel]], progress: Progress) -> dict[str, Any]:
-    """``recording, source, domain, signal, unit, primary, stamp_ns, value``; the entry of the manifest, with the clocks.
+    """``recording, source, domain, signal, unit, primary, stamp_ns, value``, one file for each recording; the entry of the
+    manifest, with the clocks.
 
     Args:
         channels: recording (before it was cut into blocks) → its channels.
     """
+    total, done = max(1, sum(len(c.stamps) for parts in channels.values() for c in parts)), 0
+    written = []
+    for number, (name, own) in enumerate(channels.items()):
+        rows = sum(len(c.stamps) for c in own)
+        share = stretch(progress, done / total, (done + rows) / total)
+        written.append(write_channel_file(files, folder, number, name, own, share))
+        done += rows
+    clocks = [clock for name, own in channels.items() for clock in clock_entries(name, own)]
+    return {**committed(files, folder, written or [write_channel_file(files, folder, 0, "", ())]), "clocks": clocks}
+
+
+def clock_entries(recording: str, channels: Sequence[Channel]) -> list[dict[str, str]]:
+    """The clock domain of each file of a recording, for the entry of the manifest."""
+    clocks = {(recording, c.source, c.domain): None for c in channels}
+    return [dict(zip(("recording", "source", "domain"), key, strict=True)) for key in clocks]
+
+
+def write_channel_file(
+    files: Files, folder: str, number: int, recording: str, channels: Sequence[Channel], progress: Progress = silent
+) -> dict[str, Any]:
+    """File ``number`` of the raw channels in ``folder``: the channels of one recording, one after another."""
     import pyarrow as pa
 
     texts = [pa.field(name, pa.string()) for name in ("recording", "source", "domain", "signal", "unit")]
     numbers = [pa.field("primary", pa.bool_()), pa.field("stamp_ns", pa.int64()), pa.field("value", pa.float64())]
     schema = pa.schema([*texts, *numbers])
-
-    total = max(1, sum(len(c.stamps) for parts in channels.values() for c in parts))
+    total = max(1, sum(len(c.stamps) for c in channels))
 
     def batches() -> Iterator[pa.RecordBatch]:
         done = 0
-        for recording, parts in channels.items():
-            for c, rows in ((part, slice(i, i + ROWS)) for part in parts for i in range(0, max(1, len(part.stamps)), ROWS)):
-                progress(done / total, f"storing {recording}: {c.signal}")
-                stamps, values = c.stamps[rows], c.values[rows]  # noqa: PD011
-                done += len(stamps)
-                words = [_repeated(text, len(stamps)) for text in (recording, c.source, c.domain, c.signal, c.unit)]
-                primary = pa.array(np.full(len(stamps), c.primary))
-                numbers = pa.array(values, from_pandas=True)
-                yield pa.record_batch([*words, primary, pa.array(stamps), numbers], schema=schema)
+        for c, rows in ((own, slice(i, i + ROWS)) for own in channels for i in range(0, max(1, len(own.stamps)), ROWS)):
+            progress(done / total, f"storing {recording}: {c.signal}")
+            stamps, values = c.stamps[rows], c.values[rows]  # noqa: PD011
+            done += len(stamps)
+            words = [_repeated(text, len(stamps)) for text in (recording, c.source, c.domain, c.signal, c.unit)]
+            primary = pa.array(np.full(len(stamps), c.primary))
+            numbers = pa.array(values, from_pandas=True)
+            yield pa.record_batch([*words, primary, pa.array(stamps), numbers], schema=schema)
 
-    clocks = {(name, c.source, c.domain): None for name, parts in channels.items() for c in parts}
-    return {
-        **_write(files, folder, schema, batches()),
-        "clocks": [dict(zip(("recording", "source", "domain"), key, strict=True)) for key in clocks],
-    }
+    return _write(files, folder, number, schema, batches())
+
+
+def read_channel_file(files: Files, folder: str, number: int, lengths: Sequence[int]) -> list[tuple[Stamps, Values]]:
+    """Stamps [ns] and values of the channels in file ``number``, in their order.
+
+    Args:
+        lengths: number of samples of each channel.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    stamps, values = empty(sum(lengths), np.int64), empty(sum(lengths))
+    done = 0
+    source = pq.ParquetFile(pa.BufferReader(files.read(f"{folder}/{file_name(number)}")))
+    for batch in source.iter_batches(batch_size=ROWS, columns=["stamp_ns", "value"]):
+        rows = slice(done, done + len(batch))
+        stamps[rows] = batch["stamp_ns"].to_numpy()
+        values[rows] = batch["value"].to_numpy(zero_copy_only=False)  # null is NaN
+        done = rows.stop
+    ends = np.cumsum(lengths).tolist()
+    return [(stamps[a:b], values[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
 
 def _unit(unit: str | None) -> dict[str, str] | None:
@@ -119,14 +200,19 @@ def _repeated(text: str, count: int) -> pa.Array:
     return pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, dtype=np.int32)), [text]).dictionary_decode()
 
 
-def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> dict[str, Any]:
+def file_name(number: int) -> str:
+    return f"part-{number:05d}.zstd.parquet"
+
+
+def _write(files: Files, folder: str, number: int, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> dict[str, Any]:
+    """Write one file, which appears whole; its entry of the manifest."""
     import pyarrow as pa
     import pyarrow.parquet as pq
-    from deltalake import convert_to_deltalake
 
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
     counted = {field.name: "DELTA_BINARY_PACKED" for field in schema if pa.types.is_integer(field.type)}
-    with files.create(f"{folder}/{FILE}") as sink:
+    path = f"{folder}/{file_name(number)}"
+    with files.replaced(path) as sink:
         # Not pyarrow's own file, so that an error of the disk is an OSError with its number.
         with pq.ParquetWriter(
             sink, schema, compression="zstd", compression_level=3, use_dictionary=texts, column_encoding=counted
@@ -135,9 +221,16 @@ def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.Re
                 writer.write_batch(batch)
                 leave()
         sink.flush()
+    size, digest = files.address(path)
+    return {"path": file_name(number), "size": size, "sha256": digest}
+
+
+def committed(files: Files, folder: str, written: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The files in ``folder`` as a Delta table of one commit; the entry of the manifest."""
+    from deltalake import convert_to_deltalake
+
     convert_to_deltalake(files.uri(folder), mode="error")
-    size, digest = files.address(f"{folder}/{FILE}")
-    return {"files": [{"path": FILE, "size": size, "sha256": digest}]}
+    return {"files": [dict(entry) for entry in written]}
 
 
 def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, columns: Sequence[str] | None = None) -> pa.Table:

@@ -128,7 +128,9 @@ def _one(
             loose += own
         for folder in sorted(free):
             size, age = weights[folder]
-            if not store.files.locks and age < YOUNG_S:
+            if store.files.is_locked(f"{data}/{folder}"):
+                kept.append(NotRemoved(f"{data}/{folder}", "a writer is at work on it"))
+            elif not store.files.locks and age < YOUNG_S:
                 kept.append(NotRemoved(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
             else:
                 removed.append(RemovedPart(f"{data}/{folder}", size))

@@ -1,0 +1,215 @@
+"""The caller of the tasks of an ingest: from found recordings to one part of a dataset, ready to be published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.datasets.channels import Mounts, combined_mounts
+from sysid.datasets.clocks.records import KnownSkew, skews_of
+from sysid.datasets.combined import made_by, notes_of, placed, streams_of, units_of
+from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.joint_units import with_joint_units
+from sysid.datasets.plan import Plan
+from sysid.datasets.quality.use import scales_of
+from sysid.datasets.recipe import Splits
+from sysid.datasets.recording import Dataset, Recording, Role, Source
+from sysid.datasets.tasks.steps import (
+    align_recording,
+    clock_records,
+    read_recording,
+    store_recording,
+    stored_table,
+    survey_recording,
+)
+from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading
+from sysid.datasets.versions.files import UNCHANGED, explained
+from sysid.datasets.versions.manifest import Manifest, new_part
+from sysid.datasets.versions.store import Store
+from sysid.datasets.versions.tables import committed, file_name, sample_columns, uncut_name
+from sysid.execution import Executor
+from sysid.progress import Progress, part
+
+#: Gives roles to recordings and cuts those that have several, see :func:`sysid.datasets.splits.split`.
+Split = Callable[[Sequence[Recording]], tuple[tuple[Recording, ...], dict[str, Role]]]
+#: Finds the mounts of rigid bodies, see :func:`sysid.datasets.channels.survey_mounts`.
+Survey = Callable[[Sequence[RecordingFiles]], Mounts]
+
+#: Begin and end of each step as shares of the total time.
+_SURVEYED, _READ, _ALIGNED, _STORED = (0.0, 0.25), (0.25, 0.6), (0.6, 0.8), (0.8, 1.0)
+
+
+@dataclass(frozen=True)
+class TaskIngest:
+    """An ingest whose recordings are read by tasks.
+
+    Args:
+        executor: runs the tasks; its processes reach the raw files and the workspace under the same paths.
+        store: of the workspace.
+    """
+
+    executor: Executor
+    store: Store
+
+    @property
+    def location(self) -> str:
+        """The workspace for processes with another current folder."""
+        place = str(self.store.workspace)
+        return place if "://" in place else str(Path(place).absolute())
+
+    def survey(self, found: Sequence[RecordingFiles], plan: Plan, report: Progress) -> Mounts:
+        """Mounts of the rigid bodies, as :func:`sysid.datasets.channels.survey_mounts`."""
+        with_bodies = [files for files in found if any(m is not None and m.bodies for _, m in files.streams)]
+        calls = [(self.location, plan, absolute(files)) for files in with_bodies]
+        surveyed = self.executor.run(survey_recording, calls, part(report, *_SURVEYED))
+        own = {
+            (files.name, key): {body: [np.array(pose) for pose in poses] for body, poses in bodies.items()}
+            for files, entry in zip(with_bodies, surveyed, strict=True)
+            for key, bodies in entry.items()
+        }
+        return combined_mounts(found, own)
+
+    def written(
+        self,
+        found: Sequence[RecordingFiles],
+        plan: Plan,
+        mounts: Mounts,
+        splits: Splits,
+        divide: Split,
+        folder: str,
+        report: Progress,
+        skews: Mapping[str, KnownSkew] | None = None,
+    ) -> WrittenPart:
+        """Read, align and describe the recordings ``found``, with their tables in ``folder``.
+
+        Args:
+            splits: of the recipe, for the recordings that have to be there.
+            skews: known skews of the clocks, from other recordings.
+        """
+        place = self.location, folder
+        calls: list[tuple[Any, ...]] = [
+            (*place, k, plan, absolute(files), from_mounts(mounts, files.name)) for k, files in enumerate(found)
+        ]
+        read: list[Plain] = self.executor.run(read_recording, calls, part(report, *_READ))
+        pieces = {files.name: to_pieces(own["pieces"]) for files, own in zip(found, read, strict=True)}
+        shared = {domain: asdict(own) if own is not None else None for domain, own in skews_of(pieces, skews).items()}
+        calls = [
+            (*place, k, plan, files.name, files.kind, own, shared)
+            for k, (files, own) in enumerate(zip(found, read, strict=True))
+        ]
+        aligned: list[Plain] = self.executor.run(align_recording, calls, part(report, *_ALIGNED))
+        refused = {files.name: to_error(own["refused"]) for files, own in zip(found, aligned, strict=True) if "refused" in own}
+        names = placed([files.name for files in found], refused, splits)
+        kept = [k for k, files in enumerate(found) if files.name in names]
+        tables = [stored_table(self.store.files, folder, k, plan, found[k].name, found[k].kind, aligned[k]) for k in kept]
+        parts, roles = divide(tables)
+        units, assumed = with_joint_units(
+            units_of({found[k].name: to_reading(read[k]["reading"]).channels for k in kept}), plan.machine
+        )
+        clocks = tuple(record for k in kept for record in clock_records(aligned[k]))
+        notes = (*notes_of(found, plan, mounts, [note for own in read for note in own["rates"]], refused), *assumed)
+        addition = Dataset(
+            name=plan.machine.name,
+            version=0,
+            digest="",
+            machine=plan.machine,
+            recordings=parts,
+            units=units,
+            splits=roles,
+            clocks=clocks,
+            streams=streams_of([(stream, signal) for k in kept for stream, signal in aligned[k]["streams"]], parts),
+        )
+        columns = sample_columns(addition)
+        scales = {axis: (own.full, own.top_speed) for axis, own in scales_of(parts, plan.machine).items()}
+        blocks = _blocks(parts, tables)
+        calls = [
+            (*place, k, plan, found[k].name, found[k].kind, read[k], aligned[k], blocks[found[k].name], scales, columns)
+            for k in kept
+        ]
+        stored: list[Plain] = self.executor.run(store_recording, calls, part(report, *_STORED))
+        quality = {
+            **_joined([own["quality"] for own in stored]),
+            "flags": [flag for k in kept for flag in aligned[k]["flags"]],
+            "notes": list(notes),
+        }
+        entry = self._committed(folder, [read[k] for k in kept], stored, kept)
+        losses = {f"{found[k].name}/{file}": tuple(own) for k in kept for file, own in read[k]["reading"]["losses"].items()}
+        return WrittenPart(replace(addition, quality=quality), losses, new_part(folder, *entry, made_by(found, plan, mounts)))
+
+    def _committed(
+        self, folder: str, read: Sequence[Plain], stored: Sequence[Plain], kept: Sequence[int]
+    ) -> tuple[Plain, Plain]:
+        """The Delta tables of the files that the tasks wrote, numbered without gaps: samples and raw channels."""
+        with explained(self.store.workspace, UNCHANGED):
+            self.store.files.remove(f"{folder}/tables")
+            entries: dict[str, list[dict[str, Any]]] = {}
+            for which, results in (("samples", stored), ("channels", read)):
+                place = f"{folder}/{which}"
+                own = [result["file"] for result in results]
+                there = {entry["path"] for entry in own}
+                for name in self.store.files.names(place):
+                    if name not in there:  # of a recording without a place in time, or of a task that was killed
+                        self.store.files.remove(f"{place}/{name}")
+                for number, (k, entry) in enumerate(zip(kept, own, strict=True)):
+                    if k != number:
+                        self.store.files.rename(f"{place}/{entry['path']}", f"{place}/{file_name(number)}")
+                    entries.setdefault(which, []).append({**entry, "path": file_name(number)})
+            samples = committed(self.store.files, f"{folder}/samples", entries["samples"])
+            channels = committed(self.store.files, f"{folder}/channels", entries["channels"])
+        return samples, {**channels, "clocks": [clock for own in read for clock in own["clocks"]]}
+
+
+@dataclass(frozen=True)
+class WrittenPart:
+    """Recordings whose tables are in the store, without a version.
+
+    Args:
+        dataset: without name, digest and sources.
+        losses: ``recording/file`` → what was lost when it was read.
+        part: entry of the manifest.
+    """
+
+    dataset: Dataset
+    losses: Mapping[str, tuple[str, ...]]
+    part: Manifest
+
+    def named(self, name: str, digest: str, sources: Sequence[Source]) -> Dataset:
+        """The dataset to be published."""
+        own = tuple(replace(source, losses=self.losses.get(source.path, ())) for source in sources)
+        return replace(self.dataset, name=name, digest=digest, sources=own)
+
+
+def absolute(files: RecordingFiles) -> RecordingFiles:
+    """The recording for processes with another current folder."""
+    return replace(
+        files,
+        root=files.root.absolute(),
+        streams=tuple((path.absolute(), mapping) for path, mapping in files.streams),
+        written={path.absolute(): state for path, state in files.written.items()},
+    )
+
+
+def _blocks(parts: Sequence[Recording], tables: Sequence[Recording]) -> dict[str, list[tuple[str, int, int]]]:
+    """Uncut recording → (name, first row, last + 1) of its blocks; empty where it is not cut."""
+    whole = {table.name: table for table in tables}
+    found: dict[str, list[tuple[str, int, int]]] = {}
+    for name, own in groupby(parts, lambda block: uncut_name(block.name, whole)):
+        start, rate = whole[name].start_ns, whole[name].rate_hz
+        cut = [block for block in own if block.name != name]
+        firsts = [round((block.start_ns - start) * 1e-9 * rate) for block in cut]
+        found[name] = [(block.name, first, first + len(block)) for block, first in zip(cut, firsts, strict=True)]
+    return found
+
+
+def _joined(qualities: Sequence[Plain]) -> Plain:
+    """Entries by recording of all."""
+    joined: Plain = {}
+    for quality in qualities:
+        for key, own in quality.items():
+            joined[key] = {**joined.get(key, {}), **own}
+    return joined

@@ -1,0 +1,208 @@
+"""The tasks of an ingest, in their order: each does one step for one recording.
+
+In the folder of a part, recording ``k`` has the files ``channels/part-k``, ``samples/part-k`` and, until its roles are known,
+``tables/k.arrow``: its uncut table. Every file appears whole, so that a task may run twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+import pandas as pd
+
+from sysid.datasets.aligned import aligned_recording, stream_signals
+from sysid.datasets.channels import ReadRecording, read_channels, reference_poses
+from sysid.datasets.clocks.records import RecordingClocks, by_source, pieces_of, records_of
+from sysid.datasets.clocks.skews import Skew
+from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.collect import flag_rows
+from sysid.datasets.plan import Plan
+from sysid.datasets.quality import describe
+from sysid.datasets.quality.use import Scale
+from sysid.datasets.rates import rate_notes
+from sysid.datasets.recipe import IngestRecipe
+from sysid.datasets.recording import ClockRecord, Kind, Recording
+from sysid.datasets.splits import rows_of
+from sysid.datasets.tasks.values import (
+    Plain,
+    from_error,
+    from_pieces,
+    from_reading,
+    to_mounts,
+    to_pieces,
+    to_reading,
+)
+from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
+from sysid.datasets.versions.store import Store
+from sysid.datasets.versions.tables import (
+    Columns,
+    clock_entries,
+    read_channel_file,
+    write_channel_file,
+    write_sample_file,
+)
+from sysid.errors import AlignmentError
+from sysid.files import plain
+from sysid.progress import silent
+from sysid.scratch import scratch_in
+
+
+def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> Plain:
+    """Task: the poses of rigid bodies in the reference poses of a recording; empty where it has none."""
+    with _prepared(location):
+        found = reference_poses(files, plan.machine)
+        return {key: {body: [pose.tolist() for pose in poses] for body, poses in own.items()} for key, own in found.items()}
+
+
+def read_recording(location: str, folder: str, number: int, plan: Plan, files: RecordingFiles, mounts: Plain) -> Plain:
+    """Task: raw files → ``channels/part-<number>``.
+
+    Args:
+        mounts: of the rigid bodies in this recording.
+
+    Returns:
+        ``reading`` and ``pieces`` (:mod:`sysid.datasets.tasks.values`), ``file`` and ``clocks`` for the manifest, ``rates``
+        (notes).
+
+    Raises:
+        SysidError: a log that cannot be used.
+    """
+    with _prepared(location) as store:
+        reading = read_channels(files, plan.machine, to_mounts(mounts, files.name))
+        files.check_unchanged()
+        found = pieces_of(RecordingClocks(files.name, files.kind, reading.channels))
+        with explained(location, UNCHANGED):
+            file = write_channel_file(store, f"{folder}/channels", number, files.name, reading.channels)
+        return {
+            "reading": from_reading(reading),
+            "pieces": from_pieces(found),
+            "file": file,
+            "clocks": clock_entries(files.name, reading.channels),
+            "rates": list(rate_notes([files], {files.name: reading}, plan.machine.rate_hz)),
+        }
+
+
+def align_recording(
+    location: str,
+    folder: str,
+    number: int,
+    plan: Plan,
+    name: str,
+    kind: Kind,
+    read: Plain,
+    skews: Mapping[str, dict[str, Any] | None],
+) -> Plain:
+    """Task: ``channels/part-<number>`` → ``tables/<number>.arrow`` on the machine's clock.
+
+    Args:
+        read: result of :func:`read_recording`.
+        skews: clock domain → fields of its :class:`~sysid.datasets.clocks.skews.Skew`; None: each recording has its own.
+
+    Returns:
+        ``clocks`` (fields of the clock records), ``flags``, ``streams`` (file stem and signal), ``start_ns``; or ``refused``:
+        the parts of the error of a recording that cannot be placed in time.
+    """
+    rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
+    with _prepared(location) as store:
+        reading = _stored(store, folder, number, read)
+        recording = RecordingClocks(name, kind, reading.channels)
+        shared = {domain: Skew(**own) if own is not None else None for domain, own in skews.items()}
+        try:
+            records = records_of(recording, to_pieces(read["pieces"]), shared)
+        except AlignmentError as error:
+            return {"refused": from_error(error)}
+        table = aligned_recording(recording, by_source(records, name), plan.machine, rules, silent)
+        flags = flag_rows(recording, records, plan.machine, rules.hold_s)
+        with explained(location, UNCHANGED):
+            _write_table(store, _table_path(folder, number), table.table)
+        return {
+            "clocks": [asdict(record) for record in records],
+            "flags": flags,
+            "streams": stream_signals(recording),
+            "start_ns": table.start_ns,
+        }
+
+
+def store_recording(
+    location: str,
+    folder: str,
+    number: int,
+    plan: Plan,
+    name: str,
+    kind: Kind,
+    read: Plain,
+    aligned: Plain,
+    blocks: Sequence[tuple[str, int, int]],
+    scales: Mapping[str, tuple[float, float]],
+    columns: Columns,
+) -> Plain:
+    """Task: ``tables/<number>.arrow`` → ``samples/part-<number>``, and the quality of the recording.
+
+    Args:
+        read, aligned: results of :func:`read_recording` and :func:`align_recording`.
+        blocks: (name, first row, last + 1) of the blocks with different roles; empty: it is not cut.
+        scales: axis → full command and top speed over all recordings.
+        columns: of the samples of all recordings.
+
+    Returns:
+        ``quality`` and the ``file`` for the manifest.
+    """
+    with _prepared(location) as store:
+        reading = _stored(store, folder, number, read)
+        whole = stored_table(store, folder, number, plan, name, kind, aligned)
+        parts = [rows_of(whole, *block) for block in blocks] or [whole]
+        records = clock_records(aligned)
+        known = {axis: Scale(*own) for axis, own in scales.items()}
+        quality = describe(parts, {name: reading}, records, plan.machine, scales=known)
+        with explained(location, UNCHANGED):
+            file = write_sample_file(store, f"{folder}/samples", number, parts, columns)
+        return {"quality": plain(quality), "file": file}
+
+
+def stored_table(files: Files, folder: str, number: int, plan: Plan, name: str, kind: Kind, aligned: Plain) -> Recording:
+    """The uncut recording that :func:`align_recording` stored; its table is mapped from a local file."""
+    import pyarrow as pa
+
+    path = _table_path(folder, number)
+    uri = files.uri(path)
+    source = pa.BufferReader(files.read(path)) if "://" in uri else pa.memory_map(uri)
+    table = pa.ipc.open_file(source).read_all()
+    columns = {field.name: table[field.name].chunk(0).to_numpy() for field in table.schema}
+    return Recording(name, pd.DataFrame(columns, copy=False), plan.machine.rate_hz, kind, aligned["start_ns"])
+
+
+def clock_records(aligned: Plain) -> tuple[ClockRecord, ...]:
+    """The clock records in a result of :func:`align_recording`."""
+    return tuple(ClockRecord(**own) for own in aligned["clocks"])
+
+
+def _write_table(files: Files, path: str, table: pd.DataFrame) -> None:
+    import pyarrow as pa
+
+    batch = pa.record_batch([pa.array(table[name].to_numpy()) for name in table.columns], names=list(map(str, table.columns)))
+    with files.replaced(path) as sink:
+        with pa.ipc.new_file(sink, batch.schema) as writer:
+            writer.write_batch(batch)
+        sink.flush()
+
+
+def _table_path(folder: str, number: int) -> str:
+    return f"{folder}/tables/{number:05d}.arrow"
+
+
+def _stored(files: Files, folder: str, number: int, read: Plain) -> ReadRecording:
+    """The channels that :func:`read_recording` stored."""
+    lengths = [channel["samples"] for channel in read["reading"]["channels"]]
+    return to_reading(read["reading"], read_channel_file(files, f"{folder}/channels", number, lengths))
+
+
+@contextmanager
+def _prepared(location: str) -> Iterator[Files]:
+    """The files of the workspace; large arrays lie in a scratch file, and numerical libraries use one thread."""
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    with threadpool_limits(limits=1), scratch_in(scratch_folder(location)):
+        yield Store(location).files
