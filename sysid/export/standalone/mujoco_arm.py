@@ -148,7 +148,8 @@ class Arm:
                     out[k, axis] += ratio * data.qfrc_inverse[dof]
         finally:
             self.data, model.opt.disableflags = own, before
-        return (out - model.actuator_biasprm[self.actuators, 0]) / model.actuator_gainprm[self.actuators, 0]
+        bias, gain = model.actuator_biasprm[self.actuators, 0], model.actuator_gainprm[self.actuators, 0]
+        return np.asarray((out - bias) / gain)
 
     def signals(self) -> dict[str, float]:
         """True signals: ``<axis>.joint``, ``ee.x`` … [rad, m]."""
