@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from sysid.datasets.recording import Recording
-from sysid.gap.decision import PRICE
+from sysid.gap.thresholds import PRICE
 from sysid.machine import Axis
 from sysid.plant.force import ForceFilter, delayed, measured_motion
 from sysid.plant.force_band import fourier_segments, motion_of, octave_sums
