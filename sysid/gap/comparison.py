@@ -58,8 +58,10 @@ def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
     """Whether a survivor has effects that are worth their price, which the discrepancy must not replace.
 
     Further effects, or others in their place: these have to be worth the price of one. A set with further effects that reaches
-    the noise floor is worth any price.
+    the noise floor, while a tenth more is left without them, is worth any price.
     """
+    if model.left <= EXPLAINED:
+        return False
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
-    explained = model.left <= EXPLAINED
-    return not explained and any((n > 0 and f.left <= EXPLAINED) or divides(model.left, f.left, max(n, 1)) for f, n in more)
+    reaches_floor = any(n > 0 and f.left <= EXPLAINED and model.left > EXPLAINED * max(f.left, 1.0) for f, n in more)
+    return reaches_floor or any(divides(model.left, f.left, max(n, 1)) for f, n in more)
