@@ -12,7 +12,7 @@ from sysid.gap import steps
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
 from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
-from sysid.gap.proof import stage_gap
+from sysid.gap.gap_by_stage import stage_gap
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
