@@ -31,7 +31,12 @@ from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
 
 #: Model → options, driven axes, tip, and what the notes name.
 MACHINES = {
-    "gripper_arm": ((), ["joint1", "joint2", "joint3"], "hand", ["force limit of joint1", "actuators beside the chain: actuator8"]),
+    "gripper_arm": (
+        (),
+        ["joint1", "joint2", "joint3"],
+        "hand",
+        ["force limit of joint1", "actuators beside the chain: actuator8"],
+    ),
     "scene": ((), ["joint1", "joint2", "joint3"], "hand", ["actuators beside the chain: actuator8"]),
     "hand": ((), ["FFJ4", "FFJ3"], "proximal", ["actuators beside the chain: A_FFJ0", "friction loss inside"]),
     "mobile": (
