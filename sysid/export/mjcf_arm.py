@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.export.arm_inertia import ArmInertia, arm_inertia
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
 from sysid.export.mjcf_bodies import TINY_INERTIA, Bodies, add_bodies, passive_joints
 from sysid.export.mjcf_drives import HARD, dry_friction, limit
@@ -36,6 +35,7 @@ from sysid.export.standalone.joint_parts import SensorReading
 from sysid.machine.sources.mjcf_text import mjcf_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant
+from sysid.plant.arm_inertia import ArmInertia, arm_inertia
 
 Array = npt.NDArray[np.float64]
 

@@ -19,7 +19,6 @@ from test_drive_model import probe_plant
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.export.arm_inertia import arm_inertia, inertial, is_admissible
 from sysid.export.export import PAGE, export_plant
 from sysid.export.mjcf_arm import FILE, LOOP
 from sysid.export.shipped_run import load_module
@@ -27,6 +26,7 @@ from sysid.export.targets import TARGETS, target_named
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.rigid_body import PARAMETERS
 from sysid.plant import Plant, compile_plant, nominal_plant
+from sysid.plant.arm_inertia import arm_inertia, inertial, is_admissible
 from sysid.plant.link_torque import inertial_parameters, rotors_and_scales
 from sysid.testing.probe import probe_arm
 

@@ -18,9 +18,10 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.machine.rigid_body import PARAMETERS, RigidBody
-from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.link_torque import inertial_parameters, rotors_and_scales
+from sysid.plant.model import Model, compile_plant
+from sysid.plant.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
