@@ -76,6 +76,15 @@ class MujocoArm:
     def __init__(self, arm: Any) -> None:
         self.arm = arm
 
+    def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
+        arm = self.arm
+        arm.reset(joints, speeds)
+        out = np.empty((3, *commands.shape))
+        for k, command in enumerate(commands):
+            arm.step(command)
+            out[:, k] = arm.data.qpos[arm.places] - arm.offsets, arm.data.qvel[arm.dofs], arm.data.qacc[arm.dofs]
+        return out[0], out[1], out[2]
+
     def forces(self, joints: Array, speeds: Array, accelerations: Array) -> Array:
         found: Array = self.arm.forces(joints, speeds, accelerations)
         return found

@@ -11,6 +11,7 @@ from sysid.display import quantity
 from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
+from sysid.export.force_replay import RUN
 from sysid.export.posterior import RANGES, SAMPLES, WARNING
 from sysid.export.replay import ROUNDING, SHARE, Replay
 from sysid.export.target import Target
@@ -100,8 +101,9 @@ def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> l
     if found.kind == "forces":
         head = (
             f"Forces that the measured motion of {where} needs, in {target.title} and by the plant itself, and the end "
-            f"effector at the measured joints. RMS values. The difference may be {100.0 * SHARE:g} % of the RMS of the force "
-            "or of the end effector about its mean, or the noise of the sensor."
+            "effector at the measured joints. RMS values. The difference contains that of the motion under the recorded "
+            f"commands, in runs of {RUN:g} s. It may be {100.0 * SHARE:g} % of the RMS of the force or of the end effector "
+            "about its mean, or the noise of the sensor."
         )
     else:
         head = (

@@ -53,6 +53,14 @@ class Simulation(Protocol):
 class ForceSimulation(Protocol):
     """A written arm in its simulator. Its motion under recorded forces is unstable, so that its forces are compared."""
 
+    def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
+        """Motion from joints and speeds (A,) under commands (n, A), each held for a sample.
+
+        Returns:
+            Joints, speeds and accelerations (n, A) at the ends of the samples, under the command of the sample.
+        """
+        ...
+
     def forces(self, joints: Array, speeds: Array, accelerations: Array) -> Array:
         """Commands that a motion at the joint sensors needs: (n, A) each → (n, A)."""
         ...

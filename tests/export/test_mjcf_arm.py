@@ -20,14 +20,16 @@ from test_drive_model import probe_plant
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.export import PAGE, export_plant
-from sysid.export.mjcf_arm import FILE, LOOP
+from sysid.export.force_replay import force_replay
+from sysid.export.mjcf_arm import FILE, LOOP, MujocoArm, arm_simulation
 from sysid.export.shipped_run import load_module
 from sysid.export.targets import TARGETS, target_named
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.rigid_body import PARAMETERS
 from sysid.plant import Plant, compile_plant, nominal_plant
+from sysid.plant.arm_forces import arm_forces
 from sysid.plant.arm_inertia import arm_inertia, inertial, is_admissible
-from sysid.plant.link_torque import inertial_parameters, rotors_and_scales
+from sysid.plant.link_torque import inertial_parameters
 from sysid.testing.probe import probe_arm
 
 pytest.importorskip("pinocchio")
@@ -109,12 +111,7 @@ def _extra(draw: np.random.Generator, mass: float) -> Array:
 def plant_forces(plant: Plant, q: Array, v: Array, a: Array) -> Array:
     """Commands (n, A) that the plant needs for motions (n, A)."""
     model = compile_plant(plant)
-    assert model.rigid is not None
-    rotors, scales = rotors_and_scales(model, model.theta)
-    links = model.rigid.torque(q, v, a, inertial_parameters(model, model.theta)) * scales
-    names = model.machine.axis_names
-    own = [model.inverse(model.theta, n, q[:, i], v[:, i], a[:, i], 0.01, links[:, i]) for i, n in enumerate(names)]
-    return np.column_stack(own) + links + a * rotors
+    return arm_forces(model, model.theta, q, v, a, 0.01)
 
 
 def motions(axes: int, seed: int = 0) -> Array:
@@ -302,6 +299,27 @@ def test_an_arm_whose_forces_differ_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"lift\.command differs from the plant by .* expected an export that agrees"):
         export_plant(plant, dataset(plant), MJCF, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+class Weaker:
+    """An export whose actuators are 5 % weaker than its inverse dynamics say."""
+
+    def __init__(self, arm: MujocoArm) -> None:
+        self.forces, self.tips, self.arm = arm.forces, arm.tips, arm
+
+    def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
+        return self.arm.run(joints, speeds, 0.95 * commands)
+
+
+def test_the_motion_under_commands_is_part_of_the_replay(tmp_path: Path) -> None:
+    plant = two_links()
+    MJCF.write(plant, RATE, tmp_path)
+    arm, recordings = arm_simulation(tmp_path), dataset(plant).with_role("held_out")
+    whole, weak = force_replay(plant, arm, recordings, {}), force_replay(plant, Weaker(arm), recordings, {})
+    assert whole.agrees
+    assert [row.signal for row in weak.rows if not row.agrees] == ["lift.command", "elbow.command"]
+    for row, other in zip(whole.rows, weak.rows, strict=True):
+        assert (row.export_error, row.plant_error) == pytest.approx((other.export_error, other.plant_error), nan_ok=True)
 
 
 @pytest.mark.parametrize("name", [target.name for target in TARGETS if not target.arms])

@@ -27,7 +27,8 @@ from sysid.machine import KnownEffect, Machine
 from sysid.machine.rigid_body import rigid_body
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
 from sysid.plant import Plant, compile_plant, nominal_plant
-from sysid.plant.link_torque import inertial_parameters, rotors_and_scales
+from sysid.plant.arm_forces import arm_forces
+from sysid.plant.link_torque import inertial_parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -165,11 +166,7 @@ ADJUSTED = [
 def forces_of(plant: Plant, q: Array, v: Array, a: Array) -> Array:
     """Commands (n, A) that a plant needs for motions (n, A)."""
     model = compile_plant(plant)
-    assert model.rigid is not None
-    rotors, scales = rotors_and_scales(model, model.theta)
-    links, names = model.rigid.torque(q, v, a, inertial_parameters(model, model.theta)) * scales, model.machine.axis_names
-    own = [model.inverse(model.theta, n, q[:, i], v[:, i], a[:, i], 0.01, links[:, i]) for i, n in enumerate(names)]
-    return np.column_stack(own) + links + a * rotors
+    return arm_forces(model, model.theta, q, v, a, 0.01)
 
 
 @pytest.mark.parametrize("more", [[], INSIDE], ids=["adjusted", "with-names"])
