@@ -149,6 +149,44 @@ def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
     assert list(imported_parts(bad)) == [("gap", 2), ("bench", 3), ("cli", 4)]
 
 
+def defined_in(path: Path) -> set[str]:
+    """Names that a module of sysid has, those that it imports lazily among them."""
+    tree = ast.parse(path.read_text("utf-8"), str(path))
+    lazy = any(isinstance(node, ast.Name) and node.id == "lazy_names" for node in ast.walk(tree))
+    found = {node.value for node in ast.walk(tree) if lazy and isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
+    return found
+
+
+def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
+    """What a file takes from sysid that is not there."""
+    nodes = (node for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))) if isinstance(node, ast.ImportFrom))
+    from_sysid = [node for node in nodes if (node.module or "").partition(".")[0] == "sysid"]
+    taken = [(node.lineno, str(node.module), alias.name) for node in from_sysid for alias in node.names]
+    return [
+        f"{path.name}, line {line}: {name} of {module}"
+        for line, module, name in taken
+        if name not in defined.get(module, set()) and f"{module}.{name}" not in defined
+    ]
+
+
+def test_studies_and_tests_take_from_sysid_what_is_there(tmp_path: Path) -> None:
+    defined = {name: defined_in(path) for name, path in MODULES.items()}
+    files = [*sources(PACKAGE), *sources(ROOT / "pipelines"), *sources(ROOT / "tests")]
+    assert [text for path in files for text in missing_names(path, defined)] == []
+    bad = tmp_path / "bad.py"
+    bad.write_text("from sysid.cores import cores, processors\nfrom sysid import nothing, gap\n")
+    assert missing_names(bad, defined) == [
+        "bad.py, line 1: processors of sysid.cores", "bad.py, line 2: nothing of sysid",
+    ]  # fmt: skip
+
+
 def loaded_after(code: str) -> set[str]:
     """Top-level modules in memory after running ``code`` in a fresh interpreter."""
     script = f"import sys\n{code}\nprint('LOADED', *sorted({{name.partition('.')[0] for name in sys.modules}}))"
