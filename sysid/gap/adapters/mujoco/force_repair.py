@@ -15,7 +15,7 @@ from sysid.gap.adapters.mujoco.inertials import ADJUSTED, TOGETHER, in_command_u
 from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.native import Change
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
-from sysid.gap.proof import stage_gap
+from sysid.gap.gap_by_stage import stage_gap
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
