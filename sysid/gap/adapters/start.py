@@ -38,7 +38,7 @@ def joint_start(recording: Recording, signal: str, default: float = 0.0) -> Join
     values = recording.values(signal)
     there = np.flatnonzero(~np.isnan(values))
     time = there / recording.rate_hz
-    first, whole = (max(np.count_nonzero(time < most), least) for most, least in zip((FIRST, WINDOW), SAMPLES, strict=True))
+    first, whole = (max(int(np.sum(time < most)), least) for most, least in zip((FIRST, WINDOW), SAMPLES, strict=True))
     if len(time) < whole or time[whole - 1] > LONGEST:
         return JointStart(starting_value(recording, signal, default), 0.0)
     (_, slope), deviation = _polynomial(time[:first], values[there[:first]], 1)
@@ -52,7 +52,7 @@ def joint_start(recording: Recording, signal: str, default: float = 0.0) -> Join
 def _polynomial(time: Array, values: Array, degree: int) -> tuple[Array, Array]:
     """Coefficients of a polynomial from the constant on, and their standard deviations by the scatter about it."""
     powers = np.vander(time, degree + 1, increasing=True)
-    found = np.linalg.lstsq(powers, values, rcond=None)[0]
+    found: Array = np.asarray(np.linalg.lstsq(powers, values, rcond=None)[0], dtype=np.float64)
     freedom = max(len(time) - degree - 1, 1)
     variance = float(np.sum((values - powers @ found) ** 2)) / freedom
-    return found, np.sqrt(variance * np.diag(np.linalg.inv(powers.T @ powers)))
+    return found, np.asarray(np.sqrt(variance * np.diag(np.linalg.inv(powers.T @ powers))), dtype=np.float64)
