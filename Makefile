@@ -20,9 +20,10 @@ test: $(READY)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not realtime"
 	$(BIN)/python -m pytest -m "realtime and not slow" tests/bench tests/runner
 
-# The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here.
+# The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here. An hour on two cores.
 test-slow: $(READY)
-	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "slow or hypothesis" --timeout 7200
+	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "(slow or hypothesis) and not realtime" --timeout 7200
+	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "hypothesis and realtime" --timeout 7200
 
 # Damaged bytes at every reader, and at workspaces, registry rows, machines, URDFs, recipes and names; guided by the code they
 # reach; what is found is kept in the workspace.

@@ -14,6 +14,7 @@ import shutil
 import signal
 import socket
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -71,7 +72,7 @@ def cluster(workers: int) -> Iterator[tuple[ClusterExecutor, list[int]]]:
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         port = probe.getsockname()[1]
-    with running(commands(workers, port)) as processes:
+    with tempfile.TemporaryFile() as log, running(commands(workers, port), log) as processes:
         executor = ClusterExecutor(f"tcp://{HOST}:{port}", START_S)
         with Client(executor.address, timeout=START_S, set_as_default=False) as client:
             client.wait_for_workers(workers, timeout=START_S)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
+import platform
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,13 +22,32 @@ def written_whole(path: Path) -> Iterator[Path]:
 
     The content is synced before it replaces ``path``: a power cut leaves the old content or the new one.
     """
-    half = path.with_name(f".{path.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
+    half = path.with_name(f".{path.name}.{platform.node()}-{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
     try:
         yield half
         on_disk(half)
         half.replace(path)
     finally:
         half.unlink(missing_ok=True)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Remove what writers of ``path`` on this computer left beside it when they were killed."""
+    for half in path.parent.glob(f".{glob.escape(path.name)}.{glob.escape(platform.node())}-*-*.part"):
+        if not _is_running(int(half.name.rsplit("-", 2)[1])):
+            half.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":  # there, a signal of zero ends a process
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def on_disk(path: Path) -> None:
@@ -62,6 +83,7 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
     """
     try:
         make_folder(path.parent)
+        _remove_leftovers(path)
         with written_whole(path) as half:
             half.write_bytes(content)
         on_disk(path.parent)

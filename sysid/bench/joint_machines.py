@@ -106,7 +106,8 @@ def description_of(machine: JointMachine) -> dict[str, str]:
         return {"machine.toml": _arm_toml(machine), f"{machine.name}.urdf": _arm_urdf(machine.name, machine.axes)}
     return {
         "machine.toml": f'schema = 1\nname = "{machine.name}"\nrate_hz = {machine.rate}\n\n[[axes]]\nname = "carriage"\n'
-        f'actuation = "force"\ndrives = "joint"\ninertia = {machine.mass}\nlimits = [{-machine.stroke}, {machine.stroke}]\n'
+        f'joint_type = "prismatic"\nactuation = "force"\ndrives = "joint"\n'
+        f"inertia = {machine.mass}\nlimits = [{-machine.stroke}, {machine.stroke}]\n"
     }
 
 

@@ -77,6 +77,7 @@ def _show(out: Printer, made: Export, units: Mapping[str, str]) -> None:
         values = (row.export_error, row.plant_error, row.noise, row.difference)
         cells = [shown(value, unit_of(row.signal, units)) for value in values]
         rows.append((row.signal, *cells, "yes" if row.agrees else "no"))
-    out.line(f"Free run of {', '.join(made.replay.recordings)}, RMS:")
+    what = "Free run of" if made.replay.kind == "motion" else "Forces at the measured motion of"
+    out.line(f"{what} {', '.join(made.replay.recordings)}, RMS:")
     out.table(("signal", made.target, "plant", "sensor noise", "difference", "agrees"), rows, right=(1, 2, 3, 4))
     out.line(f"All files: {', '.join(made.files)}")

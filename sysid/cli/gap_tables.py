@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sysid.datasets import Dataset
     from sysid.gap import GapResult
     from sysid.gap.result import NearMissResult, WrittenEffect
+    from sysid.machine import EffectKey
 
 #: Columns and lines of an entry, unless everything is requested.
 WIDTH, LINES = 80, 2
@@ -87,7 +88,7 @@ def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose:
     from sysid.reports.words import effect_place
 
     written = {(item.name, item.target, item.side) for item in result.written}
-    found: dict[tuple[str, str, str | None], NearMissResult] = {}
+    found: dict[EffectKey, NearMissResult] = {}
     for miss in sorted(result.near_misses, key=lambda miss: -miss.distance):  # a pump shows at several stages
         found.setdefault((miss.name, miss.target, miss.side), miss)
     others = [miss for key, miss in found.items() if key not in written]

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from typing import IO
 
 from sysid.children import child_environment, python_command
 
@@ -30,11 +31,15 @@ def commands(workers: int, port: int) -> list[list[str]]:
 
 
 @contextlib.contextmanager
-def running(work: Sequence[Sequence[str]]) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """The commands as processes, which end with the block; numerical libraries use one thread in each."""
+def running(work: Sequence[Sequence[str]], log: IO[bytes] | None = None) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """The commands as processes, which end with the block; numerical libraries use one thread in each.
+
+    Args:
+        log: for what they print; by default it is shown.
+    """
     environment = {"OMP_NUM_THREADS": "1", **child_environment()}
     # In sessions of their own, so that Ctrl-C ends this process alone, which then ends them in order.
-    started = [subprocess.Popen(list(words), env=environment, start_new_session=True) for words in work]
+    started = [subprocess.Popen(list(words), env=environment, stdout=log, stderr=log, start_new_session=True) for words in work]
     try:
         yield started
     finally:

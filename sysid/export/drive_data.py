@@ -51,8 +51,8 @@ FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smoot
 def drive_data(plant: Plant, rate_hz: float) -> dict[str, Any]:
     """The data of :func:`sysid.export.standalone.assembly.assemble` for steps of 1/``rate_hz``."""
     model = compile_plant(plant)
-    sway = _slots(plant, "gripper_sway", "tool")
-    pump = _slots(plant, "pump_flow_limit", "machine")
+    sway = effect_slots(plant, "gripper_sway", "tool")
+    pump = effect_slots(plant, "pump_flow_limit", "machine")
     return {
         "schema": 1,
         "machine": plant.machine.name,
@@ -62,11 +62,11 @@ def drive_data(plant: Plant, rate_hz: float) -> dict[str, Any]:
         "pump_limit": pump["limit"] if pump else None,
         "kinematics": _kinematics(model),
         "sway": sway if sway and sway["length"] >= 1e-3 else None,
-        "sensors": _sensors(model),
+        "sensors": sensor_readings(model),
     }
 
 
-def _slots(plant: Plant, name: str, target: str, side: str | None = None) -> dict[str, float]:
+def effect_slots(plant: Plant, name: str, target: str, side: str | None = None) -> dict[str, float]:
     """Slots of an effect by name, empty where the plant does not have it."""
     if plant.effect(name, target, side) is None:
         return {}
@@ -87,20 +87,20 @@ def _axis(plant: Plant, model: Model, i: int) -> dict[str, Any]:
         "sense": float(row[SENSE]),
         "command": _command(plant, name),
         "linkage": None,
-        "offset": _slots(plant, "joint_offset", name).get("offset", 0.0),
+        "offset": effect_slots(plant, "joint_offset", name).get("offset", 0.0),
     }
     for side in ("drive", "structure"):
-        found[f"{side}_backlash"] = _slots(plant, "backlash", name, side).get("width", 0.0)
-        found[f"{side}_compliance"] = _slots(plant, "joint_compliance", name, side).get("compliance", 0.0)
+        found[f"{side}_backlash"] = effect_slots(plant, "backlash", name, side).get("width", 0.0)
+        found[f"{side}_compliance"] = effect_slots(plant, "joint_compliance", name, side).get("compliance", 0.0)
     if name in plant.linkages:
         joints = model.arrays.tables[i].tolist()
         found["linkage"] = {"low": float(row[TABLE_LOW]), "step": float(row[TABLE_STEP]), "joints": joints}
     if axis.actuation == "force":
-        spring = _slots(plant, "flexible_drive", name)
+        spring = effect_slots(plant, "flexible_drive", name)
         found |= {
-            "mass": float(row[GAIN]) * _slots(plant, "inertia_error", name).get("ratio", 1.0),
-            "bias": _slots(plant, "load_bias", name).get("force", 0.0),
-            "frictions": [(law, values) for law in FRICTIONS if (values := _slots(plant, law, name))],
+            "mass": float(row[GAIN]) * effect_slots(plant, "inertia_error", name).get("ratio", 1.0),
+            "bias": effect_slots(plant, "load_bias", name).get("force", 0.0),
+            "frictions": [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, name))],
             "rotor": "flexible_drive" if spring else "rigid_drive",
             "spring": spring,
         }
@@ -113,12 +113,12 @@ def _command(plant: Plant, name: str) -> list[Part]:
     for part in order:
         if part == "nominal_gain":
             parts.append((part, {"gain": axis.gain}))
-        elif values := _slots(plant, part, name):
+        elif values := effect_slots(plant, part, name):
             extra: dict[str, Any] = {}
             if axis.actuation == "position" and part == "first_order_lag":
                 extra = {"at_end": True}
             if axis.actuation == "position" and part == "command_rate_limit":
-                lag, spring = (_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
+                lag, spring = (effect_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
                 extra = {"at_end": True, "lag": lag} if lag >= 1e-6 or spring < 1e-6 else {}
             if part == "stiction":
                 extra = {"gain": axis.gain, "least": stiction.REST}
@@ -168,7 +168,7 @@ def _shift(theta: Array, links: Array, j: int) -> Array:
     return np.asarray(shift)
 
 
-def _sensors(model: Model) -> dict[str, dict[str, float]]:
+def sensor_readings(model: Model) -> dict[str, dict[str, float]]:
     """Sensors that are not ideal. The clocks of their streams are no part of a model that runs in the machine's time."""
     neutral, found = neutral_vector(model.axes), {}
     for signal in signals_of(model.machine.axis_names):
@@ -188,8 +188,8 @@ def has_part(effect: Effect) -> bool:
 WITHOUT_PART = {
     "clock_offset": "stamps of a recording",
     "clock_skew": "stamps of a recording",
-    "link_mass_error": "forces of an arm: its motion is that of the rigid-body simulation",
-    "inertial_error": "forces of an arm: its motion is that of the rigid-body simulation",
-    "payload": "forces of an arm: its motion is that of the rigid-body simulation",
-    "load_dependent_friction": "forces of an arm: its motion is that of the rigid-body simulation",
+    "link_mass_error": "forces of an arm, which `mjcf` alone writes",
+    "inertial_error": "forces of an arm, which `mjcf` alone writes",
+    "payload": "forces of an arm, which `mjcf` alone writes",
+    "load_dependent_friction": "forces of an arm, which `mjcf` alone writes",
 }

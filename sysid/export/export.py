@@ -8,17 +8,19 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
+from sysid.export.force_replay import force_replay
 from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
 from sysid.export.replay import Replay, replay
-from sysid.export.target import Target
+from sysid.export.target import ForceSimulation, Simulation, Target
 from sysid.export.targets import fallback
 from sysid.files import make_folder
 from sysid.gap.noise import noise_levels
+from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
 
 REPLAY, PAGE = "replay.json", "README.md"
@@ -79,12 +81,16 @@ def export_plant(
         ExcitationError: no held-out recording can be replayed.
     """
     check_folder(folder)
+    if moves_masses(plant.machine) and not target.arms:
+        where = f"export of {plant.reference or plant.machine.name} to {target.name}"
+        arms = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
+        raise SettingsError(where, arms, "other axes", "--to mjcf writes masses, payload and friction of an arm.")
     make_folder(folder.parent)
     half = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.part")
     half.mkdir()
     try:
         found = _write(plant, dataset, target, half, folder, samples, seed)
-        while found.replay is not None and not found.replay.agrees and (simpler := fallback(target)) is not None:
+        while found.replay is not None and not found.replay.agrees and (simpler := fallback(target, plant)) is not None:
             shutil.rmtree(half)
             half.mkdir()
             target = simpler
@@ -114,13 +120,20 @@ def _write(
     rate = dataset.machine.rate_hz
     files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half))
     simulation = target.simulation(plant, half)
-    found = None if simulation is None else replay(plant, simulation, held_out(dataset), noise_levels(dataset))
+    found = None if simulation is None else _replayed(plant, simulation, dataset)
     names = (*files, REPLAY, PAGE)
     made = Export(plant.reference or plant.machine.name, target.name, folder, names, found, tuple(lacking(plant, target)))
     (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": dataset.reference}, indent=1), "utf-8")
     (half / PAGE).write_text(export_page(plant, target, rate, names, found, dataset.units), "utf-8")
     shutil.rmtree(half / "__pycache__", ignore_errors=True)
     return made
+
+
+def _replayed(plant: Plant, simulation: Simulation | ForceSimulation, dataset: Dataset) -> Replay:
+    recordings, noise = held_out(dataset), noise_levels(dataset)
+    if moves_masses(plant.machine):
+        return force_replay(plant, cast("ForceSimulation", simulation), recordings, noise)
+    return replay(plant, cast("Simulation", simulation), recordings, noise)
 
 
 def held_out(dataset: Dataset) -> Sequence[Recording]:

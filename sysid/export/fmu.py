@@ -30,6 +30,7 @@ class FmuTarget:
     name = "fmu"
     title = "FMI 2.0 (co-simulation)"
     modules: tuple[str, ...] = ("pythonfmu", "fmpy")
+    arms = False
     notes: tuple[str, ...] = (
         "The FMU needs a Python with NumPy on the machine that runs it (PythonFMU embeds the interpreter that it finds).",
         "A communication step is a whole number of samples. Outputs are the readings of the sensors.",

@@ -29,6 +29,7 @@ class IsaacLabTarget:
     name = "isaaclab"
     title = "TorchScript for Isaac Lab"
     modules: tuple[str, ...] = ("torch", "mujoco")
+    arms = False
     notes: tuple[str, ...] = (
         f"Isaac Lab was not run here. `{FILE}` follows the documentation of Isaac Lab 2.x (actuators, events, URDF assets).",
         f"For the replay `{MODEL}` is loaded and moves the joints, and MuJoCo reads `{URDF}` and computes the end effector.",

@@ -22,6 +22,7 @@ class JsonTarget:
     name = "json"
     title = "JSON and a Python module"
     modules: tuple[str, ...] = ()
+    arms = False
     notes: tuple[str, ...] = ()
 
     def support(self, effect: Effect) -> Support:

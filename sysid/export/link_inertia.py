@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,12 +11,14 @@ from sysid.machine.kinematics import origin_pose
 from sysid.machine.urdf_tree import urdf_tree
 
 Array = npt.NDArray[np.float64]
+#: Link → mass (1,) [kg], centre (3,) [m] and inertia about it in the axes of the link (3, 3) [kg·m²].
+LinkInertias = Mapping[str, tuple[Array, ...]]
 #: Mass [kg] and inertia [kg·m²] of a body whose URDF link has none: a simulator needs some, the drives do not notice it.
 SMALL_MASS, SMALL_INERTIA = 1e-9, 1e-9
 
 
-def link_inertias(urdf: str) -> dict[str, tuple[Array, ...]]:
-    """Link → mass (1,) [kg], centre (3,) [m] and inertia about it in the axes of the link (3, 3) [kg·m²]."""
+def link_inertias(urdf: str) -> LinkInertias:
+    """Those of a URDF."""
     found: dict[str, tuple[Array, ...]] = {}
     for link in urdf_tree(urdf).findall("link"):
         mass, moments = link.find("inertial/mass"), link.find("inertial/inertia")

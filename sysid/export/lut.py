@@ -49,6 +49,7 @@ class LutTarget:
     name = "lut"
     title = "lookup tables (CSV)"
     modules: tuple[str, ...] = ()
+    arms = False
     notes: tuple[str, ...] = (
         "Order of a velocity axis: opening table, dead time, ramp, lag, speed table, oscillation of the oil, integration "
         "between the end stops, linkage table. Tables are linear between their points and beyond them.",

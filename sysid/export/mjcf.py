@@ -12,20 +12,21 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.errors import SettingsError
-from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
 from sysid.export.drive_module import MODULE
-from sysid.export.mjcf_bodies import add_bodies
+from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
+from sysid.export.mjcf_bodies import add_bodies, passive_joints
 from sysid.export.mjcf_drives import add_drive, drive_entry
 from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
 from sysid.export.shipped_run import load_module, write_drive_model
 from sysid.export.standalone import mujoco_robot
-from sysid.export.target import Simulation, Start, Support
+from sysid.export.target import ForceSimulation, Simulation, Start, Support
 from sysid.machine.rigid_body import moves_masses
+from sysid.machine.sources.mjcf_text import mjcf_text
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
-FILE, ROBOT = "robot.xml", "mujoco_robot.py"
+ROBOT = "mujoco_robot.py"
 #: Longest step of the integrator [s]; a sample of the machine is a whole number of steps.
 LONGEST_STEP = 1e-3
 _ELEMENTS = {
@@ -38,6 +39,9 @@ _ELEMENTS = {
     "coulomb_friction": "joint `frictionloss` (the same in both directions; else by the drive model)",
     "inertia_error": "joint `armature`",
     "load_bias": "actuator `biasprm`",
+    "link_mass_error": "`inertial` of the body",
+    "inertial_error": "`inertial` of the body, joint `armature`; what a joint has and takes divided by its force constant",
+    "payload": "body `payload` with its `inertial`",
     "joint_offset": "actuator `biasprm` and `range`, subtracted from the joint's sensor",
 }
 _COMPOSED = {
@@ -64,9 +68,11 @@ class MjcfTarget:
     name = "mjcf"
     title = "MuJoCo"
     modules: tuple[str, ...] = ("mujoco",)
+    arms = True
     notes: tuple[str, ...] = (
         "`robot.json` states the mode of each axis. `native`: its actuator takes the command. `command`: it takes what the "
-        "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model.",
+        "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model. "
+        "`friction` (of an arm): `mujoco_arm.py` sets the friction of its joint before each step.",
     )
 
     def support(self, effect: Effect) -> Support:
@@ -74,28 +80,32 @@ class MjcfTarget:
             return Support("native", _ELEMENTS[effect.name])
         if effect.name in _COMPOSED and (self.composed or effect.name not in _BY_DRIVE_MODEL):
             return Support("composed", _COMPOSED[effect.name])
+        if effect.name in FRICTION_BY_LOOP:
+            return Support("plugin", FRICTION_BY_LOOP[effect.name])
         if effect.name in WITHOUT_PART:
             return Support("not_representable", WITHOUT_PART[effect.name])
         if effect.name in _BEFORE:
             return Support("plugin", f"`{MODULE}`, which changes the command of the actuator")
         if effect.stage == "sensor":
             return Support("plugin", f"`{MODULE}`, `Robot.readings`")
+        if effect.name in FRICTIONS:
+            return Support("plugin", f"`{MODULE}`, whose output the actuator takes or follows; of an arm `{LOOP}`")
         return Support("plugin", f"`{MODULE}`, whose output the actuator takes or follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         if moves_masses(plant.machine):
-            found, expected = "force axes that move links with masses", "axes driven by position, velocity or an inertia"
-            raise SettingsError(f"export of {plant.machine.name} to mjcf", found, expected)
+            return write_arm(plant, rate_hz, folder)
         data = drive_data(plant, rate_hz)
         substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
         spec, about = _spec_of(plant, data, substeps, self.composed)
-        spec.compile()
-        (folder / FILE).write_text(spec.to_xml(), "utf-8")
+        (folder / FILE).write_text(mjcf_text(spec), "utf-8")
         (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
         (folder / ROBOT).write_text(inspect.getsource(mujoco_robot), "utf-8")
         return FILE, f"{Path(FILE).stem}.json", ROBOT, *write_drive_model(plant, rate_hz, folder)
 
-    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | ForceSimulation | None:
+        if moves_masses(plant.machine):
+            return arm_simulation(folder)
         return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
 
 
@@ -131,7 +141,7 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) 
         tip = spec.body(plant.machine.tip)
         add_tool(tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
     found = {"plant": plant.reference, "substeps": substeps, "posed": bodies.posed, "swings": swings}
-    return spec, {**found, "axes": axes, "passive": _passive(plant)}
+    return spec, {**found, "axes": axes, "passive": passive_joints(plant)}
 
 
 class MujocoSimulation:
@@ -147,16 +157,3 @@ class MujocoSimulation:
     def step(self, commands: Array) -> dict[str, float]:
         found: dict[str, float] = self.robot.step(commands)
         return found
-
-
-def _passive(plant: Plant) -> list[dict[str, Any]]:
-    """Passive joints and the axes that they follow."""
-    kinematics = plant.machine.kinematics()
-    if kinematics is None:
-        return []
-    names = plant.machine.axis_names
-    return [
-        {"joint": joint, "axis": names[drive.column], "ratio": drive.ratio, "offset": drive.offset}
-        for joint, drive in kinematics.drives.items()
-        if joint not in kinematics.actuated
-    ]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, stretched, tip_offset
-from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
+from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, LinkInertias, link_inertias
 from sysid.machine.kinematics import Joint, Kinematics
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 APART = 0.5
 #: Radius of the line drawn along a link [m]; it neither collides nor has mass.
 DRAWN = 0.01
+#: Mass [kg] and inertia [kg·m²] of a body without them beside links whose torques count: MuJoCo accepts no less than 10⁻¹⁵.
+TINY_MASS, TINY_INERTIA = 1e-12, 1e-13
 
 
 @dataclass(frozen=True)
@@ -35,28 +37,34 @@ class Bodies:
     posed: bool
 
 
-def add_bodies(spec: Any, plant: Plant) -> Bodies:
-    """Add the bodies of a plant to an ``MjSpec``."""
+def add_bodies(spec: Any, plant: Plant, inertias: LinkInertias | None = None) -> Bodies:
+    """Add the bodies of a plant to an ``MjSpec``.
+
+    Args:
+        inertias: of the links, instead of those of the URDF; a link without is given none that a torque would notice.
+    """
     kinematics = plant.machine.kinematics()
     if kinematics is None or plant.machine.urdf_text is None:
         return _plain_bodies(spec, plant)
     turn, place = base_pose(plant)
     root = spec.worldbody.add_body(name=kinematics.chain[0].parent, pos=place, quat=quaternion(turn))
     spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
-    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, link_inertias(plant.machine.urdf_text))
+    least = (SMALL_MASS, SMALL_INERTIA) if inertias is None else (TINY_MASS, TINY_INERTIA)
+    known = link_inertias(plant.machine.urdf_text) if inertias is None else inertias
+    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, known, least)
     joints = tuple(str(axis.joint) for axis in plant.machine.axes)
     found = [kinematics.joints[name] for name in joints]
     return Bodies(joints, tuple(j.parent for j in found), tuple(j.child for j in found), True)
 
 
 def _children(
-    spec: Any, body: Any, link: str, plant: Plant, kinematics: Kinematics, inertias: dict[str, tuple[Array, ...]]
+    spec: Any, body: Any, link: str, plant: Plant, kinematics: Kinematics, inertias: LinkInertias, least: tuple[float, float]
 ) -> None:
-    """Add what hangs on a link, with its joints."""
+    """Add what hangs on a link, with its joints; ``least`` mass [kg] and inertia [kg·m²] of a body."""
     mass, centre, inertia = inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3))))
     body.explicitinertial = True
-    body.mass, body.ipos = max(float(mass[0]), SMALL_MASS), centre
-    moments = inertia + SMALL_INERTIA * np.eye(3)
+    body.mass, body.ipos = max(float(mass[0]), least[0]), centre
+    moments = inertia + least[1] * np.eye(3)
     body.fullinertia = [moments[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     if link == kinematics.tip:
         site = body.add_site(name="ee")
@@ -72,7 +80,7 @@ def _children(
                           contype=0, conaffinity=0, group=1, mass=0.0)  # fmt: skip
         if joint.kind != "fixed" and joint.name in kinematics.drives:
             _joint(spec, child, joint, kinematics)
-        _children(spec, child, joint.child, plant, kinematics, inertias)
+        _children(spec, child, joint.child, plant, kinematics, inertias, least)
 
 
 def _joint(spec: Any, child: Any, joint: Joint, kinematics: Kinematics) -> None:
@@ -99,6 +107,19 @@ def _plain_bodies(spec: Any, plant: Plant) -> Bodies:
         joint.type = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
         names.append(joint.name)
     return Bodies(tuple(names), ("world",) * len(names), tuple(f"{a.name}_body" for a in plant.machine.axes), False)
+
+
+def passive_joints(plant: Plant) -> list[dict[str, Any]]:
+    """Passive joints and the axes that they follow."""
+    kinematics = plant.machine.kinematics()
+    if kinematics is None:
+        return []
+    names = plant.machine.axis_names
+    return [
+        {"joint": joint, "axis": names[drive.column], "ratio": drive.ratio, "offset": drive.offset}
+        for joint, drive in kinematics.drives.items()
+        if joint not in kinematics.actuated
+    ]
 
 
 def quaternion(rotation: Array) -> Array:

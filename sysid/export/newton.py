@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.errors import SettingsError
 from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
@@ -21,7 +20,6 @@ from sysid.export.target import Simulation, Start, Support
 from sysid.export.urdf_text import END_EFFECTOR, joint_values
 from sysid.export.usd_actuators import actuator_path, is_native, write_drive
 from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, write_bodies
-from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
 from sysid.signals import point_signals
 
@@ -50,6 +48,7 @@ class NewtonTarget:
     name = "newton"
     title = "USD for Newton"
     modules: tuple[str, ...] = ("pxr", "newton_usd_schemas")
+    arms = False
     notes: tuple[str, ...] = (
         "Newton was not run here. The schemas of its actuators are provisional: newton-usd-schemas 0.6.",
         f"For the replay the stage is opened again: `{MODULE}` moves the joints, native axes with the stage's numbers, "
@@ -62,9 +61,6 @@ class NewtonTarget:
         return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`, whose joint the drive follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        if moves_masses(plant.machine):
-            found, expected = "force axes that move links with masses", "axes driven by position, velocity or an inertia"
-            raise SettingsError(f"export of {plant.machine.name} to newton", found, expected)
         stage = _stage_in_memory()
         steps = round(rate_hz * max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9)))
         joints = write_bodies(stage, plant, steps)

@@ -11,6 +11,7 @@ from sysid.display import quantity
 from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
+from sysid.export.force_replay import RUN
 from sysid.export.posterior import RANGES, SAMPLES, WARNING
 from sysid.export.replay import ROUNDING, SHARE, Replay
 from sysid.export.target import Target
@@ -96,11 +97,20 @@ def _values(plant: Plant, item: KnownEffect) -> str:
 def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> list[str]:
     if found is None:
         return [f"Not run here: {target.title} is not installed. The files were checked against their format alone.\n"]
-    head = (
-        f"Free run of {', '.join(found.recordings)} ({found.seconds:.0f} s) from recorded commands, in {target.title} and by "
-        "the plant itself; both begin at rest where the recording begins. RMS values. The difference may be "
-        f"{100.0 * SHARE:g} % of the motion, or the noise of the sensor."
-    )
+    where = f"{', '.join(found.recordings)} ({found.seconds:.0f} s)"
+    if found.kind == "forces":
+        head = (
+            f"Forces that the measured motion of {where} needs, in {target.title} and by the plant itself, and the end "
+            "effector at the measured joints. RMS values. The difference contains that of the motion under the recorded "
+            f"commands, in runs of {RUN:g} s. It may be {100.0 * SHARE:g} % of the RMS of the force or of the end effector "
+            "about its mean, or the noise of the sensor."
+        )
+    else:
+        head = (
+            f"Free run of {where} from recorded commands, in {target.title} and by the plant itself; both begin at rest where "
+            f"the recording begins. RMS values. The difference may be {100.0 * SHARE:g} % of the motion, or the noise of the "
+            "sensor."
+        )
     rows = [f"| signal | {target.title} | plant | sensor noise | difference | allowed |", "| --- |" + " ---: |" * 5]
     for row in found.rows:
         unit = unit_of(row.signal, units)
@@ -117,8 +127,10 @@ def shown(value: float, unit: str) -> str:
 
 
 def unit_of(signal: str, units: Mapping[str, str]) -> str:
-    """SI unit of a signal; metres of points and cylinders, else radians where the dataset does not say."""
+    """SI unit of a signal; where the dataset does not say, none of commands, metres of points and cylinders, else radians."""
     owner, quantity = split_signal(signal)
+    if quantity == "command":
+        return units.get(signal, "1")
     return units.get(signal) or ("m" if owner in ("ee", "tool") or quantity == "cylinder" else "rad")
 
 

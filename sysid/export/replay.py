@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -56,11 +56,16 @@ class ReplayRow:
 
 @dataclass(frozen=True)
 class Replay:
-    """Result of the replay of one export."""
+    """Result of the replay of one export.
+
+    Args:
+        kind: ``motion``: free runs from recorded commands; ``forces``: forces at measured motion, of an arm.
+    """
 
     recordings: tuple[str, ...]
     seconds: float
     rows: tuple[ReplayRow, ...]
+    kind: Literal["motion", "forces"] = "motion"
 
     @property
     def agrees(self) -> bool:
@@ -68,7 +73,8 @@ class Replay:
 
     def to_json(self) -> dict[str, Any]:
         rows = [{**asdict(row), "agrees": row.agrees} for row in self.rows]
-        return {"recordings": list(self.recordings), "seconds": self.seconds, "agrees": self.agrees, "rows": rows}
+        found = {"recordings": list(self.recordings), "kind": self.kind, "seconds": self.seconds}
+        return {**found, "agrees": self.agrees, "rows": rows}
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ class SdfTarget:
     name = "sdf"
     title = "Gazebo (SDFormat 1.11)"
     modules: tuple[str, ...] = ()
+    arms = False
     notes: tuple[str, ...] = (
         f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
         "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "

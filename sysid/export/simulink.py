@@ -26,6 +26,7 @@ class SimulinkTarget:
     name = "simulink"
     title = "MATLAB and Simulink"
     modules: tuple[str, ...] = ()
+    arms = False
     notes: tuple[str, ...] = (
         "`load machine.mat` gives the struct `machine`: `sample_time` and one struct for each axis, with `opening` and `speed` "
         "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "

@@ -50,6 +50,26 @@ class Simulation(Protocol):
         ...
 
 
+class ForceSimulation(Protocol):
+    """A written arm in its simulator. Its motion under recorded forces is unstable, so that its forces are compared."""
+
+    def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
+        """Motion from joints and speeds (A,) under commands (n, A), each held for a sample.
+
+        Returns:
+            Joints, speeds and accelerations (n, A) at the ends of the samples, under the command of the sample.
+        """
+        ...
+
+    def forces(self, joints: Array, speeds: Array, accelerations: Array) -> Array:
+        """Commands that a motion at the joint sensors needs: (n, A) each → (n, A)."""
+        ...
+
+    def tips(self, joints: Array) -> Array:
+        """End effector (n, 3) [m] at joints (n, A)."""
+        ...
+
+
 class Target(Protocol):
     """A format of another simulator.
 
@@ -58,6 +78,7 @@ class Target(Protocol):
         title: of the simulator, for people.
         modules: that it needs beside the core (:mod:`sysid.extras`).
         notes: on its use, for the page of an export.
+        arms: whether it writes force axes that move links with masses; its simulation of them is a :class:`ForceSimulation`.
     """
 
     @property
@@ -72,6 +93,9 @@ class Target(Protocol):
     @property
     def notes(self) -> tuple[str, ...]: ...
 
+    @property
+    def arms(self) -> bool: ...
+
     def support(self, effect: Effect) -> Support:
         """How it represents an effect."""
         ...
@@ -84,6 +108,6 @@ class Target(Protocol):
         """
         ...
 
-    def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
+    def simulation(self, plant: Plant, folder: Path) -> Simulation | ForceSimulation | None:
         """The files in their simulator; None where it cannot run here."""
         ...

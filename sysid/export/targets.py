@@ -13,6 +13,8 @@ from sysid.export.sdf import SdfTarget
 from sysid.export.simulink import SimulinkTarget
 from sysid.export.target import Target
 from sysid.export.urdf import UrdfTarget
+from sysid.machine.rigid_body import moves_masses
+from sysid.plant import Plant
 
 TARGETS: tuple[Target, ...] = (
     MjcfTarget(), UrdfTarget(), SdfTarget(), IsaacLabTarget(), NewtonTarget(), FmuTarget(), SimulinkTarget(), LutTarget(),
@@ -32,6 +34,7 @@ def target_named(name: str) -> Target:
     return TARGETS[names.index(name)]
 
 
-def fallback(target: Target) -> Target | None:
+def fallback(target: Target, plant: Plant) -> Target | None:
     """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
-    return MjcfTarget(composed=False) if isinstance(target, MjcfTarget) and target.composed else None
+    further = isinstance(target, MjcfTarget) and target.composed and not moves_masses(plant.machine)
+    return MjcfTarget(composed=False) if further else None

@@ -37,6 +37,7 @@ class UrdfTarget:
     name = "urdf"
     title = "URDF"
     modules: tuple[str, ...] = ("mujoco",)
+    arms = False
     notes: tuple[str, ...] = (
         "A URDF has one friction for both directions: the mean of both is written, and both are in `effects.csv`.",
         "Meshes are referred to as in the URDF of the machine, and not copied.",

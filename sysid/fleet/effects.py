@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.result import NamedEffect
+from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +29,7 @@ class FleetEffect:
     parameters: tuple[str, ...]
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
+    def key(self) -> EffectKey:
         """What two forms of one effect share."""
         return self.name, self.target, self.side
 
@@ -47,7 +48,7 @@ class FleetEffect:
 
 def union(machines: Iterable[Sequence[FleetEffect]]) -> tuple[FleetEffect, ...]:
     """The effects of all machines, each in its form with the most parameters, in the order of their first appearance."""
-    found: dict[tuple[str, str, str | None], FleetEffect] = {}
+    found: dict[EffectKey, FleetEffect] = {}
     for effects in machines:
         for effect in effects:
             known = found.get(effect.key)

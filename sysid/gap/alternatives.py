@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
-from sysid.gap.decision import divides
 from sysid.gap.fit import fit_candidates, spread_of
+from sysid.gap.price import divides
 from sysid.gap.stage_model import StageFit
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.effects import CATALOGUE, Effect, Form, Parameter, inertial_error
 from sysid.effects.effect import Stage
-from sysid.machine import KnownEffect, Machine
+from sysid.machine import EffectKey, KnownEffect, Machine
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 
@@ -60,7 +60,7 @@ class Candidate:
     special: tuple[tuple[str, str], ...] = ()
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
+    def key(self) -> EffectKey:
         """Name, target and side, which all forms of an effect share; a model contains at most one of these forms."""
         return self.effect.name, self.target, self.side
 

@@ -37,7 +37,6 @@ stage; at least what is known to be open otherwise, of a clock for instance.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -45,26 +44,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
+from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
+from sysid.gap.equivalence import at_bound, reaches, within_equivalence
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.price import pays, smallest_sets
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, STANDARD_ERRORS
+from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
 
-#: Two-sided 5 % of a normal sum of block differences (Vehtari, Gelman, Gabry, Stat. Comput. 27, 2017).
-STANDARD_ERRORS = 2.0
-#: Odds of e³ ≈ 20 to 1, "strong" evidence (Kass and Raftery, JASA 90, 1995); 95 % with equal priors [nats].
-LEAST = 3.0
-#: "Very strong" evidence in one block (same scale) [nats].
-BLOCK_NATS = 5.0
-#: Least share of the closable gap on held-out recordings: less has no practical significance.
-SHARE = 0.01
-#: A stage within this multiple of its noise floor is explained.
-EXPLAINED = 1.1
-#: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
-PRICE = 1.0 + STANDARD_ERRORS**2
-#: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.
-LIKELIEST = 3
-#: 97.5 % quantile of the normal distribution.
-Z = 1.959964
 
 #: Conditions that an effect without a name fails.
 NOT_EXCITED = "the recordings do not excite it enough"
@@ -77,8 +65,6 @@ LOST = "on held-out recordings it reduces the error by too little compared with 
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 FILTERS = "noise of its measured input explains a change of its size"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
-#: An effect without its form: (name, target, side).
-Key = tuple[str, str, str | None]
 
 
 @dataclass(frozen=True)
@@ -158,36 +144,10 @@ class FreeRun:
         return False
 
 
-def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
-    """Sum of the clipped block differences of two models, and its standard error [nats]."""
-    blocks = np.clip(better.predictive - other.predictive, -BLOCK_NATS, BLOCK_NATS)
-    return float(blocks.sum()), float(blocks.std() * np.sqrt(len(blocks)))
-
-
-def survives(model: ModelFit, best: ModelFit) -> bool:
-    """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
-    total, error = difference(best, model)
-    return total < max(STANDARD_ERRORS * error, LEAST) or model.evidence > best.evidence - LEAST
-
-
-def simpler(one: ModelFit, other: ModelFit) -> bool:
-    """Whether every effect of ``one`` is in ``other``, in the same or a richer form, and ``other`` has more."""
-    if one.labels == other.labels:
-        return False
-    covered = all(any(_covers(theirs, mine) for theirs in other.candidates) for mine in one.candidates)
-    return covered and len(one.unknowns) < len(other.unknowns)
-
-
-def _covers(richer: Candidate, candidate: Candidate) -> bool:
-    if richer.key == candidate.key:
-        return len(richer.unknowns) >= len(candidate.unknowns)
-    return richer.contains(candidate)
-
-
 def decide(
     models: Sequence[ModelFit],
     nameable: Sequence[str],
-    rope: Mapping[Key, float] | None = None,
+    rope: Mapping[EffectKey, float] | None = None,
     shared: Sequence[str] = (),
     own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
     needed: Callable[[ModelFit], float] = lambda model: np.inf,
@@ -222,7 +182,7 @@ def decide(
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
     likely = _likely([f for f in survivors if integrates or not outdone(f, survivors)], unsure, own_evidence, rope)
     if not integrates and not independent:
-        likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
+        likely = list({f.labels: f for f in (simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free, integrates)
     accumulates = integrates and not exact
     servo = fewest is not None and not exact and not integrates
@@ -240,7 +200,7 @@ def decide(
     tying = {
         c.key: _partners(c, model, acceptable)
         for c in model.candidates
-        if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
+        if lacking[c.key] == REPLACED and not within_equivalence(c, model, rope)
     }
     smallest = {c.key for c in acceptable[0].candidates}
     if not exact and not integrates:
@@ -297,10 +257,10 @@ def decide(
 
 
 def _likely(
-    survivors: Sequence[ModelFit], unsure: set[str], own_evidence: Callable[[ModelFit], float], rope: Mapping[Key, float]
+    survivors: Sequence[ModelFit], unsure: set[str], own_evidence: Callable[[ModelFit], float], rope: Mapping[EffectKey, float]
 ) -> list[ModelFit]:
     """The minimal survivors, the likeliest first."""
-    stay = [f for f in survivors if not _replaced(f, survivors, own_evidence)]
+    stay = [f for f in survivors if not replaced(f, survivors, own_evidence)]
     minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
     return [chosen, *(f for f in minimal if f is not chosen and _is_alternative(f, chosen, rope))]
@@ -309,7 +269,7 @@ def _likely(
 def _without_filters(
     acceptable: Sequence[ModelFit],
     nameable: Sequence[str],
-    rope: Mapping[Key, float],
+    rope: Mapping[EffectKey, float],
     without: Callable[[ModelFit, Candidate], ModelFit] | None,
 ) -> tuple[list[ModelFit], list[NearMiss]]:
     """The acceptable sets without effects that are not certainly larger than ``rope``, the others refitted; and these effects.
@@ -321,7 +281,7 @@ def _without_filters(
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
         tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.target != "stream"]
-        small = [c for c in tested if _reaches(c, model, np.array(rope[c.key]))]
+        small = [c for c in tested if reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
             values, deviations = model.values_of(candidate), model.deviations_of(candidate)
@@ -331,22 +291,15 @@ def _without_filters(
     return list(found.values()), filters
 
 
-def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
-    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
-    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
-    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
-
-
 def _beyond_price(
-    model: ModelFit, lacking: Mapping[Key, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
-) -> tuple[list[Key], ModelFit]:
+    model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
+) -> tuple[list[EffectKey], ModelFit]:
     """Certain effects that are not worth a name, and the set of the others alone.
 
     One by one, the effect that leaves least without it: while the others alone leave at most a tenth more, since effects that
     are not certain may exchange with it (a dead time with a lag), and until the others are worth the price of their number.
     """
-    lost, alone = list[Key](), model
+    lost, alone = list[EffectKey](), model
     for candidate in model.candidates:
         if lacking[candidate.key]:
             alone = without(alone, candidate)
@@ -360,34 +313,14 @@ def _beyond_price(
     return lost, alone
 
 
-def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
-    """The simplest model within one that also reaches the noise floor: what it lacks has no practical significance.
-
-    A base turned about the axis of the first joint is an offset of that joint, whatever its other five parameters compensate.
-    """
-    within = [f for f in models if f.left <= EXPLAINED and simpler(f, model)]
-    return min(within, key=lambda f: (len(f.unknowns), -f.evidence), default=model)
-
-
-def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
-    """Whether a survivor has effects that are worth their price, which the discrepancy must not replace.
-
-    Further effects, or others in their place: these have to be worth the price of one. A set with further effects that reaches
-    the noise floor is worth any price.
-    """
-    more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
-    explained = model.left <= EXPLAINED
-    return not explained and any((n > 0 and f.left <= EXPLAINED) or _divided(model.left, f.left, max(n, 1)) for f, n in more)
-
-
-def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
+def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
     """Whether ``other`` lacks an effect of ``model``, or has one in its place that is certainly present.
 
     An effect at a bound stands for another: oil that is warm after five seconds, for a gain.
     """
     here = {c.key for c in model.candidates}
     instead = [c for c in other.candidates if c.key not in here]
-    return not instead or any(not _within_rope(c, other, rope) and not _at_bound(c, other) for c in instead)
+    return not instead or any(not within_equivalence(c, other, rope) and not at_bound(c, other) for c in instead)
 
 
 def _exact(
@@ -407,26 +340,6 @@ def _exact(
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
 
 
-def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float]) -> list[ModelFit]:
-    """The smallest sets of effects that explain the output, in ascending order of the remaining error.
-
-    Each effect has to divide the variance above the noise floor by ``PRICE``. Sets of equal size that differ by less are not
-    distinguished by their remaining error.
-    """
-    variance: dict[int, list[tuple[float, ModelFit]]] = {}
-    least, size = np.inf, 0
-    for f in sorted(models, key=lambda f: len(f.candidates)):
-        n = len(f.candidates)
-        if (EXPLAINED**2 - 1.0) * PRICE**n >= least and n != size:
-            break  # no remaining error justifies more effects
-        found = max(left(f), EXPLAINED) ** 2 - 1.0
-        variance.setdefault(n, []).append((found, f))
-        if found * PRICE**n < least:
-            least, size = found * PRICE**n, n
-    equal = sorted(variance[size], key=lambda each: each[0])
-    return [f for found, f in equal if found <= PRICE * equal[0][0]]
-
-
 def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Callable[[ModelFit], float]) -> bool:
     """Whether a set is clearly likelier than another of its size, each with its values of least squares.
 
@@ -435,39 +348,6 @@ def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Ca
     """
     evidence = [own_evidence(f.with_values(free.least_squares(f))) for f in (better, other)]
     return evidence[0] > evidence[1] + 2.0 * BLOCK_NATS
-
-
-def pays(before: float, after: float, effects: int = 1) -> bool:
-    """Whether effects are worth their price; RMS errors of the output without and with them, in noise floors."""
-    return after <= EXPLAINED or _divided(before, after, effects)
-
-
-def pays_beside(before: float, after: float, alike: float) -> bool:
-    """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
-
-    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
-    """
-    return pays(before, max(after, alike)) or pays(before, after, 2)
-
-
-def divides(before: float, after: float) -> bool:
-    """Whether an effect in the place of others divides the variance that they leave by its price, whatever remains."""
-    return _divided(before, after)
-
-
-def typical_errors(errors: Sequence[float]) -> list[float]:
-    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
-
-    Args:
-        errors: shares of the distance moved; 0 for a drive whose formulas are right.
-    """
-    others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
-    return [statistics.median_low(some) if some else 0.0 for some in others]
-
-
-def _divided(before: float, after: float, effects: int = 1) -> bool:
-    """Whether the variance above the noise floor is divided by the price of so many effects."""
-    return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
 
 
 def _nearest(
@@ -479,7 +359,7 @@ def _nearest(
     def preferred(f: ModelFit, g: ModelFit) -> bool:
         """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
-        edges = [any(_at_bound(c, each) for c in each.candidates) for each in (f, g)]
+        edges = [any(at_bound(c, each) for c in each.candidates) for each in (f, g)]
         return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
@@ -496,13 +376,13 @@ def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) 
     return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=smallest)
 
 
-def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]) -> str:
+def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]) -> str:
     """Condition for a name that an effect of the chosen model fails; empty where it fails none."""
     if candidate.label not in nameable:
         return NOT_EXCITED
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return REPLACED
-    if any(_within_rope(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
+    if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
         return "its 95 % interval reaches into the region of practical equivalence"
     return ""
 
@@ -548,35 +428,8 @@ def _partners(candidate: Candidate, model: ModelFit, acceptable: Sequence[ModelF
     """Effects in the other acceptable sets in place of an effect."""
     here = {c.key for c in model.candidates}
     without = [f for f in acceptable if all(c.key != candidate.key for c in f.candidates)]
-    found: dict[Key, Candidate] = {}
+    found: dict[EffectKey, Candidate] = {}
     for c in (c for f in without for c in f.candidates if c.key not in here or f is not model):
         if c.key != candidate.key and not any(c.key == d.key for d in acceptable[0].candidates):
             found.setdefault(c.key, c)
     return tuple(found.values())
-
-
-def _at_bound(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether a value of an effect lies at a bound other than its nominal value."""
-    pairs = zip(candidate.unknowns, model.values_of(candidate), strict=True)
-    return any(value in u.bounds and value != u.nominal for u, value in pairs)
-
-
-def equivalent_change(left: float) -> float:
-    """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
-    return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
-
-
-def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
-    """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
-
-    They include what the discrepancy could do in its place.
-    """
-    seen = equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300)
-    return _reaches(candidate, model, np.maximum(seen, rope.get(candidate.key, 0.0)))
-
-
-def _reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
-    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
-    reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
-    nominal = np.array([u.nominal for u in candidate.unknowns])
-    return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())

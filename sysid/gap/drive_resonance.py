@@ -19,10 +19,10 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from sysid.datasets.recording import Recording
-from sysid.gap.decision import PRICE
+from sysid.gap.thresholds import PRICE
 from sysid.machine import Axis
 from sysid.plant.force import ForceFilter, delayed, measured_motion
-from sysid.plant.force_band import fourier_segments, motion_of, octave_sums
+from sysid.plant.force_band import COHERENCE, acceleration_noise, fourier_segments, motion_of, octave_sums
 from sysid.plant.smooth_motion import second_difference
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +32,8 @@ Spectra = npt.NDArray[np.complex128]
 SEGMENT, SEGMENTS = 4.0, 4
 #: Lowest frequency of the response and of a resonance [Hz].
 FROM, LOWEST = 1.0, 2.0
+#: Least share of the measured power of the acceleration that is not noise.
+CLEAR = 0.5
 #: Start values: number of frequencies, and damping ratios.
 FREQUENCIES, DAMPINGS = 120, (0.01, 0.03, 0.1)
 #: Least and largest damping ratio of a resonance.
@@ -117,7 +119,11 @@ def drive_resonance(recordings: Sequence[Recording], axis: Axis, settings: Force
 
 
 def _response(recordings: Sequence[Recording], axis: Axis, settings: ForceFilter) -> _Response | None:
-    """Force per acceleration beside the direction of motion; None where the recordings are too short."""
+    """Force per acceleration beside the direction of motion; None where the recordings are too short or too noisy.
+
+    At frequencies that the force does not excite, all of the acceleration follows from dry friction, and what remains beside
+    the direction of motion is noise: force per acceleration would be zero there, as at an antiresonance.
+    """
     motions = [motion for r in recordings if (motion := measured_motion(r, axis)) is not None]
     if not motions:
         return None
@@ -131,16 +137,19 @@ def _response(recordings: Sequence[Recording], axis: Axis, settings: ForceFilter
         parts.append(fourier_segments(np.column_stack(columns), length))
     segments = np.concatenate(parts)
     frequency: Array = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
-    band = (frequency >= FROM) & (frequency <= settings.force_hz)
-    if len(segments) < SEGMENTS or band.sum() < 2 * SEGMENTS:
+    if len(segments) < SEGMENTS:
         return None
     s = np.einsum("sfi,sfj->fij", segments, segments.conj())
     direction = np.maximum(s[:, 1, 1].real, 1e-300)
-    acceleration = s[:, 0, 0].real - np.abs(s[:, 0, 1]) ** 2 / direction
+    measured = np.maximum(s[:, 0, 0].real - np.abs(s[:, 0, 1]) ** 2 / direction, 1e-300)
+    acceleration = measured - acceleration_noise(motions, length)
     cross = s[:, 2, 0] - s[:, 2, 1] * s[:, 1, 0] / direction
-    force = s[:, 2, 2].real - np.abs(s[:, 2, 1]) ** 2 / direction
-    acceleration = np.maximum(acceleration, 1e-300)
-    noise = octave_sums(frequency, force - np.abs(cross) ** 2 / acceleration)
+    force = np.maximum(s[:, 2, 2].real - np.abs(s[:, 2, 1]) ** 2 / direction, 1e-300)
+    band = (frequency >= FROM) & (frequency <= settings.force_hz)
+    band &= (np.abs(cross) ** 2 > COHERENCE * measured * force) & (acceleration > CLEAR * measured)
+    if band.sum() < 2 * SEGMENTS:
+        return None
+    noise = octave_sums(frequency, force - np.abs(cross) ** 2 / measured)
     noise /= np.maximum(octave_sums(frequency, np.ones(len(frequency))), 1.0)
-    weight = np.sqrt(acceleration / np.maximum(noise, 1e-9 * float(noise.max()) + 1e-300))
-    return _Response(2.0 * np.pi * frequency[band], (cross / acceleration)[band], weight[band])
+    weight = acceleration / np.sqrt(measured * np.maximum(noise, 1e-9 * float(noise.max()) + 1e-300))
+    return _Response(2.0 * np.pi * frequency[band], cross[band] / acceleration[band], weight[band])

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.friction import friction_columns
-from sysid.gap.decision import EXPLAINED
 from sysid.gap.likelihood.discrepancy.drives import force_columns
 from sysid.gap.problem import Problem
+from sysid.gap.thresholds import EXPLAINED
 from sysid.plant import Model
 from sysid.plant.force import force_inputs
 from sysid.plant.link_torque import link_torque

@@ -14,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import EXPLAINED, FreeRun
+from sysid.gap.decision import FreeRun
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.proposals import Proposals
 from sysid.gap.speed_classes import speed_classes
+from sysid.gap.thresholds import EXPLAINED
 
 Array = npt.NDArray[np.float64]
 

@@ -8,42 +8,26 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
 
-from sysid.datasets.recording import Recording
-from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.data import Data
-from sysid.gap.decision import (
-    BESIDE,
-    EXPLAINED,
-    LOST,
-    NOT_EXCITED,
-    ORDINARY,
-    SHARE,
-    Z,
-    equivalent_change,
-    pays,
-    pays_beside,
-    typical_errors,
-)
-from sysid.gap.fit import spread_of
+from sysid.gap.decision import NOT_EXCITED
 from sysid.gap.floor import problem_floor
-from sysid.gap.intervals import jackknifed, known_of
+from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
+from sysid.gap.held_out_price import without_cheap_names
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
-from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
-from sysid.gap.stage_model import StageFit
+from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.gap.thresholds import EXPLAINED, SHARE, Z
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.gap.written import near_misses
-from sysid.machine import KnownEffect
-from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
+from sysid.machine import EffectKey, KnownEffect
+from sysid.plant import Plant, PlantNumber, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -64,7 +48,7 @@ class ProofOutcome:
     notes: list[str] = field(default_factory=list)
     carried: list[ResidualModelResult] = field(default_factory=list)
     near_misses: list[NearMissResult] = field(default_factory=list)
-    refused: dict[tuple[str, str, str | None], str] = field(default_factory=dict)  # (name, target, side) → why not named
+    refused: dict[EffectKey, str] = field(default_factory=dict)
 
 
 def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
@@ -75,7 +59,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
     for stage in without_cheap_names(known):
         result = stage.found
-        proven = bool(result.fit.candidates) and _better(stage)
+        proven = bool(result.fit.candidates) and is_better(stage)
         refused = dict[str, str]()
         if proven:
             refused = _accept(stage, outcome)
@@ -107,156 +91,16 @@ def _with_proven_model(case: Case, searched: Stage) -> Stage:
     Where errors accumulate, effects that are adjusted beside the names compensate for the formulas: they also fail if they
     leave a tenth more than the names alone.
     """
-    stage = _with_intervals(case, searched)
+    stage = with_intervals(case, searched)
     names = searched.found.names_alone
-    passes = _better(stage)
-    if names is None or (passes and not _accumulates(searched.found)):
+    passes = is_better(stage)
+    if names is None or (passes and not searched.found.accumulates):
         return stage
-    alone = _with_intervals(case, replace(searched, result=names))
-    whole, least = (held_out_score(each, each.found.fit.theta) for each in (stage, alone))
-    if _better(alone) and not (passes and whole <= EXPLAINED * least):
+    alone = with_intervals(case, replace(searched, result=names))
+    whole, least = (held_out_error(each, each.found.fit.theta) for each in (stage, alone))
+    if is_better(alone) and not (passes and whole <= EXPLAINED * least):
         return alone
-    return with_intervals_of(stage, alone) if _accumulates(searched.found) else stage
-
-
-def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
-    """The stage with the intervals of its names alone: the effects adjusted beside them compensate for the formulas."""
-    result, names = stage.found, alone.found
-    assert result.limits is not None
-    assert names.limits is not None
-    limits = result.limits.copy()
-    for kept in names.named:  # an effect that ties with others is not among them
-        here, there = result.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
-        limits[here, 0] = np.minimum(names.limits[there, 0], result.fit.values[here])
-        limits[here, 1] = np.maximum(names.limits[there, 1], result.fit.values[here])
-    return replace(stage, result=replace(result, limits=limits))
-
-
-def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
-    """The stages; where formulas are wrong, without names that held-out recordings excite and that are not worth their price.
-
-    The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
-    whose name is rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
-    """
-    kept = list(stages)
-    for _ in kept:
-        typical = typical_errors([_formula_error(stage) for stage in kept])
-        checked = [_without_cheap_names_of(stage, error) for stage, error in zip(kept, typical, strict=True)]
-        if all(one is other for one, other in zip(kept, checked, strict=True)):
-            break
-        kept = checked
-    return kept
-
-
-def _without_cheap_names_of(stage: Stage, typical: float) -> Stage:
-    """The stage without its cheap names; ``typical``: error of the machine's other drives, as a share of the distance moved."""
-    result, fitted = stage.found, stage.found.stage_fit
-    if not result.named or fitted is None or fitted.decision.exact:
-        return stage
-    lost = dict[str, str]()
-    for kept in result.named:
-        lacks = [_too_cheap(stage, less, theta, typical) for less, theta in comparisons_without(stage, kept.candidate.label)]
-        if all(lacks):
-            lost[kept.candidate.label] = lacks[0]
-    if not lost:
-        return stage
-    rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
-    if fitted.decision.accumulates and rest:
-        others = (comparisons_without(stage, label)[0][0] for label in lost)
-        before, *alone = (held_out_score(stage, theta) for theta in (stage.theta, *others))
-        if not all(pays(before, after, len(rest)) for after in alone):
-            lost |= dict.fromkeys(rest, BESIDE)
-    named = tuple(kept for kept in result.named if kept.candidate.label not in lost)
-    adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
-    unsure = replace(fitted, decision=fitted.decision.without_names(lost))
-    return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
-
-
-def _too_cheap(stage: Stage, without: Array, theta: Array, typical: float) -> str:
-    """Condition that a name fails by a comparison of parameter vectors without and with its effect; empty if it fails none."""
-    accumulates = _accumulates(stage.found)
-    excited = _excited(stage, without, theta)
-    if not excited and not accumulates:
-        return ""
-    recordings = stage.split.held_out if excited else stage.split.seen
-    before, after = (_score(stage, each, recordings) for each in (without, theta))
-    if excited and not pays(before, after):
-        return LOST
-    return "" if pays_beside(before, after, typical * _distance(stage, recordings) if accumulates else 0.0) else ORDINARY
-
-
-def comparisons_without(stage: Stage, label: str) -> list[tuple[Array, Array]]:
-    """Pairs of parameter vectors without and with the effect ``label``; one of them has to prove its name.
-
-    Where errors accumulate, sets of effects were compared by what they leave alone, and the names are tested alone. Effects
-    that are adjusted beside them compensate for the formulas in the fitted recordings, which makes others worse, and take the
-    place of the effect that is left out. They are also tested beside the one further effect that leaves least: values that the
-    owner's plant has not exactly may hide it on the few held-out recordings.
-    """
-    result = stage.found
-    if not _accumulates(result):
-        return [(stage.theta, result.fit.theta)]
-    pairs = []
-    for found in (result.names_alone, result):
-        if found is not None and found.stage_fit is not None and label in found.stage_fit.dropped:
-            pairs.append((found.stage_fit.dropped[label].theta, found.fit.theta))
-            break
-    beside = result.stage_fit.beside if result.stage_fit is not None else None
-    if beside is not None and label in beside[1]:
-        pairs.append((beside[1][label].theta, beside[0].theta))
-    return pairs
-
-
-def _formula_error(stage: Stage) -> float:
-    """Error that a drive leaves beside its names, as a share of the distance it moves; zero where its formulas are right.
-
-    Drives of one machine are built alike: the error of their formulas is exchangeable between them (Gelman et al., Bayesian
-    Data Analysis, ch. 5), so that the others tell how far that of a drive may move its output.
-    """
-    if not _accumulates(stage.found):
-        return 0.0
-    theta = stage.found.fit.theta if stage.found.named else stage.theta
-    return held_out_score(stage, theta) / max(_distance(stage, stage.split.held_out), 1e-300)
-
-
-def _distance(stage: Stage, recordings: Sequence[Recording]) -> float:
-    """Distance that the predicted output moves in a recording, mean over recordings and outputs, in noise floors."""
-    moved = [np.nansum(np.abs(np.diff(stage.problem.predict(stage.theta[None], r)[0], axis=0)), axis=0) for r in recordings]
-    return float(np.mean(np.array(moved) / stage.sigma))
-
-
-def _with_intervals(case: Case, stage: Stage) -> Stage:
-    """The stage with the intervals of its unknowns, where it has names: the hull of those of both likelihoods.
-
-    The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
-    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs.
-    """
-    result = stage.found
-    if not result.named or result.stage_fit is None:
-        return stage
-    regression = is_pose_set(case.dataset) or stage.problem.stage == "links"  # smooth: the posterior is exact
-    if case.adapter is not None or regression:
-        return replace(stage, result=replace(result, limits=_limits(result)))
-    seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    limits = _limits(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
-    known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
-    limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
-    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
-    fit = known.fit if EXPLAINED * after < before else result.fit
-    return replace(stage, result=replace(result, fit=fit, limits=limits))
-
-
-def _spread_of_parts(seen: Data, theta: Array, fitted: StageFit) -> Array | None:
-    """Half-widths of the least-squares values by the jackknife, where formulas are wrong: the best values depend on motion."""
-    alone = fitted.least_squares
-    if fitted.decision.exact or not alone.unknowns:
-        return None
-    return jackknifed(seen, theta, alone.unknowns, alone.values)
-
-
-def _accumulates(result: StageResult) -> bool:
-    """Whether the formulas of a stage are wrong and their errors accumulate."""
-    return result.stage_fit is not None and result.stage_fit.decision.accumulates
+    return with_intervals_of(stage, alone) if searched.found.accumulates else stage
 
 
 def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
@@ -310,17 +154,6 @@ def _with_resonance(stage: Stage, item: Unnamed) -> Unnamed:
     return replace(item, form=form, antiresonance_hz=found.antiresonance_hz, resonance_hz=found.resonance_hz)
 
 
-def _better(stage: Stage) -> bool:
-    """Whether no held-out signal of the stage gets worse by a tenth, and the whole stage gets better where it is excited."""
-    before = stage_rmse(stage.problem, stage.theta, stage.split.held_out)
-    after = stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)
-    there = ~np.isnan(before) & ~np.isnan(after)
-    limit = EXPLAINED * np.maximum(before, stage.sigma)[there]
-    whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
-    excited = _excited(stage, stage.theta, stage.found.fit.theta)
-    return bool(there.any() and (after[there] <= limit).all() and (whole or not excited))
-
-
 def _add_sensor_steps(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
     """Add the steps of a sensor; they are named if they explain the error of its stage above the specified noise."""
     outcome.repaired = outcome.repaired.with_effect(coarse.effect)
@@ -347,7 +180,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     result = stage.found
     refused = dict[str, str]()
     assert result.stage_fit is not None
-    limits = result.limits if result.limits is not None else _limits(result)
+    limits = result.limits if result.limits is not None else limits_of(result)
     adjusted = list(result.adjusted)
     for kept in result.named:
         candidate = kept.candidate
@@ -356,7 +189,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         share = _share(stage, candidate)
         if share < _least_share(result):
             refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
-        elif _may_be_absent(result, candidate, limits):
+        elif may_be_absent(result, candidate, limits):
             refused[candidate.label] = "its interval contains its absence"
         if candidate.label in refused:
             why = outcome.refused[candidate.key] = refused[candidate.label]
@@ -436,47 +269,6 @@ def _near_misses(stage: Stage) -> list[str]:
     return found
 
 
-def _limits(result: StageResult, spread: Array | None = None) -> Array:
-    """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds.
-
-    The hull of the interval of the stage's likelihood and that of the free run with the named effects alone, which differ where
-    the formulas are wrong. Where their errors accumulate, of the likelihood only the estimate counts.
-
-    Args:
-        spread: half-widths of the latter by the differences between parts of the recordings.
-    """
-    fitted = result.stage_fit
-    assert fitted is not None
-    model, alone = fitted.decision.model, fitted.least_squares
-    limits, least = (_interval(f, fitted.decision.exact, wide) for f, wide in ((model, None), (alone, spread)))
-    accumulates = _accumulates(result)
-    for candidate in alone.candidates:
-        if candidate.label in model.labels:
-            here, there = model.rows_of(candidate), least[alone.rows_of(candidate)]
-            kept = np.repeat(model.values[here, None], 2, axis=1) if accumulates else limits[here]
-            limits[here, 0], limits[here, 1] = np.minimum(kept[:, 0], there[:, 0]), np.maximum(kept[:, 1], there[:, 1])
-    low = np.array([u.bounds[0] for u in model.unknowns])
-    high = np.array([u.bounds[1] for u in model.unknowns])
-    return np.clip(limits, low[:, None], high[:, None])
-
-
-def _may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> bool:
-    """Whether the intervals of all its parameters contain the known value."""
-    here = limits[result.fit.rows_of(candidate)]
-    nominal = np.array([u.nominal for u in candidate.unknowns])
-    return bool(((here[:, 0] <= nominal) & (nominal <= here[:, 1])).all())
-
-
-def _interval(model: ModelFit, exact: bool, spread: Array | None) -> Array:
-    """95 % intervals of a normal posterior, (k, 2), at least ``spread`` to both sides.
-
-    Where the formulas are wrong, they include what the discrepancy could do in place of an effect.
-    """
-    half = Z * np.hypot(np.sqrt(np.diag(model.covariance)), 0.0 if exact else model.confounded)
-    half = half if spread is None else np.maximum(half, spread)
-    return np.asarray(model.values[:, None] + half[:, None] * [-1.0, 1.0])
-
-
 def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
     """Covariance of those parameters of a stage's fit that the plant has (others are represented by an alias)."""
     places, kept = list[PlantNumber](), list[int]()
@@ -520,18 +312,12 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
     )
 
 
-def simultaneous(values: Array, limits: Array) -> Array:
-    """Intervals (n, 2) that contain all ``n`` components of a vector with 95 % (Bonferroni), from those of each component."""
-    wider = norm.ppf(1.0 - 0.025 / len(values)) / Z
-    return np.asarray(values[:, None] + wider * (limits - values[:, None]))
-
-
 def _share(stage: Stage, candidate: Candidate) -> float:
     """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
     fitted = stage.found.stage_fit
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
-    excited = _excited(stage, dropped.theta, stage.found.fit.theta)
+    excited = is_excited(stage, dropped.theta, stage.found.fit.theta)
     recordings = stage.split.held_out if excited else stage.split.seen
     first, framed = stage.theta, fitted.framed
     if (
@@ -540,28 +326,8 @@ def _share(stage: Stage, candidate: Candidate) -> float:
         and any(c.target == "base" for c in fitted.decision.model.candidates)
     ):
         first = framed.theta  # the frame closes most of the gap of a pose set
-    before, after, less = (_score(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
+    before, after, less = (relative_error(stage, theta, recordings) for theta in (first, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
-
-
-def _excited(stage: Stage, without: Array, theta: Array) -> bool:
-    """Whether held-out recordings excite the difference between a model ``theta`` and ``without`` an effect.
-
-    The output has to change by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
-    """
-    score = held_out_score(stage, theta)
-    moved = [np.diff(stage.problem.predict(np.array([without, theta]), r), axis=0)[0] for r in stage.split.held_out]
-    size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
-    return held_out_score(stage, stage.theta) > EXPLAINED and size > equivalent_change(score)
-
-
-def held_out_score(stage: Stage, theta: Array) -> float:
-    """Held-out RMSE of the stage in noise floors."""
-    return _score(stage, theta, stage.split.held_out)
-
-
-def _score(stage: Stage, theta: Array, recordings: Sequence[Recording]) -> float:
-    return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, recordings) / stage.sigma) ** 2)))
 
 
 def with_carried(gap: Gap, outcome: ProofOutcome) -> Gap:
@@ -569,34 +335,3 @@ def with_carried(gap: Gap, outcome: ProofOutcome) -> Gap:
     accepted = [item for item in outcome.carried if item.accepted]
     after = {**gap.after, **{item.signal: item.after for item in accepted}}
     return replace(gap, after=after, noise_floor={**gap.noise_floor, **{item.signal: item.noise_floor for item in accepted}})
-
-
-def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
-    """RMSE of every stage driven by its measured input, on held-out recordings; of the speeds of command stages too."""
-    before: dict[str, float] = {}
-    after: dict[str, float] = {}
-    floor: dict[str, float] = {}
-    # The forces of the links stage are outputs of the axes' stages too.
-    own = ((s.problem, s.split.held_out) for s in stages if s.problem.stage != "links")
-    for problem, held_out in (*own, *_speeds(case, stages)):
-        for values, scores in (
-            (before, stage_rmse(problem, case.theta, held_out)),
-            (after, stage_rmse(problem, repaired, held_out)),
-            (floor, problem_floor(problem, repaired, held_out, case.noise, case.seed)),
-        ):
-            values.update(zip(problem.signals, map(float, scores), strict=True))
-    return Gap(before, after, floor)
-
-
-def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence[Recording]]]:
-    """The speed of every command stage of a plant that held-out recordings contain, and these recordings."""
-    if case.adapter is not None:
-        return []
-    model, found = compile_plant(case.plant), list[tuple[Problem, Sequence[Recording]]]()
-    for stage in stages:
-        if stage.problem.stage == "command":
-            problem = speed_problem(model, case.plant.machine.axis(stage.problem.target))
-            measured = [r for r in stage.split.held_out if not np.isnan(problem.measured(r)).all()]
-            if measured:
-                found.append((problem, measured))
-    return found

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.optimize import Bounds, minimize
 
 from sysid.datasets.recording import Recording
-from sysid.gap.decision import PRICE
 from sysid.gap.drive_resonance import DAMPED, DAMPINGS, FREQUENCIES, FROM, LEAST_DAMPED, SEGMENT, SEGMENTS
 from sysid.gap.problem import Problem
+from sysid.gap.thresholds import PRICE
 from sysid.plant.force import highest_force_hz
 from sysid.plant.force_band import fourier_segments, octave_sums
 

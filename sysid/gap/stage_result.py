@@ -49,3 +49,8 @@ class StageResult:
     stage_fit: StageFit | None = None
     names_alone: StageResult | None = None
     limits: npt.NDArray[np.float64] | None = None
+
+    @property
+    def accumulates(self) -> bool:
+        """Whether the formulas of the stage are wrong and their errors accumulate."""
+        return self.stage_fit is not None and self.stage_fit.decision.accumulates

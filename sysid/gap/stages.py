@@ -24,8 +24,8 @@ from sysid.gap.arm.unknowns import CERTAIN
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
+from sysid.gap.comparison import difference
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.force_floor import shown_floor
@@ -36,6 +36,8 @@ from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit, fit_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.gap.thresholds import EXPLAINED
+from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
@@ -281,14 +283,14 @@ def _found_in_poses(
     return replace(result, problem=replace(problem, predict=FoldValues(known, problem.predict).predict))
 
 
-def _scales_of_drives(case: Case) -> set[Key]:
+def _scales_of_drives(case: Case) -> set[EffectKey]:
     """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
     return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
-def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[Key, float]:
+def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:
     """Least half-widths of regions of equivalence: of clock offsets, and of backlash with a noisy measured input."""
-    found: dict[Key, float] = {}
+    found: dict[EffectKey, float] = {}
     for candidate in candidates:
         if candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
@@ -342,7 +344,7 @@ def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, 
     """Other effects in its place, and the predictive density that they lose."""
     model = fitted.decision.model
     rest = {c.key for c in model.candidates} - {candidate.key}
-    found: dict[tuple[str, str, str | None], tuple[Candidate, str]] = {}
+    found: dict[EffectKey, tuple[Candidate, str]] = {}
     for f in fitted.models:
         others = [c for c in f.candidates if c.key not in rest]
         if len(others) == 1 and others[0].key != candidate.key and rest <= {c.key for c in f.candidates}:

@@ -25,9 +25,11 @@ from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
+from sysid.gap.gap_by_stage import stage_gap
+from sysid.gap.held_out import held_out_error
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
-from sysid.gap.proof import ProofOutcome, evaluate, held_out_score, stage_gap, with_carried
+from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.servo.advice import advice_on_sag, sagging_axis
 from sysid.gap.stages import Forms, search_stages
@@ -238,7 +240,7 @@ def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_
     named = {(e.name, e.target, e.side) for e in outcome.named}
     theta = outcome.repaired.vector()
     fallen = {
-        stage.label: (held_out_score(stage, case.theta), held_out_score(stage, theta))
+        stage.label: (held_out_error(stage, case.theta), held_out_error(stage, theta))
         for stage in study.stages
         if any(kept.candidate.key in named for kept in stage.found.named)
     }

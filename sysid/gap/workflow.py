@@ -14,13 +14,13 @@ from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation, force_comparisons, held_out_of, untested_forces
-from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stages import Forms
+from sysid.gap.thresholds import EXPLAINED
 from sysid.gap.written import axis_delays, with_units, written_effects
 from sysid.plant import Plant, compile_plant
 from sysid.plant.cache import is_compiled

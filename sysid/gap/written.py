@@ -14,13 +14,12 @@ from sysid.effects import effect_named
 from sysid.effects.described import side_of
 from sysid.effects.units import parameter_unit
 from sysid.gap.case import Stage
-from sysid.gap.decision import Z
 from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
-from sysid.machine import KnownEffect
+from sysid.gap.thresholds import Z
+from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Plant
 from sysid.plant.plant import effect_key
 
-Key = tuple[str, str, str | None]
 Entry = TypeVar("Entry", NamedEffect, WrittenEffect, NearMissResult)
 DEAD_TIME, LAG = ("input_delay", "delay"), ("first_order_lag", "time_constant")
 SECOND_ORDER = "second_order_lag"
@@ -33,7 +32,7 @@ def written_effects(
     named: Sequence[NamedEffect],
     ties: Sequence[Sequence[tuple[str, str]]],
     misses: Sequence[NearMissResult],
-    refused: Mapping[Key, str],
+    refused: Mapping[EffectKey, str],
 ) -> tuple[WrittenEffect, ...]:
     """The effects in which ``after`` differs from ``before``: named, representing a tie, adjusted without a name."""
     known = {effect_key(item): item for item in before.effects}
@@ -139,5 +138,5 @@ def _values(item: KnownEffect | None) -> dict[str, Any] | None:
     return None if item is None else dict(item.parameters)
 
 
-def _key(name: str, target: str, side: str | None) -> Key:
+def _key(name: str, target: str, side: str | None) -> EffectKey:
     return name, target, side_of(effect_named(name), side)

@@ -21,7 +21,7 @@ from sysid.logs.dialect import REMARKS, STAMP, Dialect, find_dialect, without_li
 from sysid.logs.growing import GrowingArray
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.row_lines import RowLines
+from sysid.logs.row_lines import MISSING, RowLines
 from sysid.logs.stream import Stream
 from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks
 from sysid.units import split_header
@@ -258,10 +258,10 @@ class _CheckedRows:
         raise self._ragged(int(lines[row]), int(counts[row]))
 
     def _unparsed(self, error: pd.errors.ParserError) -> InputError:
-        """The first row that is too long for the parser, else what the parser states."""
+        """The first row of another length up to the one that is too long for the parser, else what the parser states."""
         lines, width = RowLines(self.path, self.dialect), len(self.dialect.headers)
-        for line, count in lines:
-            if count > width + 1:
+        for line, count, filled in lines:
+            if count > width + 1 or filled > width or 0 < filled <= count < width:
                 return self._ragged(line, count)
         expected = "rows with as many cells as the header has"
         return InputError(self.path, f"not readable as CSV ({' '.join(str(error).split())})", expected, "Export the log again.")
@@ -308,11 +308,20 @@ def _pieces(path: Path, dialect: Dialect, cut: bool, progress: Callable[[float],
     """The rows in chunks, numbered from 0, each with True where it is the last; without a last row that may be ``cut``."""
     before: pd.DataFrame | None = None
     cells = max(len(dialect.headers) + 1, dialect.longest_remark)
-    for chunk in text_chunks(
+    chunks = text_chunks(
         path, cells, progress, None, "rows with as many cells as the header has",
         dialect.encoding, dialect.offset, sep=dialect.separator, decimal=dialect.decimal, skipinitialspace=True,
-        na_values=["", "NaN", "nan", "None", "-", "--"],
-    ):  # fmt: skip
+        na_values=sorted(MISSING),
+    )  # fmt: skip
+    while True:
+        try:
+            chunk = next(chunks, None)
+        except pd.errors.ParserError:
+            if before is not None:  # its rows come first
+                yield before, False
+            raise
+        if chunk is None:
+            break
         if before is not None:
             yield before, False
         before = chunk

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sysid.logs.rosmsg import PRIMITIVES, Definition
+from sysid.logs.rosmsg import PRIMITIVES, Definition, Field
 
 #: Arrays of equal length beside or below a string array with one of these names are addressed by its entries:
 #: ``position[boom]`` of a JointState, ``points[0].positions[boom]`` of a JointTrajectory.
@@ -99,6 +99,11 @@ def layout_of(data: bytes, definition: Definition, wanted: frozenset[str] | None
     return Layout(walk.position if walk.enough else len(data), not walk.enough, walk.numbers, walk.aliases, positions, template)
 
 
+def _names(member: Field) -> bool:
+    """Whether a field names the elements of the arrays beside it."""
+    return member.name in NAME_FIELDS and member.length is not None and member.kind in ("string", "wstring")
+
+
 @dataclass
 class _Parser:
     data: bytes
@@ -157,6 +162,8 @@ class _Parser:
         outer = names = self.scope
         arrays: list[tuple[str, int]] = []
         fields = self.definition.types[kind]
+        if any(_names(member) for member in fields):
+            names = self.scope = []  # its own names may come after its arrays
         if not fields and not self.packed:
             self.take(1)  # an empty message carries one byte
         for member in fields:
@@ -166,7 +173,7 @@ class _Parser:
             else:
                 count = self.length_word() if member.length < 0 else member.length
                 if member.kind in ("string", "wstring"):
-                    keep = member.name in NAME_FIELDS and count <= MAX_ELEMENTS and not self.mute
+                    keep = _names(member) and count <= MAX_ELEMENTS and not self.mute
                     texts = self.texts(member.kind, count, keep)
                     names = self.scope = texts if keep else names
                 elif member.kind in PRIMITIVES:

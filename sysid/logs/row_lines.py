@@ -14,6 +14,9 @@ import numpy.typing as npt
 from sysid.logs.dialect import Dialect
 from sysid.logs.limits import MAX_LINE
 
+#: Cells without a value.
+MISSING = frozenset({"", "NaN", "nan", "None", "-", "--"})
+
 
 @dataclass
 class RowLines:
@@ -22,14 +25,14 @@ class RowLines:
     path: Path
     dialect: Dialect
     _row: int = 0
-    _rows: Iterator[tuple[int, int]] = field(init=False)
+    _rows: Iterator[tuple[int, int, int]] = field(init=False)
 
     def __post_init__(self) -> None:
         csv.field_size_limit(MAX_LINE)
         self._rows = self._read()
 
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Line and number of cells of every further row."""
+    def __iter__(self) -> Iterator[tuple[int, int, int]]:
+        """Line and number of cells of every further row, and the cells up to the last one with a value."""
         return self._rows
 
     def between(self, first: int, last: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -37,24 +40,23 @@ class RowLines:
         for _ in range(first - self._row):
             next(self._rows, None)
         found = np.fromiter(
-            (number for _, pair in zip(range(last - first), self._rows, strict=False) for number in pair), np.intp
+            (number for _, row in zip(range(last - first), self._rows, strict=False) for number in row[:2]), np.intp
         )
         self._row = last
         return found[::2], found[1::2]
 
-    def _read(self) -> Iterator[tuple[int, int]]:
+    def _read(self) -> Iterator[tuple[int, int, int]]:
         delimiter, number = self.dialect.delimiter, 0
         with self.path.open(encoding=self.dialect.encoding, errors="replace", newline=None) as file:
             for line in file:
                 number += 1
                 if number <= self.dialect.lines or (line.isspace() and (delimiter == " " or delimiter not in line)):
                     continue
+                first = number
                 if '"' in line:
                     rows = csv.reader(chain([line], file), delimiter=delimiter, skipinitialspace=True)
-                    cells = len([cell for cell in next(rows) if cell or delimiter != " "])
-                    yield number, cells
+                    cells = [cell for cell in next(rows) if cell or delimiter != " "]
                     number += rows.line_num - 1
-                elif delimiter == " ":
-                    yield number, len(line.split())
                 else:
-                    yield number, line.count(delimiter) + 1
+                    cells = line.split() if delimiter == " " else line.split(delimiter)
+                yield first, len(cells), max((k for k, cell in enumerate(cells, 1) if cell.strip() not in MISSING), default=0)

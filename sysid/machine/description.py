@@ -77,6 +77,10 @@ class Axis(Strict):
         return ends if ends is not None else (-math.inf, math.inf)
 
 
+#: What all forms of an effect at one place share: name, target, side.
+EffectKey = tuple[str, str, str | None]
+
+
 @dataclass(frozen=True)
 class KnownEffect(Strict):
     """An effect that the nominal simulation already contains."""

@@ -73,9 +73,28 @@ def band(motions: Sequence[Motion]) -> float:
 
 def motion_of(motion: Motion) -> tuple[Array, Array]:
     """Position and speed without the highest frequencies, which are noise, (n,) each."""
-    low_pass = signal.butter(4, 0.4 * motion.rate_hz, fs=motion.rate_hz, output="sos")
-    position = signal.sosfiltfilt(low_pass, motion.position)
+    position = signal.sosfiltfilt(_low_pass(motion.rate_hz), motion.position)
     return position, np.gradient(position, 1.0 / motion.rate_hz)
+
+
+def acceleration_noise(motions: Sequence[Motion], length: int) -> Array:
+    """Power of the noise of second differences of :func:`motion_of` in segments of ``length`` samples, (frequencies,).
+
+    From the highest frequencies of the measured positions, which contain noise alone.
+    """
+    frequency, rate = np.fft.rfftfreq(length), motions[0].rate_hz
+    gain = np.abs(signal.sosfreqz(_low_pass(rate), 2.0 * np.pi * frequency)[1]) ** 2
+    return _position_noise(motions, length) * np.asarray((2.0 * np.sin(np.pi * frequency)) ** 4 * gain**2 * rate**4)
+
+
+def _low_pass(rate_hz: float) -> Array:
+    return np.asarray(signal.butter(4, 0.4 * rate_hz, fs=rate_hz, output="sos"))
+
+
+def _position_noise(motions: Sequence[Motion], length: int) -> float:
+    """Power of the white noise of the positions, summed over segments."""
+    of_position = np.sum([_position_power(m, length) for m in motions], axis=0)
+    return float(np.median(of_position[np.fft.rfftfreq(length) > NOISE_FROM]))
 
 
 def _inputs(motion: Motion) -> tuple[Array, Array]:

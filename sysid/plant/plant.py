@@ -18,6 +18,7 @@ from sysid.errors import SettingsError, StoreError
 from sysid.foreign import shown
 from sysid.machine import (
     CylinderJointMap,
+    EffectKey,
     KnownEffect,
     Machine,
     TabulatedLinkage,
@@ -256,7 +257,7 @@ def _parameter(place: PlantNumber) -> Parameter:
     return next(p for form in forms for p in form.parameters if p.name == place.parameter)
 
 
-def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
+def effect_key(item: KnownEffect) -> EffectKey:
     """Key of an instance: name, target, side."""
     return item.name, item.target, side_of(effect_named(item.name), item.side)
 

@@ -76,7 +76,7 @@ class Stepper:
             raise SettingsError(where, f"rate_hz = {rate_hz}", "a positive rate [Hz]")
         if moves_masses(plant.machine):
             found = "force axes that move links with masses, of which there are no forward dynamics"
-            remedy = "Simulate the arm in a physics engine with the repaired masses and friction."
+            remedy = "sysid export PLANT --to mjcf writes the arm with its masses and friction for MuJoCo."
             raise SettingsError(where, found, "axes driven by position or velocity, or links without masses", remedy)
         check_step(plant.residuals, 1.0 / rate_hz)
         self.plant, self.lanes, self.rate_hz = plant, lanes, rate_hz

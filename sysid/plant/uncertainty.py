@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sysid.effects import effect_named
 from sysid.effects.described import side_of
 from sysid.errors import SettingsError
+from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
 Side = Literal["drive", "structure"] | None
@@ -31,7 +32,7 @@ class PlantNumber:
     component: int = 0
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
+    def key(self) -> EffectKey:
         """Key of its instance."""
         return self.effect, self.target, side_of(effect_named(self.effect), self.side)
 
@@ -73,7 +74,7 @@ class Uncertainty:
         covariance[:a, :a], covariance[a:, a:] = kept.covariance, other.covariance
         return Uncertainty((*kept.places, *other.places), covariance)
 
-    def without(self, keys: set[tuple[str, str, str | None]]) -> Uncertainty:
+    def without(self, keys: set[EffectKey]) -> Uncertainty:
         """The distribution without the parameters of these instances of effects."""
         rows = [k for k, place in enumerate(self.places) if place.key not in keys]
         return Uncertainty(tuple(self.places[k] for k in rows), self.covariance[np.ix_(rows, rows)])

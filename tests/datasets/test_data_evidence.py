@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from sysid.datasets import ingest
 from sysid.datasets.quality import evidence_of
 from sysid.datasets.quality.noise import noise_of, table_noise
-from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, turning_points, use_of
+from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, use_of
 from sysid.datasets.recording import Dataset, Kind, Recording
+from sysid.datasets.reversals import turning_points
 from sysid.machine import Machine, machine_from_files
 
 Array = npt.NDArray[np.float64]
@@ -109,23 +110,18 @@ def test_recordings_add_up(first: list[tuple[float, int]], second: list[tuple[fl
     assert both.full == 1.0
 
 
-def plain_turning_points(values: list[float], least: float) -> int:
-    """The definition, sample by sample: a turn is a way back of more than ``least`` from the furthest point so far."""
-    turns, direction, furthest = 0, 0, values[0]
-    for value in values:
-        away = (value - furthest) * direction
-        if direction == 0 and abs(value - furthest) > least:
-            direction, furthest = (1 if value > furthest else -1), value
-        elif direction != 0 and away > 0.0:
-            furthest = value
-        elif direction != 0 and -away > least:
-            turns, direction, furthest = turns + 1, -direction, value
-    return turns
+def most_turning_points(values: list[float], least: float) -> int:
+    """Of all ways to choose samples between which the signal goes up and down by more than ``least``, the most turns."""
+    up, down = [1] * len(values), [1] * len(values)  # samples of the longest way that ends here, by its last direction
+    for k, value in enumerate(values):
+        up[k] = max([1, *(down[i] + 1 for i in range(k) if value - values[i] > least)])
+        down[k] = max([1, *(up[i] + 1 for i in range(k) if values[i] - value > least)])
+    return max(0, max(up + down) - 2)
 
 
 @given(st.lists(st.integers(-5, 5), min_size=1, max_size=60), st.sampled_from([0.5, 1.0, 2.5, 4.0]))
 def test_turning_points_are_those_of_the_definition(values: list[int], least: float) -> None:
-    assert turning_points(np.array(values, dtype=float), least) == plain_turning_points([float(v) for v in values], least)
+    assert turning_points(np.array(values, dtype=float), least) == most_turning_points([float(v) for v in values], least)
 
 
 def test_nothing_cannot_be_added_up() -> None:

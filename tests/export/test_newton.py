@@ -12,7 +12,6 @@ from palletiser import JOINTS, urdf
 from test_drive_model import probe_plant
 from test_targets import recording
 
-from sysid.errors import SettingsError
 from sysid.export.link_inertia import link_inertias
 from sysid.export.newton import FILE, NewtonTarget
 from sysid.export.replay import Replay, replay
@@ -170,9 +169,3 @@ limits = [-0.5, 0.5]
     stage = opened(probe_plant(KnownEffect("base_misalignment", "base", tilted)), tmp_path / "tilted")
     down = stage.GetPrimAtPath(SCENE).GetAttribute("physics:gravityDirection").Get()
     np.testing.assert_allclose(down, [0.0, math.sin(0.2), -math.cos(0.2)], atol=1e-6)
-
-
-def test_arms_driven_by_forces_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.export.newton.moves_masses", lambda machine: True)
-    with pytest.raises(SettingsError, match=r"to newton: .*force axes that move links with masses"):
-        TARGET.write(probe_plant(), RATE_HZ, tmp_path)

@@ -11,10 +11,13 @@ import numpy.typing as npt
 import pytest
 from plant_data import arm, nominal, slide
 
-from sysid.gap import decision
+from sysid.gap import decision, thresholds
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, pays, pays_beside, simpler, survives, typical_errors
+from sysid.gap.comparison import difference, simpler, survives
+from sysid.gap.decision import FreeRun, decide
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.price import pays, pays_beside, typical_errors
+from sysid.gap.thresholds import BLOCK_NATS
 
 Array = npt.NDArray[np.float64]
 PLANT = nominal(machine=arm())
@@ -86,7 +89,7 @@ def test_the_model_without_effects_alone_is_a_decision() -> None:
 
 
 def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None:
-    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     for away, named in ((0.9 * half, False), (1.2 * half, True)):
         found = decide([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
         assert (found.named == (DELAY,)) == named
@@ -95,7 +98,7 @@ def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None
 
 
 def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
-    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     sure, unsure = (decide([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
     assert sure.named == (DELAY,)
     assert unsure.named == ()
@@ -145,7 +148,7 @@ def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_s
 
 
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
-    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
     assert decide([NOTHING, chosen], ALL).named == (DELAY,)
     left = ModelFit(**{**vars(chosen), "left": 3.0})
@@ -548,13 +551,13 @@ def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
     said = {name: float(value) / (100.0 if percent else 1.0) for name, value, percent in table}
     numbers = {
         name: value
-        for name, value in vars(decision).items()
+        for name, value in vars(thresholds).items()
         if name.isupper() and isinstance(value, float) and name not in ("Z", "PRICE")
     }
     assert said == numbers
     assert len(numbers) == 5
-    assert decision.PRICE == 1.0 + decision.STANDARD_ERRORS**2
-    assert pytest.approx(1.959964, abs=1e-6) == decision.Z
+    assert thresholds.PRICE == 1.0 + thresholds.STANDARD_ERRORS**2
+    assert pytest.approx(1.959964, abs=1e-6) == thresholds.Z
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,11 @@ import pytest
 from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
-from sysid.gap import GapResult, find_gap, proof
+from sysid.gap import GapResult, find_gap, held_out, held_out_price
 from sysid.gap.case import Stage
 from sysid.gap.fit import Fit
-from sysid.gap.proof import comparisons_without, simultaneous, with_intervals_of, without_cheap_names
+from sysid.gap.held_out_price import comparisons_without, without_cheap_names
+from sysid.gap.stage_intervals import simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
@@ -137,7 +138,7 @@ def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_besid
     def result(theta: float, less: float, alone: Any = None, beside: Any = None) -> Any:
         decision = SimpleNamespace(accumulates=accumulates)
         fitted = SimpleNamespace(decision=decision, dropped={"rate": vector(less)}, beside=beside)
-        return SimpleNamespace(fit=vector(theta), stage_fit=fitted, names_alone=alone)
+        return SimpleNamespace(fit=vector(theta), stage_fit=fitted, names_alone=alone, accumulates=accumulates)
 
     def vector(value: float) -> Any:
         return SimpleNamespace(theta=np.array([value]))
@@ -169,9 +170,10 @@ def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
     alone: tuple[float, float], extended: tuple[float, float] | None, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Scores of the sets without and with the name, in noise floors; a vector is its own score here."""
-    monkeypatch.setattr(proof, "_score", lambda stage, theta, recordings: float(theta[0]))
-    monkeypatch.setattr(proof, "_excited", lambda stage, without, theta: True)
-    monkeypatch.setattr(proof, "_distance", lambda stage, recordings: 1.0)
+    for module in (held_out, held_out_price):
+        monkeypatch.setattr(module, "relative_error", lambda stage, theta, recordings: float(theta[0]))
+    monkeypatch.setattr(held_out_price, "is_excited", lambda stage, without, theta: True)
+    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 1.0)
 
     def vector(value: float) -> Any:
         return SimpleNamespace(theta=np.array([value]))

@@ -165,23 +165,23 @@ class Encoder:
                 self.value(member.kind, item)
 
 
-def truth(kind: str, value: Message, types: Types, prefix: str = "") -> dict[str, float]:
-    """Path → number, by place and by name."""
+def truth(kind: str, value: Message, types: Types, prefix: str = "", outer: tuple[str, ...] = ()) -> dict[str, float]:
+    """Path → number, by place and by name: the message's own names, else those that the message around it has had so far."""
     found: dict[str, float] = {}
+    own = any(m.name == "name" for m in types[kind])
+    names = tuple(value["name"]) if own else outer
+    scope = () if own else outer
     for member in types[kind]:
         path, inner = prefix + member.name, value[member.name]
+        if member.name == "name":
+            scope = names
         for place, item in [("", inner)] if member.length is None else [(f"[{i}]", item) for i, item in enumerate(inner)]:
             if member.kind in types:
-                found |= truth(member.kind, item, types, f"{path}{place}.")
+                found |= truth(member.kind, item, types, f"{path}{place}.", scope)
             elif member.kind != "string":
                 found[path + place] = float(item)
-    names = value.get("name")
-    if isinstance(names, list) and any(m.name == "name" and m.kind == "string" for m in types[kind]):
-        for member in types[kind]:
-            if member.kind in FORMATS and member.length is not None and len(value[member.name]) == len(names):
-                for name, item in zip(names, value[member.name], strict=True):
-                    if not name.isdecimal():
-                        found[f"{prefix}{member.name}[{name}]"] = float(item)
+        if member.kind in FORMATS and member.length is not None and len(inner) == len(names):
+            found |= {f"{path}[{name}]": float(item) for name, item in zip(names, inner, strict=True) if not name.isdecimal()}
     return found
 
 
@@ -199,6 +199,16 @@ def columns_of(
         decoder.add(np.frombuffer(b"".join(batch) or b"\0", np.uint8), starts, sizes)
     assert not decoder.columns.bad, decoder.reason
     return dict(decoder.columns.release())
+
+
+def test_an_inner_message_has_its_own_names_wherever_they_stand() -> None:
+    state = [Field("position", "float64", -1), Field("name", "string", -1)]
+    types = {"p/State": state, "p/Robot": [Field("name", "string", -1), Field("arm", "p/State", None)]}
+    value = {"name": ["left", "right"], "arm": {"position": [1.0, 2.0], "name": ["boom", "stick"]}}
+    columns = columns_of(types, [Encoder(types, "<", True).whole("p/Robot", value)], random.Random(0), True, None)
+    assert {path: column.tolist() for path, column in columns.items()} == {
+        "arm.position[0]": [1.0], "arm.position[1]": [2.0], "arm.position[boom]": [1.0], "arm.position[stick]": [2.0],
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["ros2", "ros1"])

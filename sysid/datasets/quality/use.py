@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from sysid.datasets.chunked import absolute, copied, counted, known
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
+from sysid.datasets.reversals import turning_points
 from sysid.machine import Axis, Machine
 from sysid.scratch import chosen, computed, empty, filled, pieces
 from sysid.signals import axis_signal
@@ -191,37 +192,6 @@ def reversals(values: Array, rate_hz: float | None) -> int:
         return 0
     noise = 0.0 if rate_hz is None else table_noise(there, rate_hz)
     return turning_points(there, max(TURN * float(np.ptp(there)), TURN_NOISE * noise))
-
-
-def turning_points(values: Array, least: float) -> int:
-    """Number of reversals of a signal by more than ``least``."""
-    if least <= 0.0 or not len(values):
-        return 0
-    count, direction, extreme = 0, 0, float(values[0])
-    for value in _corners(values):
-        if (direction >= 0 and value > extreme) or (direction <= 0 and value < extreme):
-            if direction == 0 and abs(value - extreme) > least:
-                direction = 1 if value > extreme else -1
-                extreme = value
-            elif direction != 0:
-                extreme = value
-        elif abs(value - extreme) > least:
-            count += 1
-            direction = 1 if value > extreme else -1
-            extreme = value
-    return count
-
-
-def _corners(values: Array) -> Iterator[float]:
-    """The ends of all monotonic stretches of the signal."""
-    before = values[:0]  # the last two different values, for the direction
-    for first, last in pieces(len(values)):
-        some = np.concatenate([before, values[first:last]])
-        changed = some[np.concatenate([[True], np.diff(some) != 0.0])]
-        up = np.diff(changed) > 0.0
-        yield from changed[1:-1][up[1:] != up[:-1]].tolist()
-        before = changed[-2:]
-    yield from before[1:].tolist()
 
 
 def speed_of(values: Array, rate_hz: float) -> Array:

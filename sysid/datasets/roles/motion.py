@@ -12,6 +12,7 @@ from sysid.datasets.chunked import copied, known
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.use import IDLE, SLOPE_S, SLOW, SMALL, SPEED_NOISE, TURN, TURN_NOISE, speed_of
 from sysid.datasets.recording import Recording
+from sysid.datasets.reversals import turning_rows
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
 
@@ -230,21 +231,3 @@ def _position(recording: Recording, axis: Axis) -> str:
 
 def _stride(rate_hz: float) -> int:
     return max(1, round(rate_hz / COUNTED_HZ))
-
-
-def turning_rows(values: Array, least: float) -> npt.NDArray[np.intp]:
-    """Rows at which it is certain that a signal without gaps (n,) has reversed by more than ``least``."""
-    found: list[int] = []
-    direction = 0
-    low = high = float(values[0]) if len(values) else 0.0
-    for row, value in enumerate(values.tolist()):
-        low, high = min(low, value), max(high, value)
-        if direction <= 0 and value - low > least:
-            if direction:
-                found.append(row)
-            direction, high = 1, value
-        elif direction >= 0 and high - value > least:
-            if direction:
-                found.append(row)
-            direction, low = -1, value
-    return np.array(found, dtype=np.intp)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.friction import friction_columns
-from sysid.gap.decision import EXPLAINED
 from sysid.gap.problem import Problem
+from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import Machine
 from sysid.plant.force import force_inputs
 from sysid.plant.smooth_motion import smooth_motion

@@ -36,7 +36,7 @@ from sysid.gap.arm.unknowns import (
     to_linear,
 )
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import BLOCK_NATS, LEAST, Decision, NearMiss
+from sysid.gap.decision import Decision, NearMiss
 from sysid.gap.fit import place
 from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
@@ -44,6 +44,7 @@ from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posteri
 from sysid.gap.likelihood.stage import ModelFit, Prior, prior_of
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
+from sysid.gap.thresholds import BLOCK_NATS, LEAST
 from sysid.machine.rigid_body import PARAMETERS
 from sysid.plant import Model
 from sysid.plant.layout import AT, AXIS_WIDTH

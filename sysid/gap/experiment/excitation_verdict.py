@@ -19,7 +19,7 @@ from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
-from sysid.machine import Machine
+from sysid.machine import EffectKey, Machine
 from sysid.machine.rigid_body import moves_masses
 from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
@@ -137,7 +137,7 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
             stages.append(stage)
     if not stages and need is None:
         notes.append("no stage is measured at both its ends: commands and the motion that they cause are needed")
-    found: dict[tuple[str, str, str | None], ExcitationVerdict] = {}
+    found: dict[EffectKey, ExcitationVerdict] = {}
     aliases: dict[tuple[str, str], tuple[str, str]] = {}
     for stage in stages:
         for candidate in stage_candidates(case, stage):

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED
 from sysid.gap.drift import DriftStrength
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
 from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.proof import ProofOutcome
+from sysid.gap.thresholds import EXPLAINED
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.effects import base_misalignment, tip_offset
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import LEAST, Decision, decide
+from sysid.gap.decision import Decision, decide
 from sysid.gap.fit import place
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, GaussianRegression, Sizes
@@ -30,6 +30,7 @@ from sysid.gap.poses.rows import PoseRows, weights_of
 from sysid.gap.poses.search import Set, SetSearch
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
+from sysid.gap.thresholds import LEAST
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.gap.case import Case, Stage
-from sysid.gap.decision import equivalent_change
+from sysid.gap.equivalence import equivalent_change
 from sysid.plant import compile_plant, gravity_load
 
 

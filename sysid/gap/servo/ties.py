@@ -10,10 +10,11 @@ import numpy.typing as npt
 from sysid.effects import joint_compliance, sensor_bias, sensor_scale
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.decision import STANDARD_ERRORS, equivalent_change
+from sysid.gap.equivalence import equivalent_change
 from sysid.gap.servo.alike import sag_replaces
 from sysid.gap.servo.load import load_known
 from sysid.gap.servo.static_error import StaticError, static_error
+from sysid.gap.thresholds import STANDARD_ERRORS
 
 Array = npt.NDArray[np.float64]
 Tie = tuple[tuple[str, str], ...]

@@ -53,7 +53,7 @@ def find_chain(model: Any, source: str, tip: str | None = None) -> Chain:
     for joint in joints:
         where, kind = f"{source}: joint {shown(joint_name(model, joint))}", int(model.jnt_type[joint])
         if kind == mujoco.mjtJoint.mjJNT_FREE:
-            raise SettingsError(where, "a free joint", "a base that is fixed to the world", "Remove the joint.")
+            raise _floating(model, joint, source)
         if kind == mujoco.mjtJoint.mjJNT_BALL:
             remedy = "Replace it by hinges, or choose an end effector in front of it with --tip."
             raise SettingsError(where, "a ball joint", "hinges and slides from the base to the end effector", remedy)
@@ -116,7 +116,11 @@ def _tip(model: Any, drivers: dict[int, list[int]], source: str) -> tuple[int, i
         body: tuple(joint_name(model, j) for each in path_to(model, body) for j in joints_of(model, each) if j in moving)
         for body in range(1, model.nbody)
     }
-    last = {body_name(model, body): driven[body] for body in driven if any(j in moving for j in joints_of(model, body))}
+    ends = [body for body in driven if any(j in moving for j in joints_of(model, body))]
+    floating = {body: joint for body in ends if (joint := _free_joint(model, body)) is not None}
+    if ends and len(floating) == len(ends):
+        raise _floating(model, floating[ends[0]], source)
+    last = {body_name(model, body): driven[body] for body in ends if body not in floating}
     chosen = choose_tip(last, source)
     body = next(body for body in driven if driven[body] == chosen and body_name(model, body) in last)
     while True:
@@ -126,6 +130,19 @@ def _tip(model: Any, drivers: dict[int, list[int]], source: str) -> tuple[int, i
         body = fixed[0]
     sites = [k for k in range(model.nsite) if int(model.site_bodyid[k]) == body]
     return body, sites[0] if len(sites) == 1 else None
+
+
+def _free_joint(model: Any, body: int) -> int | None:
+    """The free joint that a body hangs on."""
+    free = mujoco_library().mjtJoint.mjJNT_FREE
+    return next((joint for joint in _above(model, body) if int(model.jnt_type[joint]) == free), None)
+
+
+def _floating(model: Any, joint: int, source: str) -> SettingsError:
+    base = body_name(model, int(model.jnt_bodyid[joint]))
+    own = f"joint {shown(joint_name(model, joint))}" if model.joint(joint).name else f"body {shown(base)}"
+    remedy = f"Remove the joint and its values in keyframes: {base} is fixed to the world then."
+    return SettingsError(f"{source}: {own}", "a free joint", "a base that is fixed to the world", remedy)
 
 
 def joint_equalities(model: Any) -> dict[tuple[int, int], int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 from mjcf_logs import dataset_of_runs, machine_of
@@ -19,12 +20,17 @@ from sysid.gap import find_gap
 from sysid.gap.adapters.mujoco.force_axes import machine_of as described
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
 from sysid.gap.adapters.mujoco.force_repair import write_force_model
+from sysid.gap.adapters.mujoco.inertials import TOGETHER, in_command_units, write_inertials
 from sysid.gap.adapters.mujoco.inside import write_inside
+from sysid.gap.adapters.mujoco.repair import write_spec
 from sysid.machine import KnownEffect, Machine
 from sysid.machine.rigid_body import rigid_body
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
-from sysid.plant import compile_plant, nominal_plant
+from sysid.plant import Plant, compile_plant, nominal_plant
+from sysid.plant.arm_forces import arm_forces
 from sysid.plant.link_torque import inertial_parameters
+
+Array = npt.NDArray[np.float64]
 
 RATE_HZ, NOISE, FORCE_NOISE = 500.0, 1e-5, 0.05
 
@@ -55,13 +61,22 @@ def tracked(model: mujoco.MjModel, seed: int, seconds: float) -> pd.DataFrame:
 
 
 def recorded(seconds: float, **friction: float) -> Dataset:
-    """Recordings of the arm with another damping of the shoulder and friction loss of the elbow."""
+    """Recordings of the arm with another damping of the shoulder and friction loss of the elbow.
+
+    ``heavier``: ratio of the masses of its links; ``constant``: recorded over true torque of the elbow.
+    """
     spec = mujoco.MjSpec.from_file(str(robot("torque_arm")))
     spec.joint("shoulder").damping[0] = friction.get("damping", 0.8)
     spec.joint("elbow").frictionloss = friction.get("loss", 0.2)
+    for body in ("upper", "lower"):
+        for geom in spec.body(body).geoms:
+            geom.mass *= friction.get("heavier", 1.0)
     model = spec.compile()
     model.actuator_ctrllimited[:] = False
-    return dataset_of_runs(arm(), [tracked(model, seed, seconds) for seed in range(4)])
+    runs = [tracked(model, seed, seconds) for seed in range(4)]
+    for run in runs:
+        run["elbow.command"] *= friction.get("constant", 1.0)
+    return dataset_of_runs(arm(), runs)
 
 
 def test_the_plant_of_a_model_needs_the_same_forces() -> None:
@@ -133,6 +148,72 @@ def test_parameters_are_written_into_the_model(tmp_path: Path) -> None:
     np.testing.assert_allclose(body.torque(q, v, a, body.nominal), expected, atol=1e-6)
 
 
+ADJUSTED = [
+    KnownEffect(
+        "inertial_error",
+        "shoulder",
+        {"mass": 0.1, "first_moment": [0.01, 0.0, -0.03], "inertia": [0.02, 0.0, 0.02, 0.001, 0.0, 0.001], "rotor": 0.02,
+         "scale": 1.05},
+    ),
+    KnownEffect(
+        "inertial_error",
+        "elbow",
+        {"mass": -0.05, "first_moment": [0.002, 0.001, 0.01], "inertia": [0.0] * 6, "rotor": 0.03, "scale": 0.97},
+    ),
+]  # fmt: skip
+
+
+def forces_of(plant: Plant, q: Array, v: Array, a: Array) -> Array:
+    """Commands (n, A) that a plant needs for motions (n, A)."""
+    model = compile_plant(plant)
+    return arm_forces(model, model.theta, q, v, a, 0.01)
+
+
+@pytest.mark.parametrize("more", [[], INSIDE], ids=["adjusted", "with-names"])
+def test_adjusted_inertial_parameters_are_written_together(more: list[KnownEffect], tmp_path: Path) -> None:
+    """The written file needs the forces of the plant; its actuators make so much less of their controls."""
+    path, out = robot("torque_arm"), tmp_path / "out.xml"
+    spec, model, plant = load_spec(path), load_mjcf(path), nominal_plant(arm())
+    for item in [*more, *ADJUSTED]:
+        plant = plant.with_effect(item)
+    write_inside(spec, model, plant.machine, [item for item in more if item.name not in TOGETHER], path.name)
+    changes = write_inertials(spec, model, plant, path.name)
+    assert changes is not None
+    assert {(c.effect.name, c.effect.target) for c in changes} >= {("inertial_error", "shoulder"), ("inertial_error", "elbow")}
+    write_spec(spec, out)
+    q, v, a = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 40, 2))
+    v += np.copysign(0.05, v)
+    expected = forces_of(plant, q, v, a)
+    again = in_command_units(nominal_plant(described(out, plant.machine)), ADJUSTED)
+    np.testing.assert_allclose(forces_of(again, q, v, a), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    written = mujoco.MjModel.from_xml_path(str(out))
+    written.opt.gravity[2] = -9.80665
+    data, before, found = mujoco.MjData(written), load_mjcf(path), np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        mujoco.mj_inverse(written, data)
+        gear = written.actuator_gear[:, 0]
+        control = (data.qfrc_inverse / gear - written.actuator_biasprm[:, 0]) / written.actuator_gainprm[:, 0]
+        found[k] = control * before.actuator_gear[:, 0] * before.actuator_gainprm[:, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+
+
+def test_inertial_parameters_without_a_place_are_not_written() -> None:
+    """A rotor of less than none, and an actuator with an inertia of its own, which a force constant would change."""
+    path = robot("torque_arm")
+    spec, model = load_spec(path), load_mjcf(path)
+    spec.actuators[0].armature = 1e-5
+    plant = nominal_plant(arm())
+    for item in ADJUSTED:
+        plant = plant.with_effect(item)
+    before = spec.to_xml()
+    assert write_inertials(spec, spec.copy().compile(), plant, path.name) is None
+    assert spec.to_xml() == before
+    lighter = replace(ADJUSTED[0], parameters={**ADJUSTED[0].parameters, "mass": 3.0})
+    model.body_mass[1] += 1.0  # a model that is not that of the plant
+    assert write_inertials(load_spec(path), model, plant.with_effect(lighter), path.name) is None
+
+
 @pytest.mark.slow
 def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
     dataset = recorded(10.0, damping=1.6, loss=0.6)
@@ -144,6 +225,25 @@ def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
     }
     out = tmp_path / "out.xml"
     repaired = write_force_model(robot("torque_arm"), plant, result.written, out, dataset, result.stage_gap)
-    assert {change.effect.name for change in repaired.native} == {"viscous_friction", "coulomb_friction"}
+    assert {change.effect.name for change in repaired.native} >= {"viscous_friction", "coulomb_friction"}
+    assert repaired.beside == ()
     for signal, value in repaired.gap.after.items():
         assert value < 0.05 * repaired.gap.before[signal]
+
+
+@pytest.mark.slow
+def test_adjusted_links_are_in_the_repaired_model(tmp_path: Path) -> None:
+    """Masses a little off and a wrong force constant get no name; the repaired file has them all the same."""
+    dataset = recorded(10.0, damping=1.6, loss=0.6, heavier=1.04, constant=0.97)
+    plant = open_force_model(robot("torque_arm"), dataset).plant
+    result = find_gap(dataset, plant)
+    assert {row.name for row in result.written if row.kind == "adjusted"} >= {"inertial_error"}
+    out = tmp_path / "out.xml"
+    repaired = write_force_model(robot("torque_arm"), plant, result.written, out, dataset, result.stage_gap)
+    assert repaired.beside == ()
+    assert {"viscous_friction", "coulomb_friction", "inertial_error"} <= {change.effect.name for change in repaired.native}
+    for signal, value in repaired.gap.after.items():
+        assert value == pytest.approx(result.stage_gap.after[signal], rel=0.01)
+        assert value < 0.05 * repaired.gap.before[signal]
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert 2.0 < model.body_mass[1] < 2.0 * 1.08, "torques determine the product of a mass and a force constant"

@@ -9,9 +9,10 @@ import pytest
 from sagging_servo import machine_files
 
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.decision import EXPLAINED, LITTLE, REPLACED, decide
+from sysid.gap.decision import LITTLE, REPLACED, decide
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.servo.fewest import fewest_sets
+from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import machine_from_files
 from sysid.plant import nominal_plant
 

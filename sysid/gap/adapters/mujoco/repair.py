@@ -32,6 +32,7 @@ from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
+from sysid.machine.sources.mjcf_text import mjcf_text
 from sysid.plant.plant import effect_key
 
 Array = npt.NDArray[np.float64]
@@ -174,10 +175,10 @@ def write_spec(spec: Any, out: Path) -> None:
     Raises:
         ValueError: MuJoCo refuses it.
     """
-    spec.compile()
+    text = mjcf_text(spec)
     out.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(out) as half:
-        half.write_text(spec.to_xml(), "utf-8")
+        half.write_text(text, "utf-8")
 
 
 def relocate(spec: Any, source: Path, out: Path) -> None:

@@ -1,0 +1,170 @@
+"""An arm in MuJoCo: force axes that move links with masses.
+
+The plant states the commands u of a motion: ``u = scale·Y(q, v, a)·π + (inertia + rotor)·a + friction + bias`` on each axis,
+``scale`` its force constant. In MuJoCo all of it is divided by ``scale``: π are the masses, centres and inertias of the bodies,
+the payload is a body of its own, the inertia of the rotor is the armature of the joint, friction that of the joint, and the
+actuator turns a command into a true force.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError
+from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
+from sysid.export.mjcf_bodies import TINY_INERTIA, Bodies, add_bodies, passive_joints
+from sysid.export.mjcf_drives import HARD, dry_friction, limit
+from sysid.export.shipped_run import load_module
+from sysid.export.standalone import mujoco_arm
+from sysid.export.standalone.force_parts import (
+    CoulombFriction,
+    Friction,
+    SmoothCoulombFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from sysid.export.standalone.joint_parts import SensorReading
+from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.names import listed
+from sysid.plant import Plant, compile_plant
+from sysid.plant.arm_inertia import ArmInertia, arm_inertia
+
+Array = npt.NDArray[np.float64]
+
+FILE, LOOP = "robot.xml", "mujoco_arm.py"
+#: Longest step of the integrator [s].
+LONGEST_STEP = 1e-3
+#: Friction of an arm that the loop sets, beside that of an axis without masses.
+FRICTION_BY_LOOP = {"load_dependent_friction": f"`{LOOP}`, which sets the dry friction of the joint before each step"}
+#: What an arm cannot have beside its masses; effects of its geometry, friction, forces and sensors it can.
+NOT_OF_ARMS = ("flexible_drive", "joint_compliance", "gripper_sway")
+
+
+def write_arm(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+    """Write model, table of axes and loop; returns the names of the files.
+
+    Raises:
+        SettingsError: axes that are not driven by forces at their joints, effects that the model cannot have, or inertial
+            parameters that are not those of a mass distribution.
+    """
+    _check(plant)
+    found = arm_inertia(plant)
+    spec, about = _spec_of(plant, found, rate_hz)
+    about |= {"plant": plant.reference, "inertia_change": found.change}
+    (folder / FILE).write_text(mjcf_text(spec), "utf-8")
+    (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
+    (folder / LOOP).write_text(_loop_text(), "utf-8")
+    return FILE, f"{Path(FILE).stem}.json", LOOP
+
+
+def arm_simulation(folder: Path) -> MujocoArm:
+    """The written files in MuJoCo."""
+    return MujocoArm(load_module(folder / LOOP).Arm(folder / FILE))
+
+
+class MujocoArm:
+    """The shipped loop as the simulation of an export."""
+
+    def __init__(self, arm: Any) -> None:
+        self.arm = arm
+
+    def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
+        arm = self.arm
+        arm.reset(joints, speeds)
+        out = np.empty((3, *commands.shape))
+        for k, command in enumerate(commands):
+            arm.step(command)
+            out[:, k] = arm.data.qpos[arm.places] - arm.offsets, arm.data.qvel[arm.dofs], arm.data.qacc[arm.dofs]
+        return out[0], out[1], out[2]
+
+    def forces(self, joints: Array, speeds: Array, accelerations: Array) -> Array:
+        found: Array = self.arm.forces(joints, speeds, accelerations)
+        return found
+
+    def tips(self, joints: Array) -> Array:
+        out = np.empty((len(joints), 3))
+        for k, row in enumerate(joints):
+            signals = self.arm.reset(row)
+            out[k] = [signals[f"ee.{axis}"] for axis in "xyz"]
+        return out
+
+
+def _check(plant: Plant) -> None:
+    where = f"export of {plant.machine.name} to mjcf"
+    others = [axis.name for axis in plant.machine.axes if axis.actuation != "force" or axis.drives != "joint"]
+    if others:
+        found = f"{listed(others)} beside force axes that move links with masses"
+        raise SettingsError(where, found, "an arm whose axes all are driven by forces at their joints")
+    beyond = [f"{e.name} on {e.target}" for e in plant.effects if e.name in NOT_OF_ARMS]
+    beyond += [f"a residual network on {r.target}" for r in plant.residuals]
+    if beyond:
+        remedy = "sysid models shows the effects of a plant; export the version before them."
+        raise SettingsError(where, f"{listed(beyond)} in an arm with masses", "friction, forces, masses and geometry", remedy)
+
+
+def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict[str, Any]]:
+    import mujoco
+
+    kinematics = plant.machine.kinematics()
+    assert kinematics is not None
+    substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
+    spec = mujoco.MjSpec()
+    spec.modelname = plant.machine.name
+    spec.compiler.degree = False
+    spec.option.timestep = step = 1.0 / (rate_hz * substeps)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    links = {kinematics.joints[joint].child: own for joint, own in found.bodies.items() if own.mass > 0.0}
+    inertias = {link: (np.array([own.mass]), own.centre, own.moments) for link, own in links.items()}
+    bodies = add_bodies(spec, plant, inertias)
+    if found.payload is not None:
+        mass, centre = found.payload
+        load = spec.body(kinematics.tip).add_body(name="payload", pos=centre)
+        load.explicitinertial, load.mass, load.ipos = True, mass, np.zeros(3)
+        load.fullinertia = [*[TINY_INERTIA] * 3, 0.0, 0.0, 0.0]
+    for equality in spec.equalities:
+        equality.solref, equality.solimp = [2.0 * step, 1.0], HARD
+    axes = [_axis(spec, plant, i, found, bodies, step) for i in range(len(plant.machine.axes))]
+    sensors = sensor_readings(compile_plant(plant))
+    return spec, {"substeps": substeps, "axes": axes, "passive": passive_joints(plant), "sensors": sensors}
+
+
+def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, bodies: Bodies, step: float) -> dict[str, Any]:
+    """Complete the joint of an axis and add its actuator; returns its row of the table."""
+    import mujoco
+
+    axis, scale = plant.machine.axes[i], float(found.scales[i])
+    joint, offset = spec.joint(bodies.joints[i]), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
+    laws = [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, axis.name))]
+    share = effect_slots(plant, "load_dependent_friction", axis.name).get("coefficient", 0.0)
+    even = {"viscous_friction", "coulomb_friction"}
+    native = share == 0.0 and all(name in even and values["positive"] == values["negative"] for name, values in laws)
+    means = {name: 0.5 * (values["positive"] + values["negative"]) / scale for name, values in laws if name in even}
+    joint.armature = float(found.armatures[i])
+    joint.damping = [means.get("viscous_friction", 0.0), 0.0, 0.0]
+    dry_friction(joint, means.get("coulomb_friction", 0.0), step)
+    if axis.limits is not None:
+        limit(joint, [end + offset for end in axis.limits], step)
+    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0] = 1.0 / scale
+    actuator.biasprm[0] = -effect_slots(plant, "load_bias", axis.name).get("force", 0.0) / scale
+    mode = "native" if native else "friction"
+    about = {"axis": axis.name, "joint": joint.name, "mode": mode, "scale": scale, "offset": offset}
+    return about | {"laws": [] if native else laws, "load_dependent_friction": share}
+
+
+def _loop_text() -> str:
+    """The loop as a file that needs NumPy and MuJoCo alone: its imports from this package become the classes themselves."""
+    kept = re.sub(r"^from sysid\.\S+ import (\([^)]*\)|.*)\n", "", inspect.getsource(mujoco_arm), flags=re.MULTILINE)
+    kept = kept.replace("import json\n", "import json\nimport math\n", 1)
+    classes = (Friction, ViscousFriction, CoulombFriction, StribeckFriction, SmoothCoulombFriction, SensorReading)
+    head, _, rest = kept.partition("class LoadDependentFriction")
+    return "\n\n".join([head.rstrip() + "\n", *map(inspect.getsource, classes), f"class LoadDependentFriction{rest}\n"])

@@ -1,0 +1,42 @@
+"""The region of practical equivalence of a parameter around its known value, and the bounds of its range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.candidates import Candidate
+from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.thresholds import EXPLAINED, Z
+from sysid.machine import EffectKey
+
+Array = npt.NDArray[np.float64]
+
+
+def at_bound(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect lies at a bound other than its nominal value."""
+    pairs = zip(candidate.unknowns, model.values_of(candidate), strict=True)
+    return any(value in u.bounds and value != u.nominal for u, value in pairs)
+
+
+def equivalent_change(left: float) -> float:
+    """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
+    return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
+
+
+def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
+    """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
+
+    They include what the discrepancy could do in its place.
+    """
+    seen = equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300)
+    return reaches(candidate, model, np.maximum(seen, rope.get(candidate.key, 0.0)))
+
+
+def reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
+    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
+    reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
+    nominal = np.array([u.nominal for u in candidate.unknowns])
+    return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())
