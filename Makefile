@@ -1,5 +1,6 @@
-# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · report · clean. Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms report clean
+# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · scale · report · clean.
+# Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms cluster object-store scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -57,11 +58,25 @@ SEEDS ?= 0:1
 arms: $(READY)
 	$(BIN)/python pipelines/electric_arms.py --seeds $(SEEDS) --workers $(WORKERS) --work $(WORKSPACE)/electric_arms
 
+# A Dask scheduler on tcp://127.0.0.1:8786 with WORKERS worker processes, until Ctrl-C.
+cluster: $(READY)
+	$(BIN)/python -m sysid.execution.loopback $(WORKERS)
+
+# An S3-compatible server for tests on http://127.0.0.1:5000, until Ctrl-C, in an environment of its own: it needs many packages.
+STORE := $(VENV)-object-store
+object-store:
+	test -x $(STORE)/bin/moto_server || { $(PYTHON) -m venv $(STORE) && $(STORE)/bin/python -m pip install --quiet 'moto[s3,server]>=5,<6'; }
+	$(STORE)/bin/moto_server -H 127.0.0.1 -p 5000
+
+# Time and bytes of 1, 2 and 4 worker processes.
+scale: $(READY)
+	$(BIN)/python pipelines/scale.py --work $(WORKSPACE)/scale
+
 report: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) report
 
 clean:
-	rm -rf $(VENV) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(STORE) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.

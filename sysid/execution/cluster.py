@@ -41,8 +41,12 @@ class ClusterExecutor:
     def kept(self) -> Iterator[Executor]:
         """See :class:`~sysid.execution.executor.Executor`."""
         from distributed import Client
+        from distributed.security import Security
 
         where = f"cluster {self.address}"
+        if self.address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
+            remedy = "Name it under distributed.comm.tls in the settings of Dask, see docs/guide/cluster.md."
+            raise TaskError(where, "no certificate for a connection with TLS", "a certificate of this client", remedy)
         try:
             client = Client(self.address, timeout=self.connect_s, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

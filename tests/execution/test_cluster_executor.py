@@ -54,6 +54,11 @@ def test_a_scheduler_that_does_not_answer_is_reported() -> None:
         ClusterExecutor("tcp://127.0.0.1:9", connect_s=1.0).run(doubled, CALLS)
 
 
+def test_a_missing_certificate_is_reported() -> None:
+    with pytest.raises(TaskError, match=r"no certificate.*distributed\.comm\.tls"):
+        ClusterExecutor("tls://127.0.0.1:9", connect_s=1.0).run(doubled, CALLS)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of distributed's own connections
 def test_a_task_that_ends_every_worker_is_reported(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+#: Without an address of its own, the HTTP server listens on every interface.
+QUIET = ("--dashboard-address", "127.0.0.1:0")
 
 
 @contextlib.contextmanager
@@ -41,11 +43,11 @@ def cluster(
         return process
 
     try:
-        start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+        start("scheduler", "--host", "127.0.0.1", "--port", port, *QUIET)
         address = _address(folder / "scheduler-0.log")
         for _ in range(workers):
             start(
-                "worker", address, "--nworkers", "1", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1",
+                "worker", address, "--nworkers", "1", "--nthreads", "1", *QUIET, "--host", "127.0.0.1",
                 "--local-directory", str(folder),
             )  # fmt: skip
         _workers(address, workers)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from sysid.datasets.versions.files import TakenError
+from sysid.errors import StorageError
 from sysid.root import Root
 
 
@@ -37,6 +38,25 @@ class ObjectFiles:
             Root(Path(root)).path(path)
         return system, f"{root}/{path}"
 
+    @contextmanager
+    def _answering(self) -> Iterator[None]:
+        """Errors of a store that does not answer a read; FileNotFoundError stays what it is.
+
+        Raises:
+            StorageError: it cannot be reached, or refuses the request.
+        """
+        try:
+            yield
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            remedy = (
+                "Nothing was changed. Check address and credentials (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, …), then call again."
+            )
+            raise StorageError(
+                self.url, f"does not answer ({_cause(error)})", "an object store that can be read", remedy
+            ) from None
+
     @property
     def _in_folder(self) -> bool:
         return self.url.startswith("file:")
@@ -47,12 +67,13 @@ class ObjectFiles:
     def _entries(self, folder: str, kind: str) -> list[str]:
         from pyarrow.fs import FileSelector
 
-        system, place = self._at(folder)
-        selector = FileSelector(place, allow_not_found=True)
-        try:
-            entries = system.get_file_info(selector)
-        except FileNotFoundError:  # another writer made the folder between two checks of Arrow
-            entries = system.get_file_info(selector)
+        with self._answering():
+            system, place = self._at(folder)
+            selector = FileSelector(place, allow_not_found=True)
+            try:
+                entries = system.get_file_info(selector)
+            except FileNotFoundError:  # another writer made the folder between two checks of Arrow
+                entries = system.get_file_info(selector)
         links = set(self.links(folder))
         return sorted(entry.base_name for entry in entries if entry.type.name == kind and entry.base_name not in links)
 
@@ -70,9 +91,10 @@ class ObjectFiles:
         return [name for name, kind in Root(Path(place)).entries("").items() if kind == "link"]
 
     def read(self, path: str) -> bytes:
-        system, place = self._at(path)
-        with system.open_input_stream(place) as file:
-            return bytes(file.read())
+        with self._answering():
+            system, place = self._at(path)
+            with system.open_input_stream(place) as file:
+                return bytes(file.read())
 
     def address(self, path: str) -> tuple[int, str]:
         system, place = self._at(path)
@@ -155,6 +177,12 @@ class ObjectFiles:
 
     def is_locked(self, folder: str) -> bool:
         return False
+
+
+def _cause(error: OSError) -> str:
+    """The last part of a message of Arrow, which begins with the operation."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return text.rpartition("Details: ")[2] or text
 
 
 def _claim_of(path: str) -> str:

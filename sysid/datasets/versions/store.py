@@ -39,7 +39,7 @@ from sysid.datasets.versions.manifest import (
     to_text,
 )
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
-from sysid.errors import StoreError, nearest
+from sysid.errors import StorageError, StoreError, nearest
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 
@@ -109,7 +109,7 @@ class Store(VersionIndex):
     def find_digest(self, name: str, digest: str) -> int | None:
         """The newest version of ``name`` with this content and all its tables; None where there is none."""
         for version in reversed(self.versions(name)):
-            with contextlib.suppress(StoreError):
+            with _damage_skipped():
                 manifest = self.read_manifest(name, version)
                 if manifest["digest"] == digest and self._has_tables(manifest):
                     return version
@@ -118,7 +118,7 @@ class Store(VersionIndex):
     def intact(self, name: str, digest: str) -> Dataset | None:
         """The newest version of ``name`` with this content that can be read completely; None where there is none."""
         for version in reversed(self.versions(name)):
-            with contextlib.suppress(StoreError):
+            with _damage_skipped():
                 if self.read_manifest(name, version)["digest"] == digest:
                     return self.load(f"{name}@{version}")
         return None
@@ -322,6 +322,17 @@ class Store(VersionIndex):
 
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+
+@contextmanager
+def _damage_skipped() -> Iterator[None]:
+    """Errors of damaged versions are ignored. A store that does not answer may hold the version: its error is raised."""
+    try:
+        yield
+    except StorageError:
+        raise
+    except StoreError:
+        pass
 
 
 def new_folder(name: str, digest: str) -> str:

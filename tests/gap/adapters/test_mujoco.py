@@ -22,6 +22,7 @@ from sysid.gap.adapters.mujoco import native
 from sysid.gap.adapters.mujoco.repair import RepairedModel, open_mujoco, repaired_effects, write_repaired
 from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
+from sysid.gap.adapters.start import joint_start
 from sysid.gap.localise import run_rmse
 from sysid.gap.result import Gap
 from sysid.machine import KnownEffect, Machine
@@ -57,6 +58,57 @@ def test_runs_are_those_of_the_model(name: str) -> None:
     many = simulator.simulate_many(recording, lanes)
     for signal, values in many.items():
         np.testing.assert_array_equal(values[2], found[signal], err_msg=signal)
+
+
+def moving(name: str, machine: Machine, first: int, noise: float) -> tuple[Recording, dict[str, Array]]:
+    """A recording of a model that begins in motion, at row ``first`` of a longer one, and its joints without noise."""
+    commands = commands_for(machine, 4, 6.0)
+    for k, axis in enumerate(machine.axes):  # no jumps: servos follow
+        commands[f"{axis.name}.command"] = 0.4 * np.sin((2.0 + 0.7 * k) * commands["time"] + 0.3 * k)
+    model, scale = mujoco.MjModel.from_xml_path(str(robot(name))), {a.name: a.gain for a in machine.axes}
+
+    def controls(table: pd.DataFrame) -> dict[str, Array]:
+        return {axis.name: scale[axis.name] * table[f"{axis.name}.command"].to_numpy() for axis in machine.axes}
+
+    whole = run_model(model, machine, commands, controls, np.zeros(model.nq))
+    rng = np.random.default_rng(1)
+    noisy = {signal: values + rng.normal(0.0, noise, len(values)) for signal, values in whole.items()}
+    table = commands.assign(**noisy)[first:].reset_index(drop=True)
+    table["time"] -= table["time"][0]
+    return Recording("cut", table, machine.rate_hz), {signal: values[first:] for signal, values in whole.items()}
+
+
+@pytest.mark.parametrize(("name", "share"), [("servo_arm", 0.02), ("velocity_crane", 0.1)])
+def test_a_recording_may_begin_in_motion(name: str, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = machine_of(name)
+    recording, truth = moving(name, machine, round(2.3 * machine.rate_hz), 1e-4)
+    signals, half = [f"{axis}.joint" for axis in machine.axis_names], len(recording) // 2
+
+    def errors() -> Array:
+        found = MujocoSimulator(robot(name), machine).simulate(recording)
+        return np.array([np.sqrt(np.mean((found[s] - truth[s])[:half] ** 2)) / np.std(truth[s]) for s in signals])
+
+    found = errors()
+    assert found.max() < share
+    monkeypatch.setattr("sysid.gap.adapters.start.CERTAIN", np.inf)  # at rest
+    assert found.max() < 0.5 * errors().max()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_joint_at_rest_starts_at_rest(seed: int) -> None:
+    """Also where it begins to move soon, and where its sensor has steps."""
+    rng, t = np.random.default_rng(seed), np.arange(60) / 100.0
+    noise = rng.normal(0.0, 1e-4, 60)
+    for values in (noise, np.maximum(t - 0.07, 0.0) + noise, np.round(noise / 5e-4) * 5e-4, 0.5 + 0.0 * t):
+        table = pd.DataFrame({"time": t, "arm.joint": values})
+        found = joint_start(Recording("rest", table, 100.0), "arm.joint")
+        assert found.speed == 0.0
+    moving = pd.DataFrame({"time": t, "arm.joint": 0.3 + 0.5 * t + 2.0 * t**2 + noise})
+    found = joint_start(Recording("moving", moving, 100.0), "arm.joint")
+    assert (found.position, found.speed) == (pytest.approx(0.3, abs=5e-4), pytest.approx(0.5, abs=0.02))
+    slow = Recording("slow", moving[::10], 10.0)
+    assert joint_start(slow, "arm.joint").speed == 0.0, "too few samples"
+    assert joint_start(slow, "other.joint", 0.7).position == 0.7
 
 
 def test_a_delay_is_the_one_of_the_model() -> None:

@@ -1,7 +1,7 @@
 """A MuJoCo model as a simulator of a machine: commands in, joints, end effector and tool out.
 
 A command is held over its sample, as a controller holds it; input effects act on it at the time steps of the model, the largest
-that divide the sample and are not above the model's own. Joints start at their measured position and at rest, activations and
+that divide the sample and are not above the model's own. Joints start at their measured position and speed, activations and
 delayed controls at the first command, and passive joints in their equilibrium.
 """
 
@@ -23,6 +23,7 @@ from sysid.datasets.recording import Recording
 from sysid.errors import InputError
 from sysid.gap.adapters.mujoco.axes import Point, drives_of, idle_controls, point_of
 from sysid.gap.adapters.simulator import starting_value
+from sysid.gap.adapters.start import joint_start
 from sysid.machine import Machine
 from sysid.machine.sources.mjcf_actuator import Drive
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec, mujoco_library
@@ -157,6 +158,9 @@ class MujocoSimulator:
         mujoco, model = mujoco_library(), compiled.model
         data = mujoco.MjData(model)
         data.qpos[:] = self._positions(compiled, recording)
+        for axis, drive in zip(self.machine.axes, compiled.drives, strict=True):
+            signal = axis_signal(axis.name, "joint")
+            data.qvel[int(model.jnt_dofadr[drive.joint])] = joint_start(recording, signal).speed
         data.ctrl[:] = control
         for k in range(model.nactuator):
             _begin(model, data, k)
@@ -177,7 +181,7 @@ class MujocoSimulator:
         positions = np.array(model.key_qpos[0] if model.nkey else model.qpos0)
         for axis, drive in zip(self.machine.axes, compiled.drives, strict=True):
             at = int(model.jnt_qposadr[drive.joint])
-            positions[at] = starting_value(recording, axis_signal(axis.name, "joint"), float(positions[at]))
+            positions[at] = joint_start(recording, axis_signal(axis.name, "joint"), float(positions[at])).position
         return positions
 
 

@@ -1,0 +1,215 @@
+"""Ingest on 1, 2 and 4 worker processes of a Dask cluster on this machine: time, overhead a task, bytes moved, faults.
+
+    python pipelines/scale.py --work workspace/scale --publish
+
+The logs are the motion recordings of the demo, repeated under other names. Every version is compared with that of one process,
+to the byte. ``--publish`` writes ``reports/scale/result.json`` and the tables of ``docs/scale.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from committed import ROOT, markdown, provenance, write_result, write_tables
+from scaling.measured_executor import MeasuredExecutor, nothing
+from sysid.datasets import Store, ingest
+from sysid.execution import Executor, LocalExecutor
+from sysid.execution.cluster import ClusterExecutor
+from sysid.execution.loopback import HOST, commands, running
+
+DEMO = ROOT / "datasets/autolog"
+RESULT, PAGE = ROOT / "reports/scale/result.json", ROOT / "docs/scale.md"
+#: Empty tasks for the overhead of one, and the time to wait for workers [s].
+EMPTY, START_S = 200, 300.0
+#: Share of the ingest after which a worker is killed.
+KILLED_AT = 0.4
+#: Entries of a manifest that differ between two versions of the same content.
+VARYING = ("created", "folder")
+
+
+def write_logs(folder: Path, count: int) -> Path:
+    """``count`` recordings of motion: those of the demo, again and again."""
+    shutil.rmtree(folder, ignore_errors=True)
+    motion = sorted((DEMO / "logs").glob("manual-*"))
+    folder.mkdir(parents=True)
+    for name in ("machine.toml", "autolog.urdf"):
+        shutil.copy(DEMO / name, folder)
+    recipe = (DEMO / "recipe.toml").read_text("utf-8")
+    last = f"manual-{count - 1:04d}"
+    (folder / "recipe.toml").write_text(recipe.replace('"manual-06"', f'"{last}"'), "utf-8")
+    for k in range(count):
+        shutil.copytree(motion[k % len(motion)], folder / "logs" / f"manual-{k:04d}")
+    return folder
+
+
+def content(store: Store, reference: str) -> Any:
+    """What two versions of the same content have in common; it includes the sha256 of every table."""
+
+    def without(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: without(own) for key, own in value.items() if key not in VARYING}
+        return [without(own) for own in value] if isinstance(value, list) else value
+
+    return without(store.manifest(reference))
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[tuple[ClusterExecutor, list[int]]]:
+    """An executor on a cluster of its own with all its workers, and the process ids of the workers' parents."""
+    from distributed import Client
+
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        port = probe.getsockname()[1]
+    with tempfile.TemporaryFile() as log, running(commands(workers, port), log) as processes:
+        executor = ClusterExecutor(f"tcp://{HOST}:{port}", START_S)
+        with Client(executor.address, timeout=START_S, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=START_S)
+        yield executor, [process.pid for process in processes[1:]]
+
+
+def measured(logs: Path, work: Path, executor: Executor, workers: int, where: str, expected: Any) -> dict[str, Any]:
+    """A row: an ingest after one whose time does not count, so that every process has imported what it needs."""
+    own = MeasuredExecutor(executor)
+    with executor.kept() as kept:
+        kept.run(nothing, [(k,) for k in range(4 * workers)])
+        begin = time.perf_counter()
+        kept.run(nothing, [(k,) for k in range(EMPTY)])
+        empty = (time.perf_counter() - begin) / EMPTY
+        ingest(logs, fresh(work), executor=kept)
+        workspace = fresh(work)
+        begin = time.perf_counter()
+        found = ingest(logs, workspace, executor=MeasuredExecutor(kept, own.measures))
+        seconds = time.perf_counter() - begin
+    return {
+        "where": where,
+        "workers": workers,
+        "seconds": seconds,
+        "tasks": own.measures.tasks,
+        "task_seconds": own.measures.seconds,
+        "overhead_s": empty,
+        "sent_bytes": own.measures.sent,
+        "returned_bytes": own.measures.returned,
+        "same_result": content(Store(workspace), found.reference) == expected,
+    }
+
+
+def killed_worker(logs: Path, work: Path, workers: int, expected: Any) -> dict[str, Any]:
+    """A row: a worker is killed in mid-ingest."""
+    workspace = fresh(work)
+    with cluster(workers) as (executor, parents):
+        killed: list[int] = []
+
+        def progress(share: float, text: str) -> None:
+            if share > KILLED_AT and not killed:
+                killed.append(int(Path(f"/proc/{parents[0]}/task/{parents[0]}/children").read_text().split()[0]))
+                os.kill(killed[0], signal.SIGKILL)
+
+        found = ingest(logs, workspace, progress=progress, executor=executor)
+    if not killed:
+        raise RuntimeError("no worker was killed: too few recordings")
+    return {"fault": "worker killed in mid-ingest", "same_result": content(Store(workspace), found.reference) == expected}
+
+
+def fresh(work: Path) -> Path:
+    """An empty workspace."""
+    shutil.rmtree(work / "workspace", ignore_errors=True)
+    return work / "workspace"
+
+
+def study(work: Path, counts: Sequence[int], recordings: int) -> dict[str, Any]:
+    """All figures."""
+    logs = write_logs(work / "logs", recordings)
+    shutil.rmtree(work / "alone", ignore_errors=True)
+    ingest(logs, work / "alone")
+    shutil.rmtree(work / "alone")
+    begin = time.perf_counter()
+    alone = ingest(logs, work / "alone")
+    seconds = time.perf_counter() - begin
+    expected = content(Store(work / "alone"), alone.reference)
+    rows: list[dict[str, Any]] = []
+    for workers in counts:
+        rows.append(measured(logs, work, LocalExecutor(workers), workers, "processes", expected))
+        with cluster(workers) as (executor, _):
+            rows.append(measured(logs, work, executor, workers, "cluster", expected))
+        times = [f"{row['seconds']:.1f} s" for row in rows[-2:]]
+        sys.stderr.write(f"{workers} workers: {times[0]} in processes, {times[1]} on a cluster\n")
+    (part,) = Store(work / "alone").tables(alone.reference)
+    tables = sum(file.stat().st_size for place in (part.samples, part.channels) for file in Path(place).glob("*.parquet"))
+    return {
+        "settings": {"recordings": recordings, "cores": os.cpu_count()},
+        "alone": {"seconds": seconds},
+        "bytes": {"raw": sum(source.size for source in alone.sources), "tables": tables},
+        "rows": rows,
+        "faults": [killed_worker(logs, work, 2, expected)],
+    }
+
+
+def tables(result: dict[str, Any]) -> str:
+    """Tables of the page."""
+    alone, count = result["alone"]["seconds"], result["settings"]["recordings"]
+    rows = [("one process, without tasks", "1", f"{alone:.1f}", "1.00", "", "", "", "")]
+    for row in result["rows"]:
+        waiting = (row["seconds"] * row["workers"] - row["task_seconds"]) / max(1, row["tasks"])
+        rows.append(
+            (
+                {"processes": "processes of this machine", "cluster": "Dask cluster on loopback"}[row["where"]],
+                str(row["workers"]),
+                f"{row['seconds']:.1f}",
+                f"{alone / row['seconds']:.2f}",
+                f"{1e3 * row['overhead_s']:.1f}",
+                f"{1e3 * waiting:.0f}",
+                f"{row['sent_bytes'] / count / 1e3:.0f}",
+                f"{row['returned_bytes'] / count / 1e3:.0f}",
+            )
+        )
+    measured_on = ("where", "workers", "ingest [s]", "speed-up", "empty task [ms]", "a worker waits, by task [ms]")
+    head = (*measured_on, "sent, by recording [kB]", "returned, by recording [kB]")
+    same = sum(row["same_result"] for row in result["rows"])
+    bytes_of = result["bytes"]
+    words = (
+        f"{count} recordings with {bytes_of['raw'] / 1e6:.1f} MB of raw files, which become "
+        f"{bytes_of['tables'] / 1e6:.1f} MB of tables; "
+        f"{result['settings']['cores']} cores; {result['machine']}; commit {result['commit']}. "
+        f"The version is that of one process, to the byte, in {same} of {len(result['rows'])} runs."
+    )
+    faults = markdown(
+        ("fault", "same version"), [(row["fault"], "yes" if row["same_result"] else "**no**") for row in result["faults"]], "ll"
+    )
+    return f"{words}\n\n{markdown(head, rows)}\n\n{faults}"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--recordings", type=int, default=48)
+    parser.add_argument("--publish", action="store_true", help="write the committed result and its page")
+    options = parser.parse_args()
+    # The workers import the measured tasks from this folder.
+    paths = [str(ROOT / "pipelines"), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    words = f"--work WORK --workers {' '.join(map(str, options.workers))} --recordings {options.recordings}"
+    head = provenance(f"python pipelines/scale.py {words} --publish", None, ("distributed", "pyarrow", "deltalake"))
+    result = {**head, **study(options.work, options.workers, options.recordings)}
+    write_result(options.work / "result.json", result)
+    sys.stdout.write(f"{tables(result)}\n")
+    if options.publish:
+        write_result(RESULT, result)
+        write_tables(PAGE, tables(result), "pipelines/scale.py")
+
+
+if __name__ == "__main__":
+    main()
