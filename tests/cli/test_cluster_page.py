@@ -90,6 +90,7 @@ def listening(parent: int) -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_make_cluster_runs_until_it_is_interrupted(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -84,6 +84,7 @@ def test_a_task_without_enough_memory_is_reported(tmp_path: Path) -> None:
         ClusterExecutor(address).run(starved, [(0.0,)])
 
 
+@pytest.mark.slow
 def test_a_workspace_that_is_away_is_reported_and_read_when_it_is_back(tmp_path: Path) -> None:
     place = write_fleet(tmp_path, {"lift-1": [0.08, 0.08]})
     work = [(str(place), "lift-1")] * 3
@@ -97,6 +98,7 @@ def test_a_workspace_that_is_away_is_reported_and_read_when_it_is_back(tmp_path:
         assert ClusterExecutor(address).run(recordings_of, work) == whole
 
 
+@pytest.mark.slow
 def test_two_jobs_at_once_on_the_same_work_have_the_same_result(tmp_path: Path) -> None:
     work = calls(tmp_path / "work")
     with cluster(tmp_path / "dask") as (address, _):

@@ -109,7 +109,8 @@ def test_the_page_is_current() -> None:
 
 
 def test_what_no_part_computes_is_data_alone() -> None:
-    by_plugin = {e.name for t in TARGETS for e in CATALOGUE if t.support(e).kind == "plugin"}
+    drives = [t for t in TARGETS if t.name != "mjcf"]  # whose loop computes the forces of arms
+    by_plugin = {e.name for t in drives for e in CATALOGUE if t.support(e).kind == "plugin"}
     assert not by_plugin & set(WITHOUT_PART)
 
 

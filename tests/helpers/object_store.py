@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 import subprocess
 import time
 import urllib.request
@@ -26,7 +25,7 @@ def command() -> str:
     Raises:
         Skipped: it is not installed.
     """
-    found = os.environ.get(VARIABLE) or (str(INSTALLED) if INSTALLED.exists() else shutil.which("moto_server"))
+    found = os.environ.get(VARIABLE) or (str(INSTALLED) if INSTALLED.exists() else None)
     if found is None:
         pytest.skip(f"moto is not installed: `make object-store` installs it, or name its moto_server in {VARIABLE}")
     return found
