@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
 
 #: The page, relative to the workspace; the next call replaces it.
@@ -28,14 +29,8 @@ def fleet() -> None:
 @fleet.command()
 @click.argument("references", metavar="NAME[@VERSION]…", nargs=-1, required=True)
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes on this machine.")
-@click.option(
-    "--cluster",
-    envvar="SYSID_CLUSTER",
-    default=None,
-    metavar="ADDRESS",
-    help="Address of a Dask scheduler, as tcp://HOST:PORT.",
-)
+@workers_option
+@cluster_option()
 @click.option(
     "--false-alarms",
     type=click.FloatRange(0.0, min_open=True),

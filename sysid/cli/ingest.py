@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
@@ -34,14 +35,8 @@ if TYPE_CHECKING:
 @click.option("--reader", default=None, help="With --inspect: read the files as this format.")
 @click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
 @click.option("--propose-frame", is_flag=True, help="Only print the capture frame that follows from the recipe's survey.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes on this machine.")
-@click.option(
-    "--cluster",
-    envvar="SYSID_CLUSTER",
-    default=None,
-    metavar="ADDRESS",
-    help="Address of a Dask scheduler, as tcp://HOST:PORT.",
-)
+@workers_option
+@cluster_option()
 @json_option
 @click.pass_obj
 def ingest(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from sysid.cli.executor_options import cluster_option
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
 from sysid.errors import SettingsError
 
@@ -17,13 +18,7 @@ from sysid.errors import SettingsError
     "--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies with consecutive seeds, in parallel."
 )
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one per core.")
-@click.option(
-    "--cluster",
-    envvar="SYSID_CLUSTER",
-    default=None,
-    metavar="ADDRESS",
-    help="For --seeds: address of a Dask scheduler, as tcp://HOST:PORT.",
-)
+@cluster_option("For --seeds: address of a Dask scheduler, as tcp://HOST:PORT.")
 @click.option("--tensorboard", is_flag=True, help="Event files in WORKSPACE/tensorboard.")
 @click.option("--mlflow", metavar="URI", default=None, help="Also log to an MLflow server (or sqlite:///FILE).")
 @json_option

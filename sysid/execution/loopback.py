@@ -16,7 +16,7 @@ from typing import IO
 from sysid.children import child_environment, python_command
 
 HOST, PORT = "127.0.0.1", 8786
-#: Time for a process to end after it was told to [s].
+#: Time for a process to end after SIGTERM [s].
 END_S = 10.0
 
 

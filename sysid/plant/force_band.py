@@ -60,8 +60,7 @@ def band(motions: Sequence[Motion]) -> float:
         return 0.0
     frequency: Array = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
     coherent, power = _coherent_power(segments)
-    of_position = np.sum([_position_power(m, length) for m in motions], axis=0)
-    noise = float(np.median(of_position[frequency > NOISE_FROM * rate]))
+    of_position, noise = _position_and_noise(motions, length)
     explained = octave_sums(frequency, coherent) >= COHERENCE * octave_sums(frequency, power)
     clear = octave_sums(frequency, of_position) >= (SIGNAL_TO_NOISE + 1.0) * noise * octave_sums(
         frequency, np.ones(len(frequency))
@@ -84,17 +83,18 @@ def acceleration_noise(motions: Sequence[Motion], length: int) -> Array:
     """
     frequency, rate = np.fft.rfftfreq(length), motions[0].rate_hz
     gain = np.abs(signal.sosfreqz(_low_pass(rate), 2.0 * np.pi * frequency)[1]) ** 2
-    return _position_noise(motions, length) * np.asarray((2.0 * np.sin(np.pi * frequency)) ** 4 * gain**2 * rate**4)
+    return _position_and_noise(motions, length)[1] * np.asarray((2.0 * np.sin(np.pi * frequency)) ** 4 * gain**2 * rate**4)
 
 
 def _low_pass(rate_hz: float) -> Array:
     return np.asarray(signal.butter(4, 0.4 * rate_hz, fs=rate_hz, output="sos"))
 
 
-def _position_noise(motions: Sequence[Motion], length: int) -> float:
-    """Power of the white noise of the positions, summed over segments."""
+def _position_and_noise(motions: Sequence[Motion], length: int) -> tuple[Array, float]:
+    """Power of the positions (frequencies,) and of their white noise, each summed over segments of ``length`` samples."""
+    rate = motions[0].rate_hz
     of_position = np.sum([_position_power(m, length) for m in motions], axis=0)
-    return float(np.median(of_position[np.fft.rfftfreq(length) > NOISE_FROM]))
+    return of_position, float(np.median(of_position[np.fft.rfftfreq(length, 1.0 / rate) > NOISE_FROM * rate]))
 
 
 def _inputs(motion: Motion) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from fleet_logs import MACHINE, recorded
+from fleet_logs import one_lift
 from version_content import content
 
 from sysid.datasets import Store, append, ingest, vacuum
@@ -20,16 +20,6 @@ from sysid.execution import LocalExecutor, TaskError
 
 ROOT = Path(__file__).parents[2]
 DEMO = ROOT / "datasets/autolog"
-
-
-def lift(root: Path, count: int = 4) -> Path:
-    """Recordings of a lift."""
-    root.mkdir()
-    (root / "machine.toml").write_text(MACHINE)
-    for k in range(count):
-        (root / f"run-{k}").mkdir()
-        recorded(0.08, k).to_csv(root / f"run-{k}" / "log.csv", index=False)
-    return root
 
 
 def elsewhere(recording: Path) -> None:
@@ -44,7 +34,7 @@ def files(workspace: Path) -> list[str]:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_tasks_give_the_same_version_to_the_byte(tmp_path: Path, workers: int) -> None:
-    logs = lift(tmp_path / "logs")
+    logs = one_lift(tmp_path / "logs")
     ingest(logs, tmp_path / "alone")
     shares: list[float] = []
     found = ingest(logs, tmp_path / "tasks", progress=lambda share, _: shares.append(share), executor=LocalExecutor(workers))
@@ -77,7 +67,7 @@ def test_motion_capture_and_poses_by_tasks(tmp_path: Path, workers: int) -> None
 
 
 def test_a_recording_without_a_place_in_time_is_left_out(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs")
+    logs = one_lift(tmp_path / "logs")
     elsewhere(logs / "run-1")
     expected = ingest(logs, tmp_path / "alone")
     found = ingest(logs, tmp_path / "tasks", executor=LocalExecutor())
@@ -87,7 +77,7 @@ def test_a_recording_without_a_place_in_time_is_left_out(tmp_path: Path) -> None
 
 
 def test_an_append_by_tasks_is_the_append_of_one_process(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs")
+    logs = one_lift(tmp_path / "logs")
     for name in ("alone", "tasks"):
         ingest([logs / "run-0", logs / "run-1"], tmp_path / name, logs / "machine.toml")
     append(logs, tmp_path / "alone", "lift")
@@ -97,7 +87,7 @@ def test_an_append_by_tasks_is_the_append_of_one_process(tmp_path: Path) -> None
 
 
 def test_a_log_that_cannot_be_used_leaves_nothing(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs", 2)
+    logs = one_lift(tmp_path / "logs", 2)
     (logs / "run-1" / "log.csv").write_text("time,boom.command,boom.jiont\n0,0,0\n1,0,0\n")
     with pytest.raises(InputError, match=r"run-1.*unknown column 'boom.jiont'"):
         ingest(logs, tmp_path / "ws", executor=LocalExecutor())
@@ -105,7 +95,7 @@ def test_a_log_that_cannot_be_used_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_no_recording_has_a_place_in_time(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs", 1)
+    logs = one_lift(tmp_path / "logs", 1)
     elsewhere(logs / "run-0")
     with pytest.raises(AlignmentError, match="run-0"):
         ingest(logs, tmp_path / "ws", executor=LocalExecutor())
@@ -113,7 +103,7 @@ def test_no_recording_has_a_place_in_time(tmp_path: Path) -> None:
 
 
 def test_a_lost_process_leaves_no_version_and_the_next_call_makes_it(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs", 2)
+    logs = one_lift(tmp_path / "logs", 2)
 
     def progress(share: float, text: str) -> None:
         import multiprocessing
@@ -142,7 +132,7 @@ ingest(sys.argv[1], sys.argv[2], progress=progress, executor=LocalExecutor())
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_leftovers_of_a_killed_ingest_are_removed_by_the_next_one_but_not_those_of_a_live_one(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs", 2)
+    logs = one_lift(tmp_path / "logs", 2)
     command = [sys.executable, "-c", KILLED, str(logs), str(tmp_path / "ws"), "0.7"]
     assert subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False).returncode == -signal.SIGKILL
     store = Store(tmp_path / "ws")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from dask_cluster import ROOT, cluster
-from fleet_logs import MACHINE, recorded
+from fleet_logs import one_lift
 from version_content import content
 
 from sysid.cli import main
@@ -20,15 +20,6 @@ pytest.importorskip("distributed", reason="the extra `cluster` is not installed"
 from sysid.execution.cluster import ClusterExecutor
 
 
-def lift(root: Path, count: int = 4) -> Path:
-    root.mkdir()
-    (root / "machine.toml").write_text(MACHINE)
-    for k in range(count):
-        (root / f"run-{k}").mkdir()
-        recorded(0.08, k).to_csv(root / f"run-{k}" / "log.csv", index=False)
-    return root
-
-
 def worker_of(nanny: int) -> int:
     """The process that runs the tasks of a nanny."""
     return int(Path(f"/proc/{nanny}/task/{nanny}/children").read_text().split()[0])
@@ -36,7 +27,7 @@ def worker_of(nanny: int) -> int:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 def test_an_ingest_whose_worker_is_killed_gives_the_same_version(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs")
+    logs = one_lift(tmp_path / "logs")
     ingest(logs, tmp_path / "alone")
     with cluster(tmp_path / "dask") as (address, processes):
         killed: list[int] = []
@@ -70,7 +61,7 @@ ingest(sys.argv[1], sys.argv[2], progress=progress, executor=open_executor(sys.a
 
 @pytest.mark.slow
 def test_an_interrupted_ingest_leaves_no_version_and_the_next_call_makes_it(tmp_path: Path) -> None:
-    logs = lift(tmp_path / "logs", 2)
+    logs = one_lift(tmp_path / "logs", 2)
     with cluster(tmp_path / "dask") as (address, _):
         command = [sys.executable, "-c", INTERRUPTED, str(logs), str(tmp_path / "ws"), address]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -14,6 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.matrix import matrix_page
+from sysid.export.mjcf_arm import FRICTION_BY_LOOP
 from sysid.export.replay import ROUNDING, SHARE, Replay, replay
 from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
@@ -109,9 +110,11 @@ def test_the_page_is_current() -> None:
 
 
 def test_what_no_part_computes_is_data_alone() -> None:
-    drives = [t for t in TARGETS if t.name != "mjcf"]  # whose loop computes the forces of arms
-    by_plugin = {e.name for t in drives for e in CATALOGUE if t.support(e).kind == "plugin"}
-    assert not by_plugin & set(WITHOUT_PART)
+    by_plugin = {t.name: {e.name for e in CATALOGUE if t.support(e).kind == "plugin"} for t in TARGETS}
+    of_arms = by_plugin["mjcf"] & set(WITHOUT_PART)  # the loop of an arm computes its forces
+    assert of_arms == set(FRICTION_BY_LOOP)
+    assert not (set().union(*by_plugin.values()) - of_arms) & set(WITHOUT_PART)
+    assert not any(names & of_arms for target, names in by_plugin.items() if target != "mjcf")
 
 
 def test_a_machine_without_a_urdf(tmp_path: Path) -> None:

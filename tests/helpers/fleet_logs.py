@@ -35,6 +35,16 @@ def write_fleet(folder: Path, machines: Mapping[str, Sequence[float]]) -> Path:
     return folder / "workspace"
 
 
+def one_lift(root: Path, count: int = 4) -> Path:
+    """The folder of one lift with ``count`` recordings."""
+    root.mkdir(parents=True)
+    (root / "machine.toml").write_text(MACHINE)
+    for k in range(count):
+        (root / f"run-{k}").mkdir()
+        recorded(0.08, k).to_csv(root / f"run-{k}" / "log.csv", index=False)
+    return root
+
+
 def recorded(band: float, seed: int) -> pd.DataFrame:
     """One recording: steps of all sizes, ramps through zero; the joint follows with a dead-band."""
     rng = np.random.default_rng(seed)
