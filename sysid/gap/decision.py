@@ -64,6 +64,9 @@ PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 FILTERS = "noise of its measured input explains a change of its size"
+UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
+REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
+PERIODIC = "a disturbance that is periodic in time explains the error better"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 
 
@@ -213,6 +216,8 @@ def decide(
     if servo and without is not None:
         lost, alone = _beyond_price(model, lacking, nothing, without)
         lacking |= dict.fromkeys(lost, LITTLE)
+    elif not integrates and without is not None and not _alone(model, lacking, nothing, without):
+        lacking |= {key: BESIDE for key, lacks in lacking.items() if not lacks}
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
@@ -313,6 +318,22 @@ def _beyond_price(
     return lost, alone
 
 
+def _alone(
+    model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
+) -> bool:
+    """Whether the certain effects are worth their price without those that may be absent, the others refitted.
+
+    Nothing has to be worth it where the latter leave at most a tenth less. A dead time that is 14 ms too short beside a second-
+    order lag that may be absent describes a longer lag: alone it reduces nothing.
+    """
+    rest = model
+    for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
+        rest = without(rest, candidate)
+    if rest is model or rest.left <= EXPLAINED * max(model.left, 1.0):
+        return True
+    return pays(nothing, rest.left, len(rest.candidates))
+
+
 def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
     """Whether ``other`` lacks an effect of ``model``, or has one in its place that is certainly present.
 
@@ -383,7 +404,7 @@ def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
-        return "its 95 % interval reaches into the region of practical equivalence"
+        return UNCERTAIN
     return ""
 
 
