@@ -23,7 +23,8 @@ Given models of one stage (sets of effects) under shared variances:
    the others leave at most a tenth more without it.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place.
+   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place,
+   and the named effects have to be worth their price without those that may be absent.
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
    one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.

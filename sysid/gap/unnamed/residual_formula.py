@@ -63,8 +63,7 @@ def describe_period(problem: Problem, theta: Array, recordings: Sequence[Recordi
     found = _worst(problem, theta, recordings, machine)
     if found is None or not found[2]:
         return []
-    rmse, signal, series = found
-    series = _moving(problem, series)
+    rmse, signal, series = found[0], found[1], _moving(problem, found[2])
     disturbance = _certain(find_periodic_disturbance(series, lag1_autocorrelation([part.target for part in series])))
     if disturbance is None or disturbance.share < MOST:
         return []
