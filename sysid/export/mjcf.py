@@ -151,7 +151,7 @@ class MujocoSimulation:
         self.robot = robot
 
     def reset(self, start: Start) -> dict[str, float]:
-        found: dict[str, float] = self.robot.reset(start.joints, start.drive, start.commands)
+        found: dict[str, float] = self.robot.reset(start.joints, start.drive, start.commands, start.speeds)
         return found
 
     def step(self, commands: Array) -> dict[str, float]:
