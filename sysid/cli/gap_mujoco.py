@@ -30,6 +30,7 @@ def write_model(
     from sysid.gap.adapters.mujoco.force_repair import write_force_model
     from sysid.gap.adapters.mujoco.repair import repaired_effects, write_repaired
     from sysid.plant import Plant
+    from sysid.plant.plant import effect_key
 
     if isinstance(tested, Plant):
         repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap)
@@ -39,8 +40,9 @@ def write_model(
     for change in repaired.native:
         out.line(f"    {change.effect.name} of {change.effect.target}: {change.where}")
     for item in repaired.beside:
+        why = repaired.reasons.get(effect_key(item), "")
         where = f"{repaired.side_path}, which MJCF cannot express" if repaired.side_path is not None else "not written"
-        out.line(f"    {item.name} of {item.target}: {where}")
+        out.line(f"    {item.name} of {item.target}: {where}{f' ({why})' if why else ''}")
     for signal, value in repaired.gap.after.items():
         before, floor = repaired.gap.before[signal], repaired.gap.noise_floor[signal]
         out.line(
@@ -50,6 +52,9 @@ def write_model(
         "path": str(repaired.path),
         "side_file": str(repaired.side_path) if repaired.side_path is not None else None,
         "native": [{"name": c.effect.name, "target": c.effect.target, "where": c.where} for c in repaired.native],
-        "beside": [{"name": item.name, "target": item.target} for item in repaired.beside],
+        "beside": [
+            {"name": item.name, "target": item.target, "why": repaired.reasons.get(effect_key(item), "")}
+            for item in repaired.beside
+        ],
         "gap": {"before": dict(repaired.gap.before), "after": dict(repaired.gap.after)},
     }

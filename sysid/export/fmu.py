@@ -84,7 +84,8 @@ class FmuSimulation:
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
         for k, name in enumerate(self.plant.machine.axis_names):
-            values = {"start_joint": start.joints[k], "start_drive": start.drive[k], "start_command": start.commands[k]}
+            values = {"start_joint": start.joints[k], "start_drive": start.drive[k]}
+            values |= {"start_command": start.commands[k], "start_speed": start.speeds[k]}
             for key, value in values.items():
                 self.slave.setReal([self.references[f"{name}.{key}"]], [float(value)])
         self.slave.setBoolean([self.references["start_from_drive"]], [True])

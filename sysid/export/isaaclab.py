@@ -113,9 +113,10 @@ class TorchModel:
         self.axes = [SimpleNamespace(offset=offset) for offset in offsets]
         self.theta, self.state = self.module.theta(1), None
 
-    def reset(self, joints: Array, drive: Array, commands: Array) -> Any:
+    def reset(self, joints: Array, drive: Array, commands: Array, speeds: Array) -> Any:
         with self.torch.jit.optimized_execution(False), self.torch.inference_mode():
-            rows = (self.torch.tensor(np.asarray(values, dtype=np.float64))[None] for values in (joints, drive, commands))
+            start = (joints, drive, commands, speeds)
+            rows = (self.torch.tensor(np.asarray(values, dtype=np.float64))[None] for values in start)
             self.state, signals = self.module.begin(self.theta, *rows)
         return _state(signals)
 

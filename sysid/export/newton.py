@@ -100,7 +100,7 @@ class UsdSimulation:
         self.frames = [self._frames(name) for name in chain]
 
     def reset(self, start: Start) -> Mapping[str, float]:
-        return self._signals(self.model.reset(start.joints, start.drive, start.commands))
+        return self._signals(self.model.reset(start.joints, start.drive, start.commands, start.speeds))
 
     def step(self, commands: Array) -> Mapping[str, float]:
         return self._signals(self.model.step(commands))

@@ -1,6 +1,7 @@
 """Replay proof: an export runs the commands of held-out recordings and is compared with the plant and with the machine.
 
-Both begin at rest at the place where the free run of the recording begins, with its first commands held. An export *agrees*
+Both begin where the free run of the recording begins, with its first commands held; force axes with their speed there, since a
+recording may begin in motion. An export *agrees*
 with the plant in a signal if the RMS of their difference is at most the larger of two bounds: :data:`SHARE` of the RMS of the
 plant's motion about its mean, or the noise of the signal's sensor.
 """
@@ -8,7 +9,7 @@ plant's motion about its mean, or the noise of the signal's sensor.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,9 +19,11 @@ from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.export.shipped_run import true_signals
 from sysid.export.target import Simulation, Start
+from sysid.gap.adapters.start import joint_start
 from sysid.plant import Model, Plant, compile_plant
-from sysid.plant.rollout import true_run
-from sysid.plant.stepper import Stepper, held_commands, step_commands
+from sysid.plant.layout import STATE
+from sysid.plant.rollout import run_steps, start_states, true_run
+from sysid.plant.stepper import Stepper, begin_states, held_commands, step_commands
 
 Array = npt.NDArray[np.float64]
 
@@ -117,13 +120,23 @@ def run_both(plant: Plant, model: Model, simulation: Simulation, recording: Reco
         return None
     first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])]
     moved = np.where(np.isnan(joints[first]), 0.0, joints[first])
-    start = Start(moved, drive[first], commands[first])
+    start = Start(moved, drive[first], commands[first], _speeds(model, recording, int(first)))
     steps = step_commands(plant.machine, commands[first:last])
     export = [simulation.reset(start), *(simulation.step(command) for command in steps)]
     stepper = Stepper(plant, recording.rate_hz)
-    states = [stepper.reset(start.joints, drive=start.drive, commands=start.commands), *(stepper.step(c) for c in steps)]
+    begin = stepper.reset(start.joints, drive=start.drive, commands=start.commands, speed=start.speeds)
+    states = [begin, *(stepper.step(command) for command in steps)]
     ours = [true_signals(plant, _Lane(state)) for state in states]
     return Run(recording, slice(int(first), int(last)), _columns(export), _columns(ours))
+
+
+def _speeds(model: Model, recording: Recording, row: int) -> Array:
+    """Speeds of the drives (A,) at a row of the free run; zero where no force moves them or no motion is certain there."""
+    starts = start_states(model, recording)
+    states = begin_states(starts, run_steps(model, recording, starts, row)[1], row)[0]
+    rest = replace(recording, table=recording.table.iloc[row:].reset_index(drop=True))
+    moving = [axis.actuation == "force" and joint_start(rest, axis.driven).speed != 0.0 for axis in model.machine.axes]
+    return np.where(moving, np.nan_to_num(states[:, STATE.speed]), 0.0)
 
 
 class _Lane:

@@ -48,7 +48,7 @@ class DriveModelSimulation:
         self.plant, self.model = plant, model
 
     def reset(self, start: Start) -> Mapping[str, float]:
-        return true_signals(self.plant, self.model.reset(start.joints, start.drive, start.commands))
+        return true_signals(self.plant, self.model.reset(start.joints, start.drive, start.commands, start.speeds))
 
     def step(self, commands: Array) -> Mapping[str, float]:
         return true_signals(self.plant, self.model.step(commands))

@@ -33,11 +33,18 @@ class Support:
 
 @dataclass(frozen=True)
 class Start:
-    """State of rest from which a replay begins, (A,) each: joints at their sensors, drives, and the commands held before."""
+    """State from which a replay begins, (A,) each.
+
+    Args:
+        joints: at their sensors; ``drive``: positions of the drives [rad or m].
+        commands: held since long before.
+        speeds: of the drives of force axes [rad/s or m/s]; zero for other axes, which move as their commands make them.
+    """
 
     joints: Array
     drive: Array
     commands: Array
+    speeds: Array
 
 
 class Simulation(Protocol):

@@ -70,7 +70,7 @@ class UrdfSimulation:
         self.data = mujoco.MjData(self.body)
 
     def reset(self, start: Start) -> Mapping[str, float]:
-        return self._signals(self.model.reset(start.joints, start.drive, start.commands))
+        return self._signals(self.model.reset(start.joints, start.drive, start.commands, start.speeds))
 
     def step(self, commands: Array) -> Mapping[str, float]:
         return self._signals(self.model.step(commands))

@@ -104,7 +104,7 @@ def test_a_passive_joint_follows_its_axis(tmp_path: Path) -> None:
     assert kinematics is not None
     assert simulation is not None
     for q in np.random.default_rng(0).uniform(-1.2, 1.2, (20, 4)):
-        found = simulation.reset(Start(q, q, np.zeros(4)))
+        found = simulation.reset(Start(q, q, np.zeros(4), np.zeros(4)))
         expected = kinematics.tip_position(q[None])[0]
         np.testing.assert_allclose([found[f"ee.{axis}"] for axis in "xyz"], expected, atol=1e-6)
 

@@ -1,8 +1,8 @@
 """An exported machine as a co-simulation FMU (FMI 2.0): commands in, sensor readings out, in samples of the machine.
 
-A communication step is a whole number of samples, during which the commands are held. Parameters set the state of rest from
-which it begins: ``<axis>.start_joint`` at the sensor, or ``<axis>.start_drive`` of the drive where ``start_from_drive`` is
-set, and ``<axis>.start_command``, held since long before.
+A communication step is a whole number of samples, during which the commands are held. Parameters set the state from which
+it begins: ``<axis>.start_joint`` at the sensor, or ``<axis>.start_drive`` of the drive where ``start_from_drive`` is set,
+``<axis>.start_command``, held since long before, and ``<axis>.start_speed`` of a force axis.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Machine(Fmi2Slave):  # type: ignore[misc, unused-ignore]
         self.machine = _module(Path(self.resources) / "drive_model.py").load()
         count = len(self.machine.names)
         self.commands, self.start_from_drive = [0.0] * count, False
-        self.start: dict[str, list[float]] = {key: [0.0] * count for key in ("joint", "drive", "command")}
+        self.start: dict[str, list[float]] = {key: [0.0] * count for key in ("joint", "drive", "command", "speed")}
         self.outputs = self._begin()
         self.done = 0
         for k, name in enumerate(self.machine.names):
@@ -64,7 +64,8 @@ class Machine(Fmi2Slave):  # type: ignore[misc, unused-ignore]
 
     def _begin(self) -> dict[str, float]:
         drive = self.start["drive"] if self.start_from_drive else None
-        found: dict[str, float] = self.machine.readings(self.machine.reset(self.start["joint"], drive, self.start["command"]))
+        state = self.machine.reset(self.start["joint"], drive, self.start["command"], self.start["speed"])
+        found: dict[str, float] = self.machine.readings(state)
         return found
 
 

@@ -45,10 +45,10 @@ class Robot:
         self.state: Any = None
         self.sample, self.resetting = -1, False
 
-    def reset(self, joints: Any, drive: Any = None, commands: Any = None) -> dict[str, float]:
-        """At rest, with ``commands`` (A,) held since long before; returns the signals."""
+    def reset(self, joints: Any, drive: Any = None, commands: Any = None, speeds: Any = None) -> dict[str, float]:
+        """``commands`` (A,) were held since long before; ``speeds`` (A,) of the drives of force axes. Returns the signals."""
         mujoco.mj_resetData(self.model, self.data)
-        self.state = self.drives.reset(joints, drive, commands)
+        self.state = self.drives.reset(joints, drive, commands, speeds)
         self.sample, self.resetting = -1, True
         self.commands = np.zeros(len(self.names)) if commands is None else np.array(commands, dtype=np.float64)
         for k, axis in enumerate(self.axes):
@@ -58,6 +58,9 @@ class Robot:
             driven = self.state.drive[k] if link is None else link.joint(float(self.state.drive[k]))
             self._set(axis["drive_joint"], driven + axis["offset"])
             self._set(axis["joint"], self.state.structure[k])
+            if speeds is not None and axis["actuation"] == "force" and axis["mode"] == "native":
+                slope = 1.0 if link is None else _slope(link, float(self.state.drive[k]))
+                self.data.qvel[self.model.joint(axis["drive_joint"]).dofadr[0]] = slope * float(speeds[k])
         for follower in self.about["passive"]:
             value = self.state.structure[self.names.index(follower["axis"])] * follower["ratio"] + follower["offset"]
             self._set(follower["joint"], value)
@@ -146,3 +149,8 @@ class Robot:
 
     def _set(self, joint: str, value: float) -> None:
         self.data.qpos[self.model.joint(joint).qposadr[0]] = value
+
+
+def _slope(link: Any, place: float, near: float = 1e-6) -> float:
+    """Speed of a joint at unit speed of its cylinder."""
+    return float(link.joint(place + near) - link.joint(place - near)) / (2.0 * near)

@@ -47,12 +47,15 @@ class Axis(nn.Module):
         self.structure_backlash_at = columns.structure_backlash
         self.drive_compliance_at, self.structure_compliance_at = columns.drive_compliance, columns.structure_compliance
         self.width, self.gain, self.servo = 3 + inner, math.inf, False
+        # What the drive remembers at the start, as a share of the speed: NaN where it begins with its first command.
+        self.register_buffer("moving", torch.full((inner,), math.nan, dtype=torch.float64))
+        self.moving: Tensor
 
-    def begin(self, position: Tensor, straight: Tensor) -> Tensor:
-        """State (N, width) at rest, in the middle of the backlash."""
+    def begin(self, position: Tensor, straight: Tensor, speed: Tensor) -> Tensor:
+        """State (N, width) in the middle of the backlash; ``speed`` of a force axis (N,)."""
         position = torch.clamp(position, self.low, self.high)
         unknown = torch.full_like(position, math.nan)
-        inner = unknown[:, None].repeat(1, self.inner)
+        inner = speed[:, None] * self.moving[None]
         return torch.cat([position[:, None], inner, straight[:, None], unknown[:, None]], dim=1)
 
     def demand(self, command: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
@@ -123,6 +126,8 @@ class ForceAxis(Axis):
     ) -> None:  # fmt: skip
         super().__init__(dt, low, high, rotor.width, linkage, columns)
         self.rotor = rotor
+        self.moving = torch.zeros_like(self.moving)  # motor, twist of its spring, load
+        self.moving[0] = self.moving[-1] = 1.0
 
     def demand(self, command: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
         if hold:

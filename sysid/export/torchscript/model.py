@@ -60,12 +60,18 @@ class DriveModel(nn.Module):
         return torch.stack(found, dim=1)
 
     @torch.jit.export
-    def begin(self, theta: Tensor, joints: Tensor, drives: Tensor, commands: Tensor) -> tuple[Tensor, Signals]:
-        """At rest: joints at their sensors, drives, and the commands held for a long time before, (N, A) each."""
+    def begin(
+        self, theta: Tensor, joints: Tensor, drives: Tensor, commands: Tensor, speeds: Tensor | None = None
+    ) -> tuple[Tensor, Signals]:  # fmt: skip
+        """Joints at their sensors, drives, the commands held for a long time before, and speeds of force axes, (N, A) each.
+
+        Without ``speeds`` they are at rest.
+        """
+        moving = torch.zeros_like(drives) if speeds is None else speeds
         straight = self.without_sag(theta, joints)
         rows: list[Tensor] = []
         for k, axis in enumerate(self.axes):
-            rows.append(axis.begin(drives[:, k], straight[:, k]))
+            rows.append(axis.begin(drives[:, k], straight[:, k], moving[:, k]))
         state = torch.cat(
             [torch.cat(rows, dim=1), torch.zeros_like(joints), joints.new_full((joints.shape[0], 10), math.nan)], dim=1
         )

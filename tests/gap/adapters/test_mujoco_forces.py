@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,15 +16,20 @@ import pytest
 from mjcf_logs import dataset_of_runs, machine_of
 from robots import robot
 
+from sysid.cli.gap_mujoco import write_model
+from sysid.cli.output import Printer
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.gap import find_gap
 from sysid.gap.adapters.mujoco.force_axes import machine_of as described
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
-from sysid.gap.adapters.mujoco.force_repair import write_force_model
+from sysid.gap.adapters.mujoco.force_repair import NO_PLACE, write_force_model
+from sysid.gap.adapters.mujoco.free_run import free_run_errors
 from sysid.gap.adapters.mujoco.inertials import TOGETHER, in_command_units, write_inertials
 from sysid.gap.adapters.mujoco.inside import write_inside
-from sysid.gap.adapters.mujoco.repair import write_spec
+from sysid.gap.adapters.mujoco.repair import RepairedModel, write_spec
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
+from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine
 from sysid.machine.rigid_body import rigid_body
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
@@ -214,6 +221,97 @@ def test_inertial_parameters_without_a_place_are_not_written() -> None:
     assert write_inertials(load_spec(path), model, plant.with_effect(lighter), path.name) is None
 
 
+RIGHT = [
+    WrittenEffect("viscous_friction", "shoulder", "named", {"coefficient": 1.6}),
+    WrittenEffect("coulomb_friction", "elbow", "named", {"force": 0.6}),
+]
+#: The forces of a model that has what the recordings contain, and of one that has not [N·m].
+PROMISED = Gap(*(dict.fromkeys(("shoulder.command", "elbow.command"), value) for value in (1.0, 0.1, 0.05)))
+
+
+def repaired_with(adjusted: list[WrittenEffect], dataset: Dataset, out: Path) -> RepairedModel:
+    plant = open_force_model(robot("torque_arm"), dataset).plant
+    return write_force_model(robot("torque_arm"), plant, [*RIGHT, *adjusted], out, dataset, PROMISED)
+
+
+def test_an_adjusted_load_that_the_free_run_contradicts_is_left_out(tmp_path: Path) -> None:
+    """A hundredth of the torques hardly changes the forces; the free run drifts by it."""
+    dataset, bias = recorded(4.0, damping=1.6, loss=0.6), WrittenEffect("load_bias", "elbow", "adjusted", {"force": 0.1})
+    repaired = repaired_with([bias], dataset, tmp_path / "out.xml")
+    assert [change.effect.name for change in repaired.native] == ["viscous_friction", "coulomb_friction"]
+    assert [(item.name, item.target) for item in repaired.beside] == [("load_bias", "elbow")]
+    assert "the error of the free run rises from" in repaired.reasons["load_bias", "elbow", None]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
+    np.testing.assert_allclose(model.actuator_biasprm[:, 0], 0.0)
+    np.testing.assert_allclose(model.dof_damping, [1.6, 0.3])
+
+
+def test_the_console_and_the_json_state_why_it_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset, bias = recorded(4.0, damping=1.6, loss=0.6), WrittenEffect("load_bias", "elbow", "adjusted", {"force": 0.1})
+    plant = open_force_model(robot("torque_arm"), dataset).plant
+    result: Any = SimpleNamespace(written=(*RIGHT, bias), stage_gap=PROMISED)
+    said = write_model(Printer(), plant, result, dataset, robot("torque_arm"), tmp_path / "out.xml")
+    (left,) = said["beside"]
+    assert (left["name"], left["target"]) == ("load_bias", "elbow")
+    assert left["why"].startswith("the error of the free run rises from")
+    assert f"load_bias of elbow: not written ({left['why']})" in capsys.readouterr().out
+
+
+def test_adjusted_masses_that_lower_the_error_of_the_free_run_are_written(tmp_path: Path) -> None:
+    dataset = recorded(4.0, damping=1.6, loss=0.6, heavier=1.05)
+    heavier = [WrittenEffect("link_mass_error", axis, "adjusted", {"ratio": 1.05}) for axis in ("shoulder", "elbow")]
+    repaired = repaired_with(heavier, dataset, tmp_path / "out.xml")
+    assert (repaired.beside, repaired.reasons) == ((), {})
+    before, after = (mujoco.MjModel.from_xml_path(str(path)) for path in (robot("torque_arm"), tmp_path / "out.xml"))
+    np.testing.assert_allclose(after.body_mass, 1.05 * before.body_mass)
+
+
+def test_adjusted_parameters_without_a_free_run_are_left_out(tmp_path: Path) -> None:
+    dataset = recorded(4.0, damping=1.6, loss=0.6, heavier=1.05)
+    heavier = WrittenEffect("link_mass_error", "elbow", "adjusted", {"ratio": 1.05})
+    recordings = tuple(
+        replace(r, table=r.table.drop(columns="elbow.command")) if dataset.splits[r.name] == "select" else r
+        for r in dataset.recordings
+    )
+    repaired = repaired_with([heavier], replace(dataset, recordings=recordings), tmp_path / "out.xml")
+    assert list(repaired.reasons.values()) == ["no selection recording has commands and positions of all axes"]
+    beyond = WrittenEffect(
+        "stribeck_friction", "elbow", "adjusted", {"static_force": 2.0, "coulomb_force": 1.0, "stribeck_velocity": 0.1}
+    )
+    repaired = repaired_with([heavier, beyond], dataset, tmp_path / "out.xml")
+    assert {item.name for item in repaired.beside} == {"link_mass_error", "stribeck_friction"}
+    assert set(repaired.reasons.values()) == {NO_PLACE}
+
+
+def test_a_free_run_has_the_recorded_commands_whatever_the_force_constant(tmp_path: Path) -> None:
+    """An actuator that makes more of its control, and torques that were recorded with the old constant."""
+    dataset, spec = recorded(4.0, damping=1.6, loss=0.6, constant=0.9), load_spec(robot("torque_arm"))
+    spec.joint("shoulder").damping[0], spec.joint("elbow").frictionloss = 1.6, 0.6
+    spec.actuators[1].gainprm[0] /= 0.9
+    write_spec(spec, tmp_path / "out.xml")
+    plant = nominal_plant(dataset.machine)
+    right, other = (
+        free_run_errors(tmp_path / "out.xml", plant, dataset.recordings[:1], constants)["elbow.joint"]
+        for constants in ({"elbow": 0.9}, None)
+    )
+    assert right < 0.3 * other
+
+
+def test_a_free_run_that_diverges_has_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where it runs
+    dataset, spec = recorded(1.0), load_spec(robot("torque_arm"))
+    for actuator in spec.actuators:
+        actuator.biastype, actuator.biasprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 1e12
+    for joint in spec.joints:
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    write_spec(spec, tmp_path / "out.xml")
+    found = free_run_errors(tmp_path / "out.xml", nominal_plant(dataset.machine), dataset.recordings[:1])
+    assert np.isnan(found["shoulder.joint"])
+    assert np.isnan(found["elbow.joint"])
+    with pytest.raises(InputError, match="it diverges"):
+        MujocoSimulator(tmp_path / "out.xml", dataset.machine).simulate(dataset.recordings[0])
+
+
 @pytest.mark.slow
 def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
     dataset = recorded(10.0, damping=1.6, loss=0.6)
@@ -225,8 +323,10 @@ def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
     }
     out = tmp_path / "out.xml"
     repaired = write_force_model(robot("torque_arm"), plant, result.written, out, dataset, result.stage_gap)
-    assert {change.effect.name for change in repaired.native} >= {"viscous_friction", "coulomb_friction"}
-    assert repaired.beside == ()
+    assert {change.effect.name for change in repaired.native} == {"viscous_friction", "coulomb_friction"}
+    assert {item.name for item in repaired.beside} <= {"inertial_error", "inertia_error", "load_bias"}, (
+        "they are those of the model"
+    )
     for signal, value in repaired.gap.after.items():
         assert value < 0.05 * repaired.gap.before[signal]
 

@@ -3,29 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError
 from sysid.gap import steps
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
+from sysid.gap.adapters.mujoco.free_run import free_run_errors
 from sysid.gap.adapters.mujoco.inertials import ADJUSTED, TOGETHER, in_command_units, write_inertials
 from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.native import Change
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
 from sysid.gap.gap_by_stage import stage_gap
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
 from sysid.plant import Plant
+from sysid.plant.plant import effect_key
+
+#: Why adjusted parameters are left out that the model cannot hold.
+NO_PLACE = "the adjusted parameters hold together only, and MJCF has no place for one of them"
 
 
 def write_force_model(
     model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path, dataset: Dataset, promised: Gap
 ) -> RepairedModel:
     """Write the identified parameters into a copy of ``model``, load it again and measure its force errors.
+
+    Named effects are written in any case. Parameters that were adjusted without a name are written if MuJoCo's free run of the
+    selection recordings has a lower error with them than without: their forces agree, but a constant part of a torque that the
+    recordings hardly determine is integrated.
 
     Args:
         tested: the plant of the model (:func:`sysid.gap.adapters.mujoco.force_axes.open_force_model`).
@@ -36,54 +49,95 @@ def write_force_model(
         SettingsError: ``out`` is the model itself.
     """
     check_other_file(model, out)
-    spec, native, left = _changed(model, tested, written)
-    relocate(spec, model, out)
+    chosen = _with_named(model, tested, written, out)
+    adjusted = [_known(row) for row in written if row.kind == "adjusted"]
+    why = ""
+    if adjusted:
+        whole = _with_all(model, tested, written, out)
+        why = NO_PLACE if whole is None else _worse_run(chosen, whole, tested, out, dataset)
+        if whole is not None and not why:
+            chosen = whole
     try:
-        write_spec(spec, out)
+        write_spec(chosen.spec, out)
     except ValueError as error:
         raise InputError(out, f"MuJoCo refuses the repaired model ({error})", "masses and inertias of rigid bodies") from None
-    adjusted = [change.effect for change in native if change.effect.name == ADJUSTED]
-    study = steps.open_study(dataset, in_command_units(open_force_model(out, dataset).plant, adjusted))
+    inertials = [change.effect for change in chosen.native if change.effect.name == ADJUSTED]
+    study = steps.open_study(dataset, in_command_units(open_force_model(out, dataset).plant, inertials))
     measured = stage_gap(study.case, study.stages, study.case.theta).before
     gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
+    left = (*chosen.left, *(adjusted if why else ()))
     if not left:
         check_gap(gap, promised, out)
-    return RepairedModel(out, None, tuple(native), tuple(left), gap)
+    reasons = {effect_key(item): why for item in adjusted} if why else {}
+    return RepairedModel(out, None, tuple(chosen.native), left, gap, reasons)
 
 
-Written = tuple[Any, list[Change], list[KnownEffect]]
+@dataclass(frozen=True)
+class Candidate:
+    """A changed model that is not written yet, what is in it, and the effects for which MJCF has no place."""
+
+    spec: Any
+    native: Sequence[Change]
+    left: Sequence[KnownEffect]
 
 
-def _changed(model: Path, tested: Plant, written: Sequence[WrittenEffect]) -> Written:
-    """The model with what has a place in it, what that is, and the other effects.
-
-    What is adjusted without a name holds beside the other adjusted parameters only: a constant load beside the first moment of
-    a link, for instance. Where MJCF has no place for one of them, none is written.
-    """
-    compiled, every = load_mjcf(model), [_known(row) for row in written]
-    adjusted = [_known(row) for row in written if row.kind == "adjusted"]
-    if all(item.name in WRITERS or item.name == ADJUSTED for item in adjusted):
-        whole = _with_adjusted(model, compiled, tested, every)
-        if whole is not None:
-            return whole
-    spec = load_spec(model)
+def _with_named(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> Candidate:
+    """The model with everything but the adjusted parameters."""
+    spec, compiled = load_spec(model), load_mjcf(model)
     named = [_known(row) for row in written if row.kind != "adjusted"]
     native, left = write_inside(spec, compiled, tested.machine, named, model.name)
-    return spec, native, [*left, *adjusted]
+    relocate(spec, model, out)
+    return Candidate(spec, native, left)
 
 
-def _with_adjusted(model: Path, compiled: Any, tested: Plant, effects: Sequence[KnownEffect]) -> Written | None:
-    """The same with everything; None where the model has no place for the inertial parameters."""
-    spec, together = load_spec(model), any(item.name == ADJUSTED for item in effects)
+def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> Candidate | None:
+    """The model with everything.
+
+    What is adjusted without a name holds beside the other adjusted parameters only: a constant load beside the first moment of
+    a link, for instance. None where MJCF has no place for one of them.
+    """
+    effects = [_known(row) for row in written]
+    if any(row.kind == "adjusted" and row.name not in WRITERS and row.name != ADJUSTED for row in written):
+        return None
+    spec, compiled = load_spec(model), load_mjcf(model)
+    together = any(item.name == ADJUSTED for item in effects)
     single = [item for item in effects if not (together and item.name in TOGETHER)]
     native, left = write_inside(spec, compiled, tested.machine, single, model.name)
-    if not together:
-        return spec, native, left
-    plant = tested
-    for item in effects:
-        plant = plant.with_effect(item)
-    changes = write_inertials(spec, compiled, plant, model.name)
-    return None if changes is None else (spec, [*native, *changes], left)
+    if together:
+        plant = tested
+        for item in effects:
+            plant = plant.with_effect(item)
+        changes = write_inertials(spec, compiled, plant, model.name)
+        if changes is None:
+            return None
+        native = [*native, *changes]
+    relocate(spec, model, out)
+    return Candidate(spec, native, left)
+
+
+def _worse_run(named: Candidate, whole: Candidate, tested: Plant, out: Path, dataset: Dataset) -> str:
+    """Why the adjusted parameters are left out; empty where they lower the error of the free run.
+
+    Both candidates are run from ``out``, which holds the last one afterwards.
+    """
+    select, noise, sizes = split_of(dataset).select, noise_levels(dataset), list[float]()
+    for candidate in (named, whole):
+        try:
+            write_spec(candidate.spec, out)
+        except ValueError as error:
+            return f"MuJoCo refuses the model ({error})"
+        inertials = [change.effect for change in candidate.native if change.effect.name == ADJUSTED]
+        constants = {item.target: float(np.asarray(item.parameters["scale"])) for item in inertials}
+        errors = free_run_errors(out, tested, select, constants)
+        if not errors:
+            return "no selection recording has commands and positions of all axes"
+        sizes.append(float(np.sqrt(np.mean([(value / noise[signal]) ** 2 for signal, value in errors.items()]))))
+    before, after = sizes
+    if np.isnan(after):
+        return "the free run diverges"
+    if after < before or np.isnan(before):
+        return ""
+    return f"the error of the free run rises from {before:.3g} to {after:.3g} standard deviations of the joint sensors"
 
 
 def _known(row: WrittenEffect) -> KnownEffect:

@@ -8,8 +8,8 @@ values found, by least squares on the fit and selection recordings.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from sysid.gap.localise import run_rmse
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
-from sysid.machine import KnownEffect
+from sysid.machine import EffectKey, KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
 from sysid.machine.sources.mjcf_text import mjcf_text
 from sysid.plant.plant import effect_key
@@ -52,6 +52,7 @@ class RepairedModel:
         native: effects in the model; ``beside``: those in the file, or left out where there is none.
         gap: errors on held-out recordings, of free runs or of forces at measured motion: ``before`` of the model under test,
             ``after`` of the file, loaded again.
+        reasons: of effects that are left out although they were fitted: why.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class RepairedModel:
     native: tuple[Change, ...]
     beside: tuple[KnownEffect, ...]
     gap: Gap
+    reasons: Mapping[EffectKey, str] = field(default_factory=dict)
 
 
 def open_mujoco(path: Path, dataset: Dataset) -> SimulatorAdapter:

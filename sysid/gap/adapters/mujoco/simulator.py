@@ -33,6 +33,8 @@ Array = npt.NDArray[np.float64]
 
 #: Steps that one call of the library runs, so that its outputs stay small.
 CHUNK_STEPS = 4096
+#: Place of the time in a physics state.
+TIME = 0
 #: Time in which passive joints come to rest, and the share of their speed that is kept in a step of it.
 SETTLE_S, SETTLE_KEPT = 5.0, 0.98
 #: Inertia of a driven joint while passive ones come to rest: it does not move [kg·m² or kg].
@@ -151,6 +153,9 @@ class MujocoSimulator:
                 states, sensors = pool.rollout([model] * lanes, datas, state, held)
                 out[:, first : first + chunk] = sensors[:, ::steps]
                 state = states[:, -1]
+                # MuJoCo resets a run with values beyond its range, or stops it; its time then lags behind.
+                lags = np.abs(state[:, TIME] - (first * steps + held.shape[1]) * model.opt.timestep) > 0.5 * model.opt.timestep
+                out[lags, first:] = np.nan
         return out
 
     def _start(self, compiled: Compiled, recording: Recording, control: Array) -> Array:
