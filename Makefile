@@ -1,6 +1,6 @@
-# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · scale · report · clean.
+# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · scale · report · clean.
 # Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms cluster object-store scale report clean
+.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms cluster object-store scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -19,6 +19,13 @@ JOBS ?= $(shell nproc)
 test: $(READY)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not realtime"
 	$(BIN)/python -m pytest -m "realtime and not slow" tests/bench tests/runner
+
+# Compiled code that many tests need, cached for processes that follow: compiled here once, instead of in each process of `make test`.
+COMPILING := tests/bench/test_bench_hydraulics.py::test_settings_without_the_drive_change_nothing \
+	tests/plant/test_stepper.py::test_equals_the_free_run_with_everything_at_once \
+	tests/gap/test_excitation.py::test_an_axis_that_stands_still_gets_no_name_and_one_line_of_advice
+kernels: $(READY)
+	$(BIN)/python -m pytest $(COMPILING)
 
 # The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here. An hour on two cores.
 test-slow: $(READY)
@@ -80,6 +87,7 @@ clean:
 	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.
+# Bytecode is compiled on all cores; pip uses one. Some packages contain files of other Python versions, which do not compile.
 $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 is missing. On Debian 12: apt install python3 python3-venv" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -88,5 +96,6 @@ $(READY): pyproject.toml constraints.txt
 		{ echo "make: $(PYTHON) has no venv module. On Debian 12: apt install python3-venv" >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -c constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true
 	@touch $(READY)

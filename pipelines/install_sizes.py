@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from importlib.util import cache_from_source
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -78,6 +79,8 @@ def needs(name: str) -> Sequence[str]:
 def installed_size(found: Distribution) -> int:
     """Bytes of the files of a distribution, bytecode included."""
     paths = {Path(str(found.locate_file(path))) for path in found.files or ()}
+    # Bytecode is not in the list where it was compiled after the installation.
+    paths |= {Path(cache_from_source(path)) for path in paths if path.suffix == ".py"}
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 

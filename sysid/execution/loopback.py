@@ -55,7 +55,7 @@ def running(work: Sequence[Sequence[str]], log: IO[bytes] | None = None) -> Iter
 def main(workers: int = 2, port: int = PORT) -> int:
     """Run the cluster until a signal; returns the exit status."""
     with contextlib.suppress(KeyboardInterrupt):
-        signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # raises KeyboardInterrupt, also where SIGINT is ignored
         with running(commands(workers, port)) as processes:
             sys.stdout.write(f"tcp://{HOST}:{port}: {workers} workers. Ctrl-C ends them.\n")
             sys.stdout.flush()

@@ -91,11 +91,18 @@ def listening(parent: int) -> set[str]:
 
 
 @pytest.mark.slow
-def test_make_cluster_runs_until_it_is_interrupted(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "interrupts"),
+    [("SIGINT", "default_int_handler"), ("SIGTERM", "default_int_handler"), ("SIGTERM", "SIG_IGN")],
+    ids=["ctrl-c", "terminated", "terminated as a background job"],
+)
+def test_make_cluster_runs_until_it_is_ended(name: str, interrupts: str, tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", loopback.__name__, "1", str(port)]
+    code = f"import runpy, signal; signal.signal(signal.SIGINT, signal.{interrupts}); "
+    code += f"runpy.run_module({loopback.__name__!r}, run_name='__main__')"
+    command = [sys.executable, "-c", code, "1", str(port)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     log = tmp_path / "log"
     with log.open("wb") as file:
@@ -108,7 +115,7 @@ def test_make_cluster_runs_until_it_is_interrupted(tmp_path: Path) -> None:
             time.sleep(0.2)
         if sys.platform == "linux":
             assert listening(process.pid) == {"127.0.0.1"}
-        process.send_signal(signal.SIGINT)
+        process.send_signal(getattr(signal, name))
         assert process.wait(60.0) == 0
     finally:
         process.kill()

@@ -55,6 +55,7 @@ def progress(share, text):
     if share > 0.3:
         signal.raise_signal(signal.SIGINT)
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores it
 ingest(sys.argv[1], sys.argv[2], progress=progress, executor=open_executor(sys.argv[3]))
 """
 
