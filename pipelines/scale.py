@@ -248,7 +248,7 @@ def tables(result: dict[str, Any]) -> str:
     growth_rows.append(("exponent", *(f"{exponent(counts, [row[key] for row in grown]):.2f}" for key in keys)))
     growth_head = ("recordings", "ingest, two processes [s]", "caller [s]", "list [ms]", "load [s]", "peak of the caller [MB]")
     job = (
-        f"On paper, {RAW_BYTES / 1e12:.0f} TB of raw files on {MACHINES} machines of {CORES} cores, from the row of the cluster: "
+        f"On paper, {RAW_BYTES / 1e12:.0f} TB of raw files on {MACHINES} machines of {CORES} cores (row of the cluster): "
         "hours that each part takes alone."
     )
     faults = markdown(
