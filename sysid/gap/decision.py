@@ -23,7 +23,8 @@ Given models of one stage (sets of effects) under shared variances:
    the others leave at most a tenth more without it.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place.
+   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place,
+   and the named effects have to be worth their price without those that may be absent.
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
    one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
@@ -64,6 +65,9 @@ PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on held-out recordings it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 FILTERS = "noise of its measured input explains a change of its size"
+UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
+REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
+PERIODIC = "a disturbance that is periodic in time explains the error better"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 
 
@@ -213,6 +217,8 @@ def decide(
     if servo and without is not None:
         lost, alone = _beyond_price(model, lacking, nothing, without)
         lacking |= dict.fromkeys(lost, LITTLE)
+    elif not integrates and without is not None and not _alone(model, lacking, nothing, without):
+        lacking |= {key: BESIDE for key, lacks in lacking.items() if not lacks}
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
@@ -313,6 +319,22 @@ def _beyond_price(
     return lost, alone
 
 
+def _alone(
+    model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
+) -> bool:
+    """Whether the certain effects are worth their price without those that may be absent, the others refitted.
+
+    Nothing has to be worth it where the latter leave at most a tenth less. A dead time that is 14 ms too short beside a second-
+    order lag that may be absent describes a longer lag: alone it reduces nothing.
+    """
+    rest = model
+    for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
+        rest = without(rest, candidate)
+    if rest is model or rest.left <= EXPLAINED * max(model.left, 1.0):
+        return True
+    return pays(nothing, rest.left, len(rest.candidates))
+
+
 def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
     """Whether ``other`` lacks an effect of ``model``, or has one in its place that is certainly present.
 
@@ -383,7 +405,7 @@ def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
-        return "its 95 % interval reaches into the region of practical equivalence"
+        return UNCERTAIN
     return ""
 
 

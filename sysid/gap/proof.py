@@ -24,7 +24,8 @@ from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED, SHARE, Z
-from sysid.gap.unnamed.residual_formula import describe_residual
+from sysid.gap.unnamed.periodic_instead import without_periodic_names
+from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
 from sysid.gap.written import near_misses
 from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty
@@ -57,7 +58,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
-    for stage in without_cheap_names(known):
+    for stage in without_cheap_names([without_periodic_names(stage, case.plant.machine) for stage in known]):
         result = stage.found
         proven = bool(result.fit.candidates) and is_better(stage)
         refused = dict[str, str]()
@@ -131,13 +132,16 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
     assert result.stage_fit is not None
     remainder = result.stage_fit.remainder
     if proven or not result.fit.candidates:
+        theta = result.fit.theta
         if remainder.before <= EXPLAINED * max(remainder.after, 1.0):
+            if found := describe_period(stage.problem, theta, stage.split.seen, case.plant.machine):
+                outcome.unnamed += found
+                return
             outcome.notes.append(
                 f"{stage.label}: the remaining error ({remainder.before:.2g} noise floors) is a random disturbance: "
                 f"no smooth function of the measured signals explains a tenth of it"
             )
             return
-        theta = result.fit.theta
     else:
         theta = stage.theta
     outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")

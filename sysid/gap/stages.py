@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, inertia_error, load_bias, sensor_scale
+from sysid.effects import backlash, clock_offset, inertia_error, load_bias
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
@@ -34,6 +34,7 @@ from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
 from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
+from sysid.gap.sensor_scales import BEHIND, SCALE, with_sensor_scales
 from sysid.gap.stage_model import StageFit, fit_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED
@@ -46,8 +47,6 @@ from sysid.signals import axis_signal
 Array = npt.NDArray[np.float64]
 #: Backlash narrower than this many standard deviations of the noise of its input acts as a filter of that noise.
 BACKLASH_OVER_NOISE = 4.0
-#: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
-SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
 #: Condition that an error of a rotor's inertia fails.
 ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
 LOAD = "the first moment of its link is adjusted, and the postures of the recordings do not separate its torque from a constant"
@@ -115,7 +114,12 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         pool.shutdown()
-        return _with_sensor_scales(case, found, forms, progress)
+
+        def again(stage: Stage, refuted: frozenset[EffectKey]) -> Stage:
+            result = _found(case, stage, forms, lambda share, text: progress(1.0, text), refuted)
+            return replace(stage, problem=result.problem, result=result)
+
+        return with_sensor_scales(found, again)
 
 
 def _with_shown_floor(case: Case, stage: Stage) -> Stage:
@@ -135,31 +139,6 @@ def _with_links(stage: Stage, links: Stage) -> Stage:
     return replace(stage, theta=links.found.fit.theta.copy(), open_load=loads.get(stage.problem.target, 0.0))
 
 
-def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Search drives again whose sensor has a scale error according to the stages behind them: it looks like a gain.
-
-    A scale that ties with another effect is in the repaired plant too, and must not be counted twice.
-    """
-    scales = [
-        (stage.found.fit, kept.candidate)
-        for stage in stages
-        for kept in stage.found.named
-        if stage.problem.stage in BEHIND and kept.candidate.effect.name == SCALE
-    ]
-    found = []
-    for stage in stages:
-        read = [(fit, scale) for fit, scale in scales if scale.target in stage.problem.signals]
-        if stage.problem.stage == "command" and read:
-            theta = stage.theta.copy()
-            for fit, scale in read:
-                for unknown, value in zip(scale.unknowns, fit.values_of(scale), strict=True):
-                    theta[list(unknown.places)] = value
-            again = replace(stage, theta=theta)
-            stage = replace(again, result=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
-        found.append(stage)
-    return tuple(found)
-
-
 def _one_by_one(
     case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], forms: Forms, progress: Progress
 ) -> tuple[Stage, ...]:
@@ -175,7 +154,10 @@ def _one_by_one(
     return tuple(found)
 
 
-def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageResult:
+def _found(
+    case: Case, stage: Stage, forms: Forms, progress: Progress, refuted: frozenset[EffectKey] = frozenset()
+) -> StageResult:
+    """The result of a stage; ``refuted``: effects that another stage contradicts, which are not offered."""
     progress(0.0, stage.label)
     machine = case.plant.machine
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
@@ -185,7 +167,8 @@ def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageR
         progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
     fits = FitCount(progress, stage.label)
-    candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
+    offered = (c for c in stage_candidates(case, stage) if c.key not in refuted)
+    candidates = [c for c in offered if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     if problem.stage == LINKS:
         result = _found_in_links(case, stage, candidates, nameable, seen, nominal, fits)

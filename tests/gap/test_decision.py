@@ -147,6 +147,36 @@ def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_s
     assert {near.candidate for near in found.near_misses} == {LAG, DELAY}
 
 
+@pytest.mark.parametrize(
+    ("alone", "named"),
+    [
+        pytest.param(3.0, (BAND,), id="worth its price alone"),
+        pytest.param(11.0, (), id="alone it makes the error larger"),
+        pytest.param(6.0, (), id="alone it halves the error"),
+    ],
+)
+def test_an_effect_that_only_one_that_may_be_absent_makes_useful_is_not_named(
+    alone: float, named: tuple[Candidate, ...]
+) -> None:
+    """A dead time that is too short beside a second-order lag that may be absent: together they describe a longer lag."""
+    sure, unsure = model(BAND), model(LAG, away=0.1, deviation=0.06)
+    both = ModelFit(
+        (BAND, LAG), (*sure.unknowns, *unsure.unknowns), np.concatenate([sure.values, unsure.values]), PLANT.vector(),
+        np.diag([*np.diag(sure.covariance), *np.diag(unsure.covariance)]), np.zeros(3), 0.0, np.zeros(BLOCKS), 1.0,
+        np.full(3, RESPONSE), 1.3,
+    )  # fmt: skip
+    fits = {f.labels: f for f in (NOTHING, both, model(BAND, worse=3.0, left=alone), model(LAG, worse=3.0, left=5.0))}
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    found = decide(list(fits.values()), ALL, integrates=False, without=without)
+    assert found.named == named
+    lacks = {near.candidate: near.lacks for near in found.near_misses}
+    assert lacks[LAG] == decision.UNCERTAIN
+    assert lacks.get(BAND, "") == ("" if named else decision.BESIDE)
+
+
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)

@@ -13,6 +13,7 @@ from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price
 from sysid.gap.case import Stage
+from sysid.gap.decision import REFUTED
 from sysid.gap.fit import Fit
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.stage_intervals import simultaneous, with_intervals_of
@@ -49,6 +50,33 @@ def test_a_scale_of_a_sensor_is_not_counted_twice() -> None:
     assert found.ambiguous == ()
     for signal in ("boom.cylinder", "boom.joint"):
         assert found.stage_gap.after[signal] < 1.1 * found.stage_gap.noise_floor[signal], signal
+
+
+def test_a_scale_beside_a_gain_error_of_another_size_keeps_its_name() -> None:
+    """The drive is 3 % too fast without the scale of its sensor, and 2 % with it."""
+    true = nominal(
+        KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.01}), KnownEffect("gain_error", "boom", {"ratio": 1.02})
+    )
+    found = find_gap(dataset_of(true, 40.0, seed=5), nominal())
+    assert {(effect.name, effect.target) for effect in found.effects} == {
+        ("sensor_scale", "boom.cylinder"),
+        ("gain_error", "boom"),
+    }
+
+
+def test_a_scale_that_its_drive_contradicts_is_not_named() -> None:
+    """A drive whose sensor shows the right speed has no gain error that exactly undoes a scale of that sensor.
+
+    It is also what an owner has who identified the gain with that sensor; the drive cannot tell, so neither is named.
+    """
+    scale = KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.01})
+    true = nominal(scale, KnownEffect("gain_error", "boom", {"ratio": 1.0 / 1.01}))
+    found = find_gap(dataset_of(true, 40.0, seed=5), nominal())
+    assert ("gain_error", "boom") not in {(effect.name, effect.target) for effect in found.effects}
+    assert ("sensor_scale", "boom.cylinder") not in {(effect.name, effect.target) for effect in found.effects}
+    (miss,) = (miss for miss in found.near_misses if (miss.name, miss.target) == ("sensor_scale", "boom.cylinder"))
+    assert miss.lacks == REFUTED
+    assert miss.parameters["scale"] == pytest.approx(1.01, abs=1e-3)
 
 
 def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:

@@ -15,8 +15,13 @@ from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe, Unnamed
 from sysid.gap.unnamed.formula_search import ValidatedFormula, find_formula
-from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
-from sysid.gap.unnamed.residual_series import ResidualSeries, cross_correlations, residual_series
+from sysid.gap.unnamed.periodic_disturbance import PeriodicDisturbance, find_periodic_disturbance
+from sysid.gap.unnamed.residual_series import (
+    ResidualSeries,
+    cross_correlations,
+    lag1_autocorrelation,
+    residual_series,
+)
 from sysid.gap.unnamed.terms import Formula
 from sysid.machine import Machine
 from sysid.signals import axis_signal
@@ -25,6 +30,8 @@ Array = npt.NDArray[np.float64]
 
 #: Least share of the variance that a formula explains on recordings left out of the fit, and largest p-value of that gain.
 MIN_SHARE, MAX_P_VALUE = 0.06, 0.01
+#: Share of the variance beyond which a residual is periodic rather than random.
+MOST = 0.5
 #: Least correlation that counts as a dependence where no formula was found.
 MIN_CORRELATION = 0.2
 #: Number of cross-correlations that are reported.
@@ -39,6 +46,34 @@ def describe_residual(problem: Problem, theta: Array, recordings: Sequence[Recor
         theta: best parameter vector of the stage, whose residual is described.
         recordings: fit and selection recordings.
     """
+    found = _worst(problem, theta, recordings, machine)
+    if found is None:
+        return []
+    rmse, signal, series = found
+    if not series:
+        return [Unnamed(problem.stage, problem.target, rmse, NOTHING, "measured for too short a time to describe it")]
+    return [describe(problem, rmse, signal, series, machine)]
+
+
+def describe_period(problem: Problem, theta: Array, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
+    """The same where a periodic disturbance explains most of the residual; else nothing.
+
+    For residuals that no smooth function explains, which otherwise count as a random disturbance.
+    """
+    found = _worst(problem, theta, recordings, machine)
+    if found is None or not found[2]:
+        return []
+    rmse, signal, series = found[0], found[1], _moving(problem, found[2])
+    disturbance = _certain(find_periodic_disturbance(series, lag1_autocorrelation([part.target for part in series])))
+    if disturbance is None or disturbance.share < MOST:
+        return []
+    return [_periodic_in_time(problem, rmse, signal, series, disturbance)]
+
+
+def _worst(
+    problem: Problem, theta: Array, recordings: Sequence[Recording], machine: Machine
+) -> tuple[float, str, list[ResidualSeries]] | None:
+    """RMSE, signal and residuals of the output with the largest residual; None where none is measured."""
     moving = [recording for recording in recordings if recording.kind == "motion"]
     worst: tuple[float, int] | None = None
     for k in range(len(problem.signals)):
@@ -48,24 +83,55 @@ def describe_residual(problem: Problem, theta: Array, recordings: Sequence[Recor
             rmse = float(np.sqrt(np.nanmean(joined**2)))
             worst = max(worst, (rmse, k)) if worst is not None else (rmse, k)
     if worst is None:
-        return []
+        return None
     rmse, k = worst
     found = [residual_series(problem, theta, recording, machine, k) for recording in moving]
-    series = [part for part in found if part is not None]
-    if not series:
-        return [Unnamed(problem.stage, problem.target, rmse, NOTHING, "measured for too short a time to describe it")]
-    return [describe(problem, rmse, problem.signals[k], series, machine)]
+    return rmse, problem.signals[k], [part for part in found if part is not None]
+
+
+def _moving(problem: Problem, series: Sequence[ResidualSeries]) -> Sequence[ResidualSeries]:
+    """Recordings in which the axis moves, which have its speed; all of them where none does."""
+    return [part for part in series if f"speed of {problem.target}" in part.variables] or series
+
+
+def _certain(disturbance: PeriodicDisturbance | None) -> PeriodicDisturbance | None:
+    """A disturbance that explains enough, with certainty; else None."""
+    sure = disturbance is not None and disturbance.share >= MIN_SHARE and disturbance.p_value <= MAX_P_VALUE
+    return disturbance if sure else None
+
+
+def _periodic_in_time(
+    problem: Problem,
+    rmse: float,
+    signal: str,
+    series: Sequence[ResidualSeries],
+    disturbance: PeriodicDisturbance,
+    shown: tuple[Probe, ...] = (),
+) -> Unnamed:
+    depends = ", ".join(dict.fromkeys(("time", *(factor.variable for factor in disturbance.modulation))))
+    text = (
+        f"{_what(series)} of {signal} ≈ {disturbance} (SI units), with one phase φ per recording; explains "
+        f"{int(100.0 * disturbance.share)} % of the variance of second halves of recordings, with the phase of first halves"
+    )
+    return Unnamed(problem.stage, problem.target, rmse, depends, text, disturbance.share, disturbance.period, "s", shown)
+
+
+def _what(series: Sequence[ResidualSeries]) -> str:
+    return "rate of the residual" if series[0].rate else "residual"
 
 
 def describe(problem: Problem, rmse: float, signal: str, series: Sequence[ResidualSeries], machine: Machine) -> Unnamed:
-    """One output of a stage, from its residual on each recording."""
-    what = "rate of the residual" if series[0].rate else "residual"
-    # A recording without motion of the axis has no speed variable.
-    series = [part for part in series if f"speed of {problem.target}" in part.variables] or series
+    """One output of a stage, from its residual on each recording.
+
+    Of a formula and a periodic disturbance the one that explains the larger share counts, each on data left out of its fit.
+    """
+    what, series = _what(series), _moving(problem, series)
     found = find_formula(series, _periodic_over(problem, machine))
     probes = cross_correlations(series, found.ar1)
     shown = probes[:MAX_PROBES]
-    if found.formula.terms and found.share >= MIN_SHARE and found.p_value <= MAX_P_VALUE:
+    disturbance = _certain(find_periodic_disturbance(series, found.ar1))
+    certain = found.formula.terms and found.share >= MIN_SHARE and found.p_value <= MAX_P_VALUE
+    if certain and (disturbance is None or found.share >= disturbance.share):
         formula, periodic = found.formula, _periodic(found.formula)
         text = (
             f"{what} of {signal} ≈ {formula} (SI units); explains {int(100.0 * found.share)} % of its "
@@ -75,14 +141,8 @@ def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Residu
         return Unnamed(
             problem.stage, problem.target, rmse, ", ".join(_variables(formula)), text, found.share, period, unit, shown
         )  # fmt: skip
-    disturbance = find_periodic_disturbance(series, found.ar1)
-    if disturbance is not None and disturbance.share >= MIN_SHARE and disturbance.p_value <= MAX_P_VALUE:
-        depends = ", ".join(dict.fromkeys(("time", *(factor.variable for factor in disturbance.modulation))))
-        text = (
-            f"{what} of {signal} ≈ {disturbance} (SI units), with one phase φ per recording; explains "
-            f"{int(100.0 * disturbance.share)} % of the variance of second halves of recordings, with the phase of first halves"
-        )
-        return Unnamed(problem.stage, problem.target, rmse, depends, text, disturbance.share, disturbance.period, "s", shown)
+    if disturbance is not None:
+        return _periodic_in_time(problem, rmse, signal, series, disturbance, shown)
     clear = [p for p in probes if abs(p.correlation) > max(p.bound, MIN_CORRELATION)]
     if clear:
         best = clear[0]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,6 +16,8 @@ import pytest
 from mjcf_logs import dataset_of_runs, machine_of
 from robots import robot
 
+from sysid.cli.gap_mujoco import write_model
+from sysid.cli.output import Printer
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.gap import find_gap
@@ -240,6 +244,17 @@ def test_an_adjusted_load_that_the_free_run_contradicts_is_left_out(tmp_path: Pa
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
     np.testing.assert_allclose(model.actuator_biasprm[:, 0], 0.0)
     np.testing.assert_allclose(model.dof_damping, [1.6, 0.3])
+
+
+def test_the_console_and_the_json_state_why_it_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset, bias = recorded(4.0, damping=1.6, loss=0.6), WrittenEffect("load_bias", "elbow", "adjusted", {"force": 0.1})
+    plant = open_force_model(robot("torque_arm"), dataset).plant
+    result: Any = SimpleNamespace(written=(*RIGHT, bias), stage_gap=PROMISED)
+    said = write_model(Printer(), plant, result, dataset, robot("torque_arm"), tmp_path / "out.xml")
+    (left,) = said["beside"]
+    assert (left["name"], left["target"]) == ("load_bias", "elbow")
+    assert left["why"].startswith("the error of the free run rises from")
+    assert f"load_bias of elbow: not written ({left['why']})" in capsys.readouterr().out
 
 
 def test_adjusted_masses_that_lower_the_error_of_the_free_run_are_written(tmp_path: Path) -> None:

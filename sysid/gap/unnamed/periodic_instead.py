@@ -1,0 +1,71 @@
+"""Names of a drive that a periodic disturbance explains better: no effect of the catalogue is periodic in time.
+
+A pulsating pump that is recorded during a few similar motions changes the mean speed of each of them, as a gain error does. The
+disturbance competes with the names: on the second halves of recordings, with the phases of the first halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.case import Stage
+from sysid.gap.decision import PERIODIC
+from sysid.gap.thresholds import PRICE
+from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
+from sysid.gap.unnamed.residual_formula import MAX_P_VALUE
+from sysid.gap.unnamed.residual_series import ResidualSeries, residual_series
+from sysid.machine import Machine
+
+Array = npt.NDArray[np.float64]
+
+
+def without_periodic_names(stage: Stage, machine: Machine) -> Stage:
+    """The stage without its effects where a periodic disturbance explains its error better than their names do.
+
+    It has to leave a fifth of the squared speed error that the names leave (the price of an effect), and the names must not be
+    worth that price beside it. Only where formulas are wrong and errors accumulate.
+    """
+    result = stage.found
+    if not result.accumulates or not result.named or result.stage_fit is None:
+        return stage
+    before, after = (_series(stage, theta, machine) for theta in (stage.theta, result.fit.theta))
+    if not _better(before, after):
+        return stage
+    lost = dict.fromkeys((kept.candidate.label for kept in result.named), PERIODIC)
+    fitted = replace(result.stage_fit, decision=result.stage_fit.decision.without_names(lost))
+    nominal = replace(result.fit, candidates=(), unknowns=(), values=np.empty(0), theta=stage.theta)
+    empty = replace(result, named=(), adjusted=(), fit=nominal, final_rmse=result.nominal_rmse, stage_fit=fitted)
+    return replace(stage, result=replace(empty, names_alone=None))
+
+
+def _series(stage: Stage, theta: Array, machine: Machine) -> list[ResidualSeries]:
+    """Rate of the residual of the output that the nominal plant predicts worst, by recording."""
+    moving = [r for r in stage.split.seen if r.kind == "motion"]
+    nominal = [stage.problem.measured(r) - stage.problem.predict(stage.theta[None], r)[0] for r in moving]
+    worst = int(np.argmax(np.sqrt(np.nanmean(np.concatenate(nominal) ** 2, axis=0)) / stage.sigma))
+    found = (residual_series(stage.problem, theta, r, machine, worst) for r in moving)
+    return [part for part in found if part is not None]
+
+
+def _better(before: Sequence[ResidualSeries], after: Sequence[ResidualSeries]) -> bool:
+    """Whether a periodic disturbance explains the residual ``before`` the names better than they do, and they add little."""
+    found = find_periodic_disturbance(before, ar1=0.0)
+    if found is None or found.p_value > MAX_P_VALUE:
+        return False
+    instead, names = 1.0 - found.share, _second_halves(after) / _second_halves(before)
+    if PRICE * instead > names:
+        return False
+    beside = find_periodic_disturbance(after, ar1=0.0)
+    both = names * (1.0 - beside.share) if beside is not None else names
+    return instead < PRICE * both
+
+
+def _second_halves(series: Sequence[ResidualSeries]) -> float:
+    """Sum of squares in the second halves of recordings, about the mean of each."""
+    parts = (part.target[np.isfinite(part.target)] for part in series)
+    halves = (part[len(part) // 2 :] for part in parts)
+    return sum(float(np.sum((half - half.mean()) ** 2)) for half in halves)
