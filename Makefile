@@ -1,6 +1,9 @@
 # demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · scale · report · clean.
 # Each makes .venv by itself when it is missing.
 .PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms cluster object-store scale report clean
+# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · model-server · scale · report · clean.
+# Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms cluster object-store model-server scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -75,6 +78,18 @@ object-store:
 	test -x $(STORE)/bin/moto_server || { $(PYTHON) -m venv $(STORE) && $(STORE)/bin/python -m pip install --quiet 'moto[s3,server]>=5,<6'; }
 	$(STORE)/bin/moto_server -H 127.0.0.1 -p 5000
 
+# A full MLflow server with an sqlite database on http://127.0.0.1:5001, until Ctrl-C, in an environment of its own: it needs an older pyarrow.
+MLFLOW := $(VENV)-mlflow
+model-server: export MLFLOW_DISABLE_TELEMETRY := true
+model-server: export DO_NOT_TRACK := true
+model-server: export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
+model-server:
+	test -x $(MLFLOW)/bin/mlflow || { $(PYTHON) -m venv $(MLFLOW) && \
+	  $(MLFLOW)/bin/python -m pip install --quiet "mlflow==$$(sed -n 's/^mlflow-skinny==//p' constraints.txt)"; }
+	mkdir -p $(WORKSPACE)/model-server
+	$(MLFLOW)/bin/mlflow server --host 127.0.0.1 --port 5001 --workers 2 \
+	  --backend-store-uri sqlite:///$(abspath $(WORKSPACE))/model-server/server.db --artifacts-destination $(WORKSPACE)/model-server/artifacts
+
 # Time and bytes of 1, 2 and 4 worker processes.
 scale: $(READY)
 	$(BIN)/python pipelines/scale.py --work $(WORKSPACE)/scale
@@ -83,7 +98,7 @@ report: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) report
 
 clean:
-	rm -rf $(VENV) $(STORE) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(STORE) $(MLFLOW) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.

@@ -3,13 +3,15 @@
     python pipelines/scale.py --work workspace/scale --publish
 
 The logs are the motion recordings of the demo, repeated under other names. Every version is compared with that of one process,
-to the byte. ``--publish`` writes ``reports/scale/result.json`` and the tables of ``docs/scale.md``.
+to the byte. The growth with the number of recordings is measured on two processes, and what 100 machines would cost follows on
+paper (scaling/estimate.py). ``--publish`` writes ``reports/scale/result.json`` and the tables of ``docs/scale.md``.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import resource
 import shutil
 import signal
 import socket
@@ -22,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from committed import ROOT, markdown, provenance, write_result, write_tables
+from scaling.estimate import CORES, HEAD, MACHINES, RAW_BYTES, estimate_rows, exponent
 from scaling.measured_executor import MeasuredExecutor, nothing
 from sysid.datasets import Store, ingest
 from sysid.execution import Executor, LocalExecutor
@@ -98,6 +101,7 @@ def measured(logs: Path, work: Path, executor: Executor, workers: int, where: st
         "seconds": seconds,
         "tasks": own.measures.tasks,
         "task_seconds": own.measures.seconds,
+        "caller_seconds": seconds - own.measures.waited,
         "overhead_s": empty,
         "sent_bytes": own.measures.sent,
         "returned_bytes": own.measures.returned,
@@ -122,14 +126,52 @@ def killed_worker(logs: Path, work: Path, workers: int, expected: Any) -> dict[s
     return {"fault": "worker killed in mid-ingest", "same_result": content(Store(workspace), found.reference) == expected}
 
 
+def growth(work: Path, counts: Sequence[int]) -> list[dict[str, Any]]:
+    """Rows by the number of recordings, on two processes: time of the ingest, of the caller, and of a listing afterwards."""
+    rows = []
+    for count in counts:
+        logs = write_logs(work / "growth", count)
+        own = MeasuredExecutor(LocalExecutor(2))
+        with own.executor.kept() as kept:
+            kept.run(nothing, [(k,) for k in range(8)])
+            workspace = fresh(work)
+            begin = time.perf_counter()
+            found = ingest(logs, workspace, executor=MeasuredExecutor(kept, own.measures))
+            seconds = time.perf_counter() - begin
+        begin = time.perf_counter()
+        store = Store(workspace)
+        if found.reference not in {f"{entry.name}@{entry.version}" for entry in store.list()}:
+            raise RuntimeError("the version that was written is not listed")
+        listed = time.perf_counter() - begin
+        begin = time.perf_counter()
+        dataset = store.load(found.reference)
+        loaded = time.perf_counter() - begin
+        if len(dataset.recordings) != count:
+            raise RuntimeError(f"{len(dataset.recordings)} recordings were loaded of {count}")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        rows.append(
+            {
+                "recordings": count,
+                "seconds": seconds,
+                "caller_seconds": seconds - own.measures.waited,
+                "list_seconds": listed,
+                "load_seconds": loaded,
+                "peak_bytes": peak,
+            }
+        )
+        sys.stderr.write(f"{count} recordings: {seconds:.1f} s\n")
+    return rows
+
+
 def fresh(work: Path) -> Path:
     """An empty workspace."""
     shutil.rmtree(work / "workspace", ignore_errors=True)
     return work / "workspace"
 
 
-def study(work: Path, counts: Sequence[int], recordings: int) -> dict[str, Any]:
+def study(work: Path, counts: Sequence[int], recordings: int, growing: Sequence[int]) -> dict[str, Any]:
     """All figures."""
+    grown = growth(work, growing)
     logs = write_logs(work / "logs", recordings)
     shutil.rmtree(work / "alone", ignore_errors=True)
     ingest(logs, work / "alone")
@@ -148,10 +190,15 @@ def study(work: Path, counts: Sequence[int], recordings: int) -> dict[str, Any]:
     (part,) = Store(work / "alone").tables(alone.reference)
     tables = sum(file.stat().st_size for place in (part.samples, part.channels) for file in Path(place).glob("*.parquet"))
     return {
-        "settings": {"recordings": recordings, "cores": os.cpu_count()},
+        "settings": {
+            "recordings": recordings,
+            "cores": os.cpu_count(),
+            "seconds": sum(float(r.table["time"].iloc[-1]) for r in alone.recordings),
+        },
         "alone": {"seconds": seconds},
         "bytes": {"raw": sum(source.size for source in alone.sources), "tables": tables},
         "rows": rows,
+        "growth": grown,
         "faults": [killed_worker(logs, work, 2, expected)],
     }
 
@@ -184,10 +231,39 @@ def tables(result: dict[str, Any]) -> str:
         f"{result['settings']['cores']} cores; {result['machine']}; commit {result['commit']}. "
         f"The version is that of one process, to the byte, in {same} of {len(result['rows'])} runs."
     )
+    grown = result["growth"]
+    counts = [row["recordings"] for row in grown]
+    growth_rows = [
+        (
+            str(row["recordings"]),
+            f"{row['seconds']:.1f}",
+            f"{row['caller_seconds']:.2f}",
+            f"{1e3 * row['list_seconds']:.1f}",
+            f"{row['load_seconds']:.2f}",
+            f"{row['peak_bytes'] / 1e6:.0f}",
+        )
+        for row in grown
+    ]
+    keys = ("seconds", "caller_seconds", "list_seconds", "load_seconds", "peak_bytes")
+    growth_rows.append(("exponent", *(f"{exponent(counts, [row[key] for row in grown]):.2f}" for key in keys)))
+    growth_head = ("recordings", "ingest, two processes [s]", "caller [s]", "list [ms]", "load [s]", "peak of the caller [MB]")
+    job = (
+        f"On paper, {RAW_BYTES / 1e12:.0f} TB of raw files on {MACHINES} machines of {CORES} cores (row of the cluster): "
+        "hours that each part takes alone."
+    )
     faults = markdown(
         ("fault", "same version"), [(row["fault"], "yes" if row["same_result"] else "**no**") for row in result["faults"]], "ll"
     )
-    return f"{words}\n\n{markdown(head, rows)}\n\n{faults}"
+    parts = (
+        words,
+        markdown(head, rows),
+        "Growth, an exponent of 1 is proportional:",
+        markdown(growth_head, growth_rows, "r"),
+        job,
+        markdown(HEAD, estimate_rows(result)),
+        faults,
+    )
+    return "\n\n".join(parts)
 
 
 def main() -> None:
@@ -196,14 +272,16 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--recordings", type=int, default=48)
+    parser.add_argument("--growth", type=int, nargs="+", default=[12, 24, 48, 96], help="numbers of recordings, ascending")
     parser.add_argument("--publish", action="store_true", help="write the committed result and its page")
     options = parser.parse_args()
     # The workers import the measured tasks from this folder.
     paths = [str(ROOT / "pipelines"), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
-    words = f"--work WORK --workers {' '.join(map(str, options.workers))} --recordings {options.recordings}"
+    workers, growing = (" ".join(map(str, numbers)) for numbers in (options.workers, options.growth))
+    words = f"--work WORK --workers {workers} --recordings {options.recordings} --growth {growing}"
     head = provenance(f"python pipelines/scale.py {words} --publish", None, ("distributed", "pyarrow", "deltalake"))
-    result = {**head, **study(options.work, options.workers, options.recordings)}
+    result = {**head, **study(options.work, options.workers, options.recordings, options.growth)}
     write_result(options.work / "result.json", result)
     sys.stdout.write(f"{tables(result)}\n")
     if options.publish:

@@ -20,11 +20,13 @@ class Measures:
 
     Args:
         seconds: within the tasks.
+        waited: time of the caller in calls of the executor; the rest of its time is its own work [s].
         sent, returned: pickled arguments and results [bytes].
     """
 
     tasks: int = 0
     seconds: float = 0.0
+    waited: float = 0.0
     sent: int = 0
     returned: int = 0
 
@@ -41,7 +43,9 @@ class MeasuredExecutor:
     ) -> list[Any]:
         if reports:
             raise NotImplementedError("tasks that report are not measured")
+        begin = time.perf_counter()
         results = self.executor.run(timed, [(task, *call) for call in calls], progress)
+        self.measures.waited += time.perf_counter() - begin
         self.measures.tasks += len(calls)
         self.measures.seconds += sum(seconds for seconds, _ in results)
         self.measures.sent += sum(len(pickle.dumps(call)) for call in calls)

@@ -16,6 +16,10 @@ PAGE = "fleet/fleet.html"
 FAILED = 3
 Condition = Literal["differs", "drift", "any"]
 
+_plant_option = click.option(
+    "--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one."
+)
+
 
 @click.group()
 def fleet() -> None:
@@ -28,7 +32,7 @@ def fleet() -> None:
 
 @fleet.command()
 @click.argument("references", metavar="NAME[@VERSION]…", nargs=-1, required=True)
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@_plant_option
 @workers_option
 @cluster_option()
 @click.option(
@@ -93,7 +97,7 @@ def gap(
 @fleet.command()
 @click.argument("name", metavar="NAME")
 @click.argument("folders", metavar="[FOLDER]…", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@_plant_option
 @click.option(
     "--like",
     multiple=True,

@@ -103,14 +103,18 @@ def test_a_store_that_does_not_answer_is_reported(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
-def test_an_ingest_outlasts_a_store_that_stands_still(server: subprocess.Popen[bytes], place: str, logs: Path) -> None:
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("seconds", [10.0, 62.0])
+def test_an_ingest_outlasts_a_store_that_stands_still(
+    server: subprocess.Popen[bytes], place: str, logs: Path, seconds: float
+) -> None:
     """Requests wait and are repeated; the version is whole, and there is one."""
 
     def progress(share: float, text: str) -> None:
         if share > 0.3 and not stopped:
             stopped.append(time.monotonic())
             server.send_signal(signal.SIGSTOP)
-            pool.submit(_continue_later, server, 10.0)
+            pool.submit(_continue_later, server, seconds)
 
     stopped: list[float] = []
     with ThreadPoolExecutor(1) as pool:
@@ -119,6 +123,7 @@ def test_an_ingest_outlasts_a_store_that_stands_still(server: subprocess.Popen[b
         finally:
             server.send_signal(signal.SIGCONT)
     assert stopped
+    assert time.monotonic() - stopped[0] > seconds
     assert found.version == 1
     assert [entry.damage for entry in Store(place).list()] == [""]
 
