@@ -1,9 +1,6 @@
-# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · scale · report · clean.
+# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · model-server · scale · report · clean.
 # Each makes .venv by itself when it is missing.
-.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms cluster object-store scale report clean
-# demo · test · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · model-server · scale · report · clean.
-# Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow fuzz lint docs bench hidden-effects arms cluster object-store model-server scale report clean
+.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms cluster object-store model-server scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
