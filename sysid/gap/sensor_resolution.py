@@ -35,6 +35,8 @@ CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
 MIN_SINGLE_STEPS = 0.01
 #: Largest number of steps over the range, a power of two.
 MAX_STEPS = 2**15
+#: Half a unit of the ninth significant digit, the shortest format of numbers in logs.
+DIGITS = 5e-9
 
 
 @dataclass(frozen=True)
@@ -128,11 +130,15 @@ def rounding(step: float) -> float:
 
 
 def _interval(parts: Sequence[Array], step: float) -> tuple[float, float]:
-    """95 % interval of the step: the slope of readings over their number of steps."""
+    """95 % interval of the step: the slope of readings over their number of steps.
+
+    At least what the digits of a log leave open: each end of the range is rounded to nine digits.
+    """
     values = _readings(parts)
     whole = np.round((values - values[0]) / step)
     spread = _off_lattice(parts, step) / max(float(np.sqrt(np.sum((whole - whole.mean()) ** 2))), 1.0)
-    reach = max(1.96 * spread, 1e-9 * step)
+    digits = 2.0 * DIGITS * float(np.abs(values).max()) / max(float(np.ptp(whole)), 1.0)
+    reach = max(1.96 * spread, digits)
     return step - reach, step + reach
 
 

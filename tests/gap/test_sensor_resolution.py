@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plant_data import dataset_of, nominal
 
 from sysid.gap.noise import noise_levels
-from sysid.gap.sensor_resolution import coarse_sensors, reading_step, with_steps
+from sysid.gap.sensor_resolution import _interval, coarse_sensors, reading_step, with_steps
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,20 @@ def test_the_step_of_readings(step: float, seed: int) -> None:
     values[[3, 77]] = np.nan
     assert reading_step([values[:200], values[200:]]) == pytest.approx(step, rel=1e-6)
     assert reading_step([values + rng.normal(0.0, 0.3 * step, 400)]) == 0.0
+
+
+def test_its_interval_contains_the_step_of_readings_with_few_digits() -> None:
+    """Nine digits of a log: without them the interval was 10⁻⁹ of the step wide, and 4 of 50 sensors were outside."""
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(50):
+        step = rng.uniform(1e-3, 1e-2)
+        time = np.arange(3000) / 100.0
+        angle = rng.uniform(0.2, 0.8) * np.sin(rng.uniform(0.5, 2.0) * time + rng.uniform(0.0, 6.0)) + rng.uniform(-0.5, 0.5)
+        readings = np.array([float(f"{value:.9g}") for value in step * np.round(angle / step)])
+        found = reading_step([readings])
+        low, high = _interval([readings], found)
+        held += bool(low <= step <= high)
+    assert held == 50
 
 
 def test_what_never_changes_has_no_step() -> None:
