@@ -26,7 +26,7 @@ from typing import Any
 from committed import ROOT, markdown, provenance, write_result, write_tables
 from scaling.estimate import CORES, HEAD, MACHINES, RAW_BYTES, estimate_rows, exponent
 from scaling.measured_executor import MeasuredExecutor, nothing
-from sysid.datasets import Store, ingest
+from sysid.datasets import Dataset, Store, ingest
 from sysid.execution import Executor, LocalExecutor
 from sysid.execution.cluster import ClusterExecutor
 from sysid.execution.loopback import HOST, commands, running
@@ -92,9 +92,7 @@ def measured(logs: Path, work: Path, executor: Executor, workers: int, where: st
         empty = (time.perf_counter() - begin) / EMPTY
         ingest(logs, fresh(work), executor=kept)
         workspace = fresh(work)
-        begin = time.perf_counter()
-        found = ingest(logs, workspace, executor=MeasuredExecutor(kept, own.measures))
-        seconds = time.perf_counter() - begin
+        found, seconds = timed_ingest(logs, workspace, MeasuredExecutor(kept, own.measures))
     return {
         "where": where,
         "workers": workers,
@@ -135,9 +133,7 @@ def growth(work: Path, counts: Sequence[int]) -> list[dict[str, Any]]:
         with own.executor.kept() as kept:
             kept.run(nothing, [(k,) for k in range(8)])
             workspace = fresh(work)
-            begin = time.perf_counter()
-            found = ingest(logs, workspace, executor=MeasuredExecutor(kept, own.measures))
-            seconds = time.perf_counter() - begin
+            found, seconds = timed_ingest(logs, workspace, MeasuredExecutor(kept, own.measures))
         begin = time.perf_counter()
         store = Store(workspace)
         if found.reference not in {f"{entry.name}@{entry.version}" for entry in store.list()}:
@@ -161,6 +157,13 @@ def growth(work: Path, counts: Sequence[int]) -> list[dict[str, Any]]:
         )
         sys.stderr.write(f"{count} recordings: {seconds:.1f} s\n")
     return rows
+
+
+def timed_ingest(logs: Path, workspace: Path, executor: Executor) -> tuple[Dataset, float]:
+    """The dataset, and the seconds that its ingest took."""
+    begin = time.perf_counter()
+    found = ingest(logs, workspace, executor=executor)
+    return found, time.perf_counter() - begin
 
 
 def fresh(work: Path) -> Path:

@@ -19,8 +19,9 @@ class Cost:
     """One recording of the study.
 
     Args:
-        raw: bytes of its files. seconds: its length. task: time within its tasks. caller: time of the caller. empty: time of an
-        empty task on a cluster. tasks: their number. moved: bytes that its tasks send and return.
+        raw: bytes of its files; ``seconds``: its length.
+        task: time within its tasks; ``caller``: of the caller; ``empty``: of an empty task on a cluster [s].
+        tasks: their number; ``moved``: bytes that they send and return.
     """
 
     raw: float

@@ -1,9 +1,8 @@
 """Replay proof: an export runs the commands of held-out recordings and is compared with the plant and with the machine.
 
 Both begin where the free run of the recording begins, with its first commands held; force axes with their speed there, since a
-recording may begin in motion. An export *agrees*
-with the plant in a signal if the RMS of their difference is at most the larger of two bounds: :data:`SHARE` of the RMS of the
-plant's motion about its mean, or the noise of the signal's sensor.
+recording may begin in motion. An export *agrees* with the plant in a signal if the RMS of their difference is at most the
+larger of two bounds: :data:`SHARE` of the RMS of the plant's motion about its mean, or the noise of the signal's sensor.
 """
 
 from __future__ import annotations

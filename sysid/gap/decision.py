@@ -217,7 +217,7 @@ def decide(
     if servo and without is not None:
         lost, alone = _beyond_price(model, lacking, nothing, without)
         lacking |= dict.fromkeys(lost, LITTLE)
-    elif not integrates and without is not None and not _alone(model, lacking, nothing, without):
+    elif not integrates and without is not None and not _pay_alone(model, lacking, nothing, without):
         lacking |= {key: BESIDE for key, lacks in lacking.items() if not lacks}
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
@@ -319,7 +319,7 @@ def _beyond_price(
     return lost, alone
 
 
-def _alone(
+def _pay_alone(
     model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
 ) -> bool:
     """Whether the certain effects are worth their price without those that may be absent, the others refitted.

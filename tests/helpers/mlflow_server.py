@@ -12,30 +12,16 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from installed_server import server_command
 
-#: The command of the server: this variable, or that of `make model-server`.
-VARIABLE = "MLFLOW_SERVER"
-INSTALLED = Path(__file__).parents[2] / ".venv-mlflow/bin/mlflow"
 #: Time until the server has to answer [s].
 START_S = 180.0
-
-
-def command() -> str:
-    """The command of the server.
-
-    Raises:
-        Skipped: it is not installed.
-    """
-    found = os.environ.get(VARIABLE) or (str(INSTALLED) if INSTALLED.exists() else None)
-    if found is None:
-        pytest.skip(f"MLflow is not installed: `make model-server` installs it, or name its mlflow in {VARIABLE}")
-    return found
 
 
 @contextlib.contextmanager
 def mlflow_server(folder: Path) -> Iterator[str]:
     """Address of a server whose database and artifacts are in ``folder``."""
+    command = server_command("MLflow", "MLFLOW_SERVER", ".venv-mlflow/bin/mlflow", "model-server")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -46,7 +32,7 @@ def mlflow_server(folder: Path) -> Iterator[str]:
     quiet = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
     with (folder / "server.log").open("wb") as log:
         process = subprocess.Popen(
-            [command(), "server", *options, "--host", "127.0.0.1", "--port", str(port)],
+            [command, "server", *options, "--host", "127.0.0.1", "--port", str(port)],
             stdout=log,
             stderr=log,
             env={**kept, **quiet},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import subprocess
 import time
@@ -12,31 +11,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from installed_server import server_command
 
-#: The command of the server: this variable, else that of `make object-store`, else one on the path.
-VARIABLE = "MOTO_SERVER"
-INSTALLED = Path(__file__).parents[2] / ".venv-object-store/bin/moto_server"
 BUCKET = "machines"
-
-
-def command() -> str:
-    """The command of the server.
-
-    Raises:
-        Skipped: it is not installed.
-    """
-    found = os.environ.get(VARIABLE) or (str(INSTALLED) if INSTALLED.exists() else None)
-    if found is None:
-        pytest.skip(f"moto is not installed: `make object-store` installs it, or name its moto_server in {VARIABLE}")
-    return found
 
 
 @contextlib.contextmanager
 def object_store(folder: Path, port: str = "0") -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Address and process of a server with an empty bucket; this process and its children use it for ``s3://``."""
+    command = server_command("moto", "MOTO_SERVER", ".venv-object-store/bin/moto_server", "object-store")
     log = folder / "moto.log"
     with log.open("wb") as file:
-        process = subprocess.Popen([command(), "-H", "127.0.0.1", "-p", port], stdout=file, stderr=file)
+        process = subprocess.Popen([command, "-H", "127.0.0.1", "-p", port], stdout=file, stderr=file)
     try:
         address = _address(log, process)
         urllib.request.urlopen(urllib.request.Request(f"{address}/{BUCKET}", method="PUT"), timeout=30.0).close()

@@ -16,8 +16,8 @@ from sysid.gap.case import Stage
 from sysid.gap.decision import PERIODIC
 from sysid.gap.thresholds import PRICE
 from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
-from sysid.gap.unnamed.residual_formula import MAX_P_VALUE
-from sysid.gap.unnamed.residual_series import ResidualSeries, residual_series
+from sysid.gap.unnamed.residual_formula import MAX_P_VALUE, worst_residual
+from sysid.gap.unnamed.residual_series import ResidualSeries
 from sysid.machine import Machine
 
 Array = npt.NDArray[np.float64]
@@ -43,12 +43,9 @@ def without_periodic_names(stage: Stage, machine: Machine) -> Stage:
 
 
 def _series(stage: Stage, theta: Array, machine: Machine) -> list[ResidualSeries]:
-    """Rate of the residual of the output that the nominal plant predicts worst, by recording."""
-    moving = [r for r in stage.split.seen if r.kind == "motion"]
-    nominal = [stage.problem.measured(r) - stage.problem.predict(stage.theta[None], r)[0] for r in moving]
-    worst = int(np.argmax(np.sqrt(np.nanmean(np.concatenate(nominal) ** 2, axis=0)) / stage.sigma))
-    found = (residual_series(stage.problem, theta, r, machine, worst) for r in moving)
-    return [part for part in found if part is not None]
+    """Rate of the residual of the stage's only output, by recording."""
+    found = worst_residual(stage.problem, theta, stage.split.seen, machine)
+    return found[2] if found is not None else []
 
 
 def _better(before: Sequence[ResidualSeries], after: Sequence[ResidualSeries]) -> bool:

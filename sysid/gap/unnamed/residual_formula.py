@@ -46,7 +46,7 @@ def describe_residual(problem: Problem, theta: Array, recordings: Sequence[Recor
         theta: best parameter vector of the stage, whose residual is described.
         recordings: fit and selection recordings.
     """
-    found = _worst(problem, theta, recordings, machine)
+    found = worst_residual(problem, theta, recordings, machine)
     if found is None:
         return []
     rmse, signal, series = found
@@ -60,7 +60,7 @@ def describe_period(problem: Problem, theta: Array, recordings: Sequence[Recordi
 
     For residuals that no smooth function explains, which otherwise count as a random disturbance.
     """
-    found = _worst(problem, theta, recordings, machine)
+    found = worst_residual(problem, theta, recordings, machine)
     if found is None or not found[2]:
         return []
     rmse, signal, series = found[0], found[1], _moving(problem, found[2])
@@ -70,7 +70,7 @@ def describe_period(problem: Problem, theta: Array, recordings: Sequence[Recordi
     return [_periodic_in_time(problem, rmse, signal, series, disturbance)]
 
 
-def _worst(
+def worst_residual(
     problem: Problem, theta: Array, recordings: Sequence[Recording], machine: Machine
 ) -> tuple[float, str, list[ResidualSeries]] | None:
     """RMSE, signal and residuals of the output with the largest residual; None where none is measured."""

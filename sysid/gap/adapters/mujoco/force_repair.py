@@ -73,24 +73,24 @@ def write_force_model(
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A changed model that is not written yet, what is in it, and the effects for which MJCF has no place."""
+class ChangedModel:
+    """A model that is not written yet, what is in it, and the effects for which MJCF has no place."""
 
     spec: Any
     native: Sequence[Change]
     left: Sequence[KnownEffect]
 
 
-def _with_named(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> Candidate:
+def _with_named(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> ChangedModel:
     """The model with everything but the adjusted parameters."""
     spec, compiled = load_spec(model), load_mjcf(model)
     named = [_known(row) for row in written if row.kind != "adjusted"]
     native, left = write_inside(spec, compiled, tested.machine, named, model.name)
     relocate(spec, model, out)
-    return Candidate(spec, native, left)
+    return ChangedModel(spec, native, left)
 
 
-def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> Candidate | None:
+def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> ChangedModel | None:
     """The model with everything.
 
     What is adjusted without a name holds beside the other adjusted parameters only: a constant load beside the first moment of
@@ -112,10 +112,10 @@ def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out:
             return None
         native = [*native, *changes]
     relocate(spec, model, out)
-    return Candidate(spec, native, left)
+    return ChangedModel(spec, native, left)
 
 
-def _worse_run(named: Candidate, whole: Candidate, tested: Plant, out: Path, dataset: Dataset) -> str:
+def _worse_run(named: ChangedModel, whole: ChangedModel, tested: Plant, out: Path, dataset: Dataset) -> str:
     """Why the adjusted parameters are left out; empty where they lower the error of the free run.
 
     Both candidates are run from ``out``, which holds the last one afterwards.
