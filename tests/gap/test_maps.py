@@ -143,11 +143,12 @@ def test_shares_add_up_and_name_the_guilty_stages(dataset: Dataset) -> None:
 
 
 def test_a_sway_that_is_not_simulated_is_attributed_to_the_tool() -> None:
-    true = nominal().with_effect(KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.03}))
-    dataset = dataset_of(true, 15.0, seed=3)
-    shares = shares_of(compile_plant(nominal()), dataset.with_role("fit"))
+    plant = nominal(KnownEffect("first_order_lag", "wrist", {"time_constant": 0.15}))  # a servo that jumps throws the tool
+    true = plant.with_effect(KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.03}))
+    dataset = dataset_of(true, 30.0, seed=3)
+    shares = shares_of(compile_plant(plant), dataset.with_role("fit"))
     assert by_stage(shares, "tool")["tool", "tool"] > 0.98
-    case, stages = open_case(dataset, nominal(), 0)
+    case, stages = open_case(dataset, plant, 0)
     tool = next(s for s in stages if s.problem.stage == "tool")
     natural = math.sqrt(9.81 / 0.25) / (2.0 * math.pi)
     np.testing.assert_allclose(

@@ -72,9 +72,13 @@ def test_a_sway_is_found_and_the_repaired_plant_swings(length: float) -> None:
     assert (found.name, found.target) == ("gripper_sway", "tool")
     assert found.parameters["length"] == pytest.approx(length, abs=5e-4)
     assert found.parameters["damping_ratio"] == pytest.approx(0.05, rel=0.1)
-    # The shorter the pendulum, the more the noise of the measured tip sways it.
-    most = 1.3 if length > 0.02 else 1.5
-    assert all(result.gap.after[signal] < most * result.gap.noise_floor[signal] for signal in TOOL)
+    for signal in TOOL:
+        after, floor = result.gap.after[signal], result.gap.noise_floor[signal]
+        if length > 0.02:
+            assert after < 1.3 * floor
+        else:  # thrown to 76°, it is swung by the noise of the measured tip to which it is fitted, 0.5 % of its length
+            assert after < 0.35 * result.gap.before[signal]
+            assert result.stage_gap.after[signal] < 1.1 * result.stage_gap.noise_floor[signal]
     assert 'name = "gripper_sway"' in result.machine_diff
 
 

@@ -132,9 +132,10 @@ class GripperSway:
         speed = self.speed + away * (float(away @ jump[:2]) - drop * jump[2]) / square
         bob = self.bob
         for _ in range(parts):
-            half = speed + 0.5 * h * self._pull(bob - at, speed - going[:2], h)
+            pull = self._pull(bob - at, speed - going[:2], h)
+            half, ahead = speed + 0.5 * h * pull, speed + h * pull
             bob, at = bob + h * half, at + h * going[:2]
-            speed = half + 0.5 * h * self._pull(bob - at, half - going[:2], h)
+            speed = half + 0.5 * h * self._pull(bob - at, ahead - going[:2], h)
             over = float((bob - at) @ (bob - at)) / (0.9999 * square)
             if over > 1.0:  # a jump of the pivot beyond the length: the tool follows
                 bob, speed = at + (bob - at) / math.sqrt(over), going[:2].copy()

@@ -160,9 +160,10 @@ class GripperSway(nn.Module):
         along = ((away * jump[:, :2]).sum(dim=1) - drop * jump[:, 2]) / square
         speed = speed + away * along[:, None]
         for _ in range(self.parts):
-            half = speed + 0.5 * h * self.pull(bob - at, speed - going[:, :2], h, theta)
+            pull = self.pull(bob - at, speed - going[:, :2], h, theta)
+            half, ahead = speed + 0.5 * h * pull, speed + h * pull
             bob, at = bob + h * half, at + h * going[:, :2]
-            speed = half + 0.5 * h * self.pull(bob - at, half - going[:, :2], h, theta)
+            speed = half + 0.5 * h * self.pull(bob - at, ahead - going[:, :2], h, theta)
             over = ((bob - at) ** 2).sum(dim=1) / (0.9999 * square)
             thrown = (over > 1.0)[:, None]
             shrink = torch.sqrt(torch.clamp(over, min=1.0))[:, None]

@@ -196,6 +196,7 @@ class Opaque:
 
 
 INSIDE = (
+    KnownEffect("first_order_lag", "wrist", {"time_constant": 0.15}),  # a servo that jumps throws the tool
     KnownEffect("first_order_lag", "boom", {"time_constant": 0.06}),
     KnownEffect("gain_curve", "slew", {"exponent": 1.2}),
     KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.05}),
