@@ -27,6 +27,7 @@ from sysid.gap.likelihood.stage import (
     residual_and_slopes,
     whitening_of,
 )
+from sysid.plant.model import in_parallel
 
 Array = npt.NDArray[np.float64]
 
@@ -196,14 +197,23 @@ def _disturbances(
         bounds = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         # Disturbances at rest and in motion are separate local optima: descend from the two best start values.
         begins = sorted((np.clip(row, low, high) for row in _beginnings(z[k])), key=one.cost)[:2]
-        found = [
-            minimize(
-                one.cost_and_slope, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "ftol": 1e-7}
-            )
-            for begin in begins
-        ]
-        z[k] = min(found, key=lambda each: float(each.fun)).x
+        found = _descents(one, begins, bounds)
+        z[k] = min(found)[1]
     return variances_of(z)
+
+
+def _descents(one: _Signal, begins: Sequence[Array], bounds: list[tuple[float, float]]) -> list[tuple[float, list[float]]]:
+    """Least cost from each start value, and where it is; side by side."""
+    found: list[tuple[float, list[float]]] = [(np.inf, [])] * len(begins)
+
+    def descend(k: int) -> None:
+        best = minimize(
+            one.cost_and_slope, begins[k], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "ftol": 1e-7}
+        )
+        found[k] = float(best.fun), best.x.tolist()
+
+    in_parallel(descend, len(begins), sum(table.size for table in one.tables.values()))
+    return found
 
 
 @dataclass(frozen=True)

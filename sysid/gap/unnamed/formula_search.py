@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.unnamed.periodogram import Periodogram, best_period
+from sysid.gap.unnamed.periodogram import Frequencies, Periodogram, best_period, searched
 from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, gain_p_value, lag1_autocorrelation, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Formula, Term, modulations
 
@@ -261,7 +261,8 @@ def _period(
         ends += len(block.variables[variable])
     at = np.concatenate(begin).astype(np.int64)
     low, high = np.percentile(z, (0.5, 99.5))
-    return best_period([Periodogram(z, size, at, blocks[0].weights, ar1, y)], float(high - low), moved)
+    frequencies, periodograms = Frequencies.of(float(high - low), moved), [Periodogram(z, size, at, blocks[0].weights, ar1, y)]
+    return None if frequencies is None else best_period(periodograms, searched(periodograms, frequencies), frequencies)
 
 
 def _blocks(series: Sequence[ResidualSeries]) -> list[ResidualSeries]:

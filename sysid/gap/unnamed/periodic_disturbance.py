@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.unnamed.periodogram import Periodogram, best_period
+from sysid.gap.unnamed.periodogram import Frequencies, Periodogram, best_period, searched
 from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, gain_p_value, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Term, modulations
 
@@ -47,13 +47,13 @@ def find_periodic_disturbance(series: Sequence[ResidualSeries], ar1: float, seed
 def _validated(
     series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar1: float, seed: int
 ) -> PeriodicDisturbance | None:
-    period = _period(series, modulation, ar1)
-    if period is None:
+    found = _periods(series, modulation, ar1)
+    if found is None:
         return None
+    period, without = found
     before, after = list[Array](), list[Array]()
-    for part in series:
-        searched = _period([other for other in series if other is not part], modulation, ar1)
-        y, X = _columns(part, searched or period, modulation, ar1)
+    for part, own in zip(series, without, strict=True):
+        y, X = _columns(part, own, modulation, ar1)
         half = len(y) // 2
         beta = np.linalg.lstsq(X[:half], y[:half], rcond=None)[0]
         before.append((y[half:] - y[:half].mean()) ** 2)
@@ -68,9 +68,10 @@ def _validated(
     return PeriodicDisturbance(period, float(np.median(sizes)), modulation, share, gain_p_value(total - rest, seed))
 
 
-def _period(series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar1: float) -> float | None:
-    periodograms, span, increment = [], np.inf, 0.0
-    for part in series:
+def _periods(series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar1: float) -> tuple[float, list[float]] | None:
+    """The best period of all recordings, and that without each of them; None where there is nothing to search."""
+    periodograms, span, increment = dict[int, Periodogram](), np.inf, 0.0
+    for k, part in enumerate(series):
         y = quasi_difference(part.target, ar1)
         there = np.flatnonzero(np.isfinite(y))
         if len(there) < 20:
@@ -78,9 +79,20 @@ def _period(series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar
         z = part.variables["time"]
         size = Term(modulation).values(part)
         at = (PARTS * (there + 1)).astype(np.int64)
-        periodograms.append(Periodogram(z, size, at, part.weights, ar1, y[there] - y[there].mean()))
+        periodograms[k] = Periodogram(z, size, at, part.weights, ar1, y[there] - y[there].mean())
         span, increment = min(span, float(np.ptp(z))), max(increment, float(np.median(np.diff(z))))
-    return best_period(periodograms, span, np.array([increment]), MAX_PERIODS) if periodograms else None
+    frequencies = Frequencies.of(span, np.array([increment]), MAX_PERIODS) if periodograms else None
+    if frequencies is None:
+        return None
+    curves = dict(zip(periodograms, searched([*periodograms.values()], frequencies), strict=True))
+
+    def best(without: int | None = None) -> float:
+        kept = [k for k in periodograms if k != without]
+        return best_period([periodograms[k] for k in kept], [curves[k] for k in kept], frequencies)
+
+    period = best()
+    alone = len(periodograms) == 1
+    return period, [period if alone or k not in periodograms else best(k) for k in range(len(series))]
 
 
 def _columns(part: ResidualSeries, period: float, modulation: tuple[Factor, ...], ar1: float) -> tuple[Array, Array]:

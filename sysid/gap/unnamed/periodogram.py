@@ -17,6 +17,7 @@ from numba import njit
 from scipy.optimize import minimize_scalar
 
 from sysid.gap.unnamed.residual_series import PARTS
+from sysid.plant.model import in_parallel
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -42,27 +43,53 @@ class Periodogram:
         return np.asarray(share) * float(self.y @ self.y)
 
 
-def best_period(
-    periodograms: Sequence[Periodogram], span: float, increments: Array, max_cycles: int = MAX_CYCLES
-) -> float | None:
-    """The period that explains most, each of ``periodograms`` with its own phase; None where the span is too short.
+@dataclass(frozen=True)
+class Frequencies:
+    """The frequencies ``first + k·step`` for k < ``count``."""
+
+    first: float
+    step: float
+    count: int
+
+    @classmethod
+    def of(cls, span: float, increments: Array, max_cycles: int = MAX_CYCLES) -> Frequencies | None:
+        """Those to search; None where the span is too short.
+
+        Args:
+            span: range of the variable.
+            increments: change of the variable from one part of a bin to the next; while it moves, a period lasts at least two
+                bins.
+            max_cycles: largest number of periods inside the span.
+        """
+        increments = increments[increments > 0.02 * increments.max(initial=0.0)]
+        if not span > 0.0 or not len(increments):
+            return None
+        lowest, step = MIN_CYCLES / span, 1.0 / (STEPS * span)
+        count = int((min(max_cycles / span, 1.0 / (2.0 * PARTS * float(np.median(increments)))) - lowest) / step)
+        return cls(lowest, step, count) if count >= 3 else None
+
+
+def searched(periodograms: Sequence[Periodogram], at: Frequencies) -> list[Array]:
+    """Explained sums of squares of each of ``periodograms``, (count,) each; on all cores."""
+    found = [np.empty(0)] * len(periodograms)
+
+    def one(k: int) -> None:
+        found[k] = periodograms[k].powers(at.first, at.step, at.count)
+
+    in_parallel(one, len(periodograms), at.count * max((len(p.y) for p in periodograms), default=0))
+    return found
+
+
+def best_period(periodograms: Sequence[Periodogram], curves: Sequence[Array], at: Frequencies) -> float:
+    """The period that explains most, each of ``periodograms`` with its own phase.
 
     Args:
-        span: range of the variable.
-        increments: change of the variable from one part of a bin to the next; while it moves, a period lasts at least two bins.
-        max_cycles: largest number of periods inside the span.
+        curves: of each, from :func:`searched`.
     """
-    increments = increments[increments > 0.02 * increments.max(initial=0.0)]
-    if not span > 0.0 or not len(increments):
-        return None
-    lowest, step = MIN_CYCLES / span, 1.0 / (STEPS * span)
-    count = int((min(max_cycles / span, 1.0 / (2.0 * PARTS * float(np.median(increments)))) - lowest) / step)
-    if count < 3:
-        return None
-    peak = lowest + step * int(np.argmax(sum(w.powers(lowest, step, count) for w in periodograms)))
+    peak = at.first + at.step * int(np.argmax(np.sum(curves, axis=0)))
     best = minimize_scalar(
         lambda f: -float(sum(w.powers(f, 0.0, 1)[0] for w in periodograms)),
-        bounds=(peak - step, peak + step), method="bounded", options={"xatol": 2e-3 * step},
+        bounds=(peak - at.step, peak + at.step), method="bounded", options={"xatol": 2e-3 * at.step},
     )  # fmt: skip
     return 1.0 / float(best.x)
 
