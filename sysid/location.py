@@ -26,3 +26,9 @@ def checked_location(location: str | os.PathLike[str]) -> str:
 def local_folder(location: str | os.PathLike[str], local: Path = LOCAL) -> Path:
     """The folder of models, results and reports: ``local`` where ``location`` is a URL."""
     return local if "://" in os.fspath(location) else Path(location)
+
+
+def absolute_location(location: str | os.PathLike[str]) -> str:
+    """``location`` for processes with another current folder."""
+    text = os.fspath(location)
+    return text if "://" in text else str(Path(text).absolute())

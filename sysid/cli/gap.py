@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.gap_mujoco import repaired_path, write_model
 from sysid.cli.gap_tables import entry
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
@@ -55,6 +56,8 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     metavar="KEY",
     help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
 )
+@workers_option
+@cluster_option()
 @click.option("--verbose", is_flag=True, help="Every near miss and next step, at full length.")
 @json_option
 @click.pass_obj
@@ -70,6 +73,8 @@ def gap(
     carry: bool,
     forms: Forms,
     accept: tuple[str, ...],
+    workers: int,
+    cluster: str | None,
     verbose: bool,
     json_file: str | None,
 ) -> None:
@@ -101,6 +106,7 @@ def gap(
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.gap import SimulatorAdapter, find_gap
         from sysid.gap.experiment import Planning
+        from sysid.gap.tasks.search import search_tasks
         from sysid.plant import Plant
         from sysid.reports import write_report
         from sysid.workspace import open_workspace
@@ -118,6 +124,7 @@ def gap(
             forms=forms,
             progress=progress,
             planning=Planning(),
+            tasks=search_tasks(location, cluster, workers) if isinstance(tested, Plant) else None,
         )
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")

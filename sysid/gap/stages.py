@@ -6,120 +6,85 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
-from scipy.stats import norm
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, inertia_error, load_bias
 from sysid.gap.adapters.adapter import SimulatorAdapter
-from sysid.gap.alternatives import search_alternatives
-from sysid.gap.arm.posture import WEIGHT, posture_share
-from sysid.gap.arm.stage import fit_links_stage, links_adjusted
-from sysid.gap.arm.unknowns import CERTAIN
-from sysid.gap.candidates import Candidate, adjusted_link
-from sysid.gap.case import Case, Stage, on_itself, stage_candidates
-from sysid.gap.clocks import open_offset
-from sysid.gap.comparison import difference
-from sysid.gap.data import Data
-from sysid.gap.excitation import excitation_of
-from sysid.gap.fit import Fit, spread_of
+from sysid.gap.case import Case, Stage
 from sysid.gap.force_floor import shown_floor
-from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
-from sysid.gap.poses.stage import fit_pose_stage
-from sysid.gap.problem import Problem
-from sysid.gap.result import ComparedModel, EffectEvidence
-from sysid.gap.sensor_scales import BEHIND, SCALE, with_sensor_scales
-from sysid.gap.stage_model import StageFit, fit_stage
-from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.sensor_scales import with_sensor_scales
+from sysid.gap.stage_result import StageResult
+from sysid.gap.stage_search import LINKS, Forms, find_stage
+from sysid.gap.tasks.search import SearchTasks
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
-from sysid.signals import axis_signal
-
-Array = npt.NDArray[np.float64]
-#: Backlash narrower than this many standard deviations of the noise of its input acts as a filter of that noise.
-BACKLASH_OVER_NOISE = 4.0
-#: Condition that an error of a rotor's inertia fails.
-ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
-LOAD = "the first moment of its link is adjusted, and the postures of the recordings do not separate its torque from a constant"
-#: Stage of the links of an arm.
-LINKS = "links"
-
-#: Fits of a stage with an error, in the mean: 51 to 81 on a servo arm and an excavator.
-TYPICAL_FITS = 70
-
-Forms = Literal["all", "simple"]
 
 
-def search_stages(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """The stages with the result of each."""
-    if case.adapter is None:
-        return _in_parallel(case, stages, forms, progress)
-    return _one_by_one(case, case.adapter, stages, forms, progress)
+def search_stages(
+    case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress, tasks: SearchTasks | None = None
+) -> tuple[Stage, ...]:
+    """The stages with the result of each.
+
+    Args:
+        tasks: searches the stages in other processes; by default in threads of this one. A user's simulator and the stages of
+            a pose set are searched here.
+    """
+    if case.adapter is not None:
+        return _one_by_one(case, case.adapter, stages, forms, progress)
+    with threadpool_limits(1):  # the answer does not depend on the number of threads
+        return _independent(case, stages, forms, progress, None if is_pose_set(case.dataset) else tasks)
 
 
-class FitCount:
-    """Progress of a stage by its fits. Their number is not known before; it is similar for all stages."""
-
-    def __init__(self, progress: Progress, label: str) -> None:
-        self.progress, self.label, self.count = progress, label, 0
-
-    def __call__(self, text: str) -> None:
-        self.count += 1
-        done = self.count / TYPICAL_FITS
-        share = 0.9 * done if done < 1.0 else 1.0 - 0.1 / done
-        self.progress(share, f"{self.label}: {text}")
-
-
-def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Stages driven by their measured inputs are independent: as many at a time as there are cores.
+def _independent(
+    case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress, tasks: SearchTasks | None
+) -> tuple[Stage, ...]:
+    """Stages driven by their measured inputs are independent.
 
     The links of an arm come first: the axes are searched with the masses found.
     """
     links = [stage for stage in stages if stage.problem.stage == LINKS]
     if links:
-        with threadpool_limits(1):  # as below: the answer does not depend on the number of threads
-            first = replace(links[0], result=_found(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
+        first = replace(links[0], result=find_stage(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
         rest = [_with_links(s, first) for s in stages if s.problem.stage != LINKS]
-        return (first, *_in_parallel(case, rest, forms, part(progress, 0.1, 1.0)))
+        return (first, *_independent(case, rest, forms, part(progress, 0.1, 1.0), tasks))
     stages = [_with_shown_floor(case, stage) for stage in stages]
+    results = _in_threads(case, stages, forms, progress) if tasks is None else tasks.run(case, stages, forms, progress)
+    found = [replace(s, problem=result.problem, result=result) for s, result in zip(stages, results, strict=True)]
+
+    def again(stage: Stage, refuted: frozenset[EffectKey]) -> Stage:
+        result = find_stage(case, stage, forms, lambda share, text: progress(1.0, text), refuted)
+        return replace(stage, problem=result.problem, result=result)
+
+    return with_sensor_scales(found, again)
+
+
+def _in_threads(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> list[StageResult]:
+    """As many stages at a time as there are cores."""
     done = [0.0] * len(stages)
     stopped = threading.Event()
 
-    def one(k: int) -> Stage:
+    def one(k: int) -> StageResult:
         def stage_progress(share: float, text: str) -> None:
             if stopped.is_set():
                 raise CancelledError
             done[k] = max(done[k], share)
             progress(sum(done) / len(stages), text)
 
-        result = _found(case, stages[k], forms, stage_progress)
-        return replace(stages[k], problem=result.problem, result=result)
+        return find_stage(case, stages[k], forms, stage_progress)
 
-    workers = min(WORKERS, max(len(stages), 1))
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage")
-    with threadpool_limits(1):
-        try:
-            found = tuple(pool.map(one, range(len(stages))))
-        except BaseException:  # an interrupt, or an error of one stage: the others end at their next fit, nobody waits for them
-            stopped.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        pool.shutdown()
-
-        def again(stage: Stage, refuted: frozenset[EffectKey]) -> Stage:
-            result = _found(case, stage, forms, lambda share, text: progress(1.0, text), refuted)
-            return replace(stage, problem=result.problem, result=result)
-
-        return with_sensor_scales(found, again)
+    pool = ThreadPoolExecutor(min(WORKERS, max(len(stages), 1)), thread_name_prefix="sysid-stage")
+    try:
+        found = list(pool.map(one, range(len(stages))))
+    except BaseException:  # an interrupt, or an error of one stage: the others end at their next fit, nobody waits for them
+        stopped.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+    return found
 
 
 def _with_shown_floor(case: Case, stage: Stage) -> Stage:
@@ -147,204 +112,8 @@ def _one_by_one(
     for k, stage in enumerate(stages):
         stage_progress = part(progress, k / len(stages), (k + 1) / len(stages))
         prepared = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
-        found.append(replace(prepared, result=_found(case, prepared, forms, stage_progress)))
+        found.append(replace(prepared, result=find_stage(case, prepared, forms, stage_progress)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
     return tuple(found)
-
-
-def _found(
-    case: Case, stage: Stage, forms: Forms, progress: Progress, refuted: frozenset[EffectKey] = frozenset()
-) -> StageResult:
-    """The result of a stage; ``refuted``: effects that another stage contradicts, which are not offered."""
-    progress(0.0, stage.label)
-    machine = case.plant.machine
-    problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
-    seen = Data(problem, stage.split.seen, stage.sigma)
-    nominal = spread_of(seen.residuals(stage.theta[None]))
-    if nominal <= EXPLAINED and problem.stage != LINKS:  # thousands of rows determine masses from errors below the noise
-        progress(1.0, stage.label)
-        return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
-    fits = FitCount(progress, stage.label)
-    offered = (c for c in stage_candidates(case, stage) if c.key not in refuted)
-    candidates = [c for c in offered if forms == "all" or c.form is c.effect.forms[0]]
-    nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
-    if problem.stage == LINKS:
-        result = _found_in_links(case, stage, candidates, nameable, seen, nominal, fits)
-    elif is_pose_set(case.dataset):
-        result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
-    else:
-        model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
-        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
-
-        def search(some: Sequence[Candidate]) -> StageFit:
-            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return fit_stage(model, *seen_by, some, nameable, rope, on_fit=fits, shared=shared)
-
-        fitted = search_alternatives(seen, stage.theta, candidates, search)
-        if problem.stage == "force":
-            fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
-        result = _result(problem, seen, fitted, nominal)
-    progress(1.0, stage.label)
-    return result if problem is stage.problem else on_itself(result, stage, stage.theta)
-
-
-def _found_in_links(
-    case: Case,
-    stage: Stage,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    seen: Data,
-    nominal: float,
-    fits: FitCount,
-) -> StageResult:
-    """The result of the links of an arm; errors of their inertial parameters are adjusted without a name."""
-    model = compile_plant(case.plant)
-    fitted = fit_links_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable, fits)
-    result = _result(stage.problem, seen, fitted, nominal)
-    off = [adjusted_link(case.plant, stage.theta, name) for name in links_adjusted(model, result.fit.theta, stage.theta)]
-    unknowns = (*result.fit.unknowns, *(u for c in off for u in c.unknowns))
-    values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
-    fit = replace(result.fit, candidates=(*result.fit.candidates, *off), unknowns=unknowns, values=values)
-    return replace(result, fit=fit, adjusted=(*result.adjusted, *off))
-
-
-def _beside_links(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
-    """The fit without names for what adjusted links may cause: torques determine the sum of both.
-
-    That is the inertia of a rotor, and a constant load where the links' own is as uncertain.
-    """
-    axis, model, chosen = stage.problem.target, compile_plant(case.plant), fitted.decision.model
-    if model.rigid is None or axis not in links_adjusted(model, stage.theta, case.theta):
-        return fitted
-    lacks = {c.label: ROTOR for c in chosen.candidates if c.effect is inertia_error.EFFECT}
-    loads = [c for c in chosen.candidates if c.effect is load_bias.EFFECT]
-    lacks |= {c.label: LOAD for c in loads if abs(chosen.values_of(c)[0]) < CERTAIN * stage.open_load}
-    return replace(fitted, decision=fitted.decision.without_names(lacks)) if lacks else fitted
-
-
-def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
-    """The fit without names that the weight of links with unknown masses could cause."""
-    if compile_plant(case.plant).rigid is not None:
-        return fitted
-    machine, problem = case.plant.machine, stage.problem
-    share = posture_share(problem, machine, stage.split.seen, float(stage.sigma[0]), case.dataset.units)
-    if share is None or not share.dominates:
-        return fitted
-    lacks = {c.label: WEIGHT for c in fitted.decision.model.candidates}
-    return replace(fitted, decision=fitted.decision.without_names(lacks), cause=WEIGHT)
-
-
-def _found_in_poses(
-    case: Case,
-    stage: Stage,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    seen: Data,
-    nominal: float,
-    fits: FitCount,
-) -> StageResult:
-    """The result of static poses; with folds, each fold is predicted by a search without it."""
-    model, problem = compile_plant(case.plant), seen.problem
-
-    def fitted_to(recordings: Sequence[Recording]) -> StageFit:
-        return fit_pose_stage(model, problem, recordings, stage.theta, stage.sigma, candidates, nameable, fits)
-
-    whole = fitted_to(stage.split.seen)
-    result = _result(problem, seen, whole, nominal)
-    if not are_folds(stage.split.fit, stage.split.held_out):
-        return result
-    folds = dict.fromkeys(fold_of(r) for r in stage.split.fit)
-    parts = {k: fitted_to([r for r in stage.split.fit if fold_of(r) != k]) for k in folds}
-    known = [(whole.decision.model.theta, {k: part.decision.model.theta for k, part in parts.items()})]
-    if whole.framed is not None:
-        known.append((whole.framed.theta, {k: part.framed.theta for k, part in parts.items() if part.framed is not None}))
-    for label, less in whole.dropped.items():
-        by_fold = {k: part.dropped.get(label, part.decision.model).theta for k, part in parts.items()}
-        known.append((less.theta, by_fold))
-    return replace(result, problem=replace(problem, predict=FoldValues(known, problem.predict).predict))
-
-
-def _scales_of_drives(case: Case) -> set[EffectKey]:
-    """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
-    return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
-
-
-def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:
-    """Least half-widths of regions of equivalence: of clock offsets, and of backlash with a noisy measured input."""
-    found: dict[EffectKey, float] = {}
-    for candidate in candidates:
-        if candidate.effect is clock_offset.EFFECT:
-            found[candidate.key] = open_offset(case.dataset, candidate.target)
-        elif candidate.effect is backlash.EFFECT and stage == "end_effector":
-            found[candidate.key] = BACKLASH_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
-        elif candidate.effect is backlash.EFFECT and stage == "joint":
-            found[candidate.key] = BACKLASH_OVER_NOISE * _cylinder_noise(case, candidate.target)
-    return found
-
-
-def _cylinder_noise(case: Case, axis: str) -> float:
-    """Noise of a measured cylinder, converted to the joint by its linkage [rad]."""
-    linkage = case.plant.linkages[axis]
-    stroke = case.plant.machine.axis(axis).stroke
-    ends = stroke if stroke is not None else (0.0, 1.0)
-    places = np.linspace(*ends, 9)
-    steepest = float(np.max(np.abs(np.gradient(linkage.joint(places), places))))
-    return steepest * case.noise.get(axis_signal(axis, "cylinder"), 0.0)
-
-
-def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> StageResult:
-    decision = fitted.decision
-    fit = _fit(seen, decision.model.candidates, decision.model.theta, decision.model)
-    final = spread_of(seen.residuals(fit.theta[None]))
-    kept = [AcceptedEffect(c, _evidence(c, fitted), _rejected(c, fitted)) for c in decision.named]
-    kept += [AcceptedEffect(tie[0], _evidence(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
-    taken = {k.candidate.label for k in kept}
-    adjusted = tuple(c for c in decision.model.candidates if c.label not in taken)
-    alone = _result(problem, seen, fitted.names_alone, nominal) if fitted.names_alone is not None else None
-    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _compared(problem, fitted), fitted, alone)
-
-
-def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:
-    drifts, log_likelihood = seen.drifts(theta)
-    values = model.values if model is not None else np.empty(0)
-    unknowns = model.unknowns if model is not None else ()
-    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood)
-
-
-def _evidence(candidate: Candidate, fitted: StageFit) -> EffectEvidence:
-    model, less = fitted.decision.model, fitted.dropped[candidate.label]
-    total, error = difference(model, less)
-    ratio = less.rms / max(model.rms, 1e-12)
-    p_value = max(
-        float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive)
-    )  # at least the probability that all blocks agree by chance
-    return EffectEvidence(2.0 * (model.evidence - less.evidence), total, p_value, ratio)
-
-
-def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:
-    """Other effects in its place, and the predictive density that they lose."""
-    model = fitted.decision.model
-    rest = {c.key for c in model.candidates} - {candidate.key}
-    found: dict[EffectKey, tuple[Candidate, str]] = {}
-    for f in fitted.models:
-        others = [c for c in f.candidates if c.key not in rest]
-        if len(others) == 1 and others[0].key != candidate.key and rest <= {c.key for c in f.candidates}:
-            total, error = difference(model, f)
-            found.setdefault(others[0].key, (others[0], f"predicts {total:.0f} ± {error:.0f} nats worse"))
-    return tuple(found.values())
-
-
-def _compared(problem: Problem, fitted: StageFit) -> tuple[ComparedModel, ...]:
-    """The forty likeliest models against the chosen one."""
-    decision, rows = fitted.decision, []
-    for f in fitted.models[:40]:
-        keys = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
-        total, error = difference(decision.model, f)
-        verdict = "survives" if any(f is s for s in decision.survivors) else f"{total:.0f} ± {error:.0f} nats worse"
-        values = dict(zip(keys, map(float, f.values), strict=True))
-        delta_bic = 2.0 * (f.evidence - decision.model.evidence)
-        labels = tuple(sorted(f.labels))
-        rows.append(ComparedModel(problem.stage, problem.target, labels, values, f.rms, f.rms, delta_bic, verdict))
-    return tuple(rows)

@@ -32,7 +32,9 @@ from sysid.gap.promotion import first_promotion, free_run_check, names_check, st
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.servo.advice import advice_on_sag, sagging_axis
-from sysid.gap.stages import Forms, search_stages
+from sysid.gap.stage_search import Forms
+from sysid.gap.stages import search_stages
+from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
@@ -118,13 +120,14 @@ def candidates(study: Study) -> tuple[ProposedEffect, ...]:
     )
 
 
-def search(study: Study, forms: Forms = "all", progress: Progress = silent) -> Study:
+def search(study: Study, forms: Forms = "all", progress: Progress = silent, *, tasks: SearchTasks | None = None) -> Study:
     """Determine the missing effects stage by stage.
 
     Args:
         forms: "simple" tests every effect in its simplest form only.
+        tasks: searches the stages in other processes, with the same result.
     """
-    found = search_stages(study.case, study.stages, forms, progress)
+    found = search_stages(study.case, study.stages, forms, progress, tasks)
     return replace(study, stages=found, settings={"forms": forms})
 
 

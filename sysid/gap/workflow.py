@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,8 @@ from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.stages import Forms
+from sysid.gap.stage_search import Forms
+from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.thresholds import EXPLAINED
 from sysid.gap.written import axis_delays, with_units, written_effects
 from sysid.plant import Plant, compile_plant
@@ -46,6 +48,7 @@ def find_gap(
     progress: Progress | None = None,
     planning: Planning | None = None,
     seed: int = 0,
+    tasks: SearchTasks | None = None,
 ) -> GapResult:
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove them on held-out recordings.
 
@@ -61,12 +64,20 @@ def find_gap(
         planning: plan recordings that would resolve open hypotheses (not for a user's simulator); by default they are only
             described.
         progress: called with (share done, text).
+        tasks: searches the stages of a plant in other processes, which open the dataset and the plant from the workspace of
+            ``registry``; by default in threads of this one. The result is the same.
 
     Raises:
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
         InputError: a user's simulator failed, or returned no table of signals.
-        SettingsError: a repaired user's simulator is to be added to the registry, or to contain a residual network.
+        SettingsError: a repaired user's simulator is to be added to the registry, or to contain a residual network; ``tasks``
+            without a registry.
+        TaskError: the workers of ``tasks`` were lost.
     """
+    if tasks is not None and registry is None:
+        raise SettingsError(
+            "find_gap", "tasks without a registry", "the registry of the workspace, from which tasks load the plant"
+        )
     begin = time.perf_counter()
     report: Progress = progress or silent
     if add and not isinstance(plant, Plant):
@@ -89,7 +100,8 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, ProofOutcome(case.plant))
     else:
-        study = steps.search(study, forms, part(report, 0.02, 0.75))
+        elsewhere = replace(tasks, plant=reference) if tasks is not None else None
+        study = steps.search(study, forms, part(report, 0.02, 0.75), tasks=elsewhere)
         report(0.75, "proving on held-out recordings")
         proof = steps.prove(study, add if world is None else world, part(report, 0.75, 0.85), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)

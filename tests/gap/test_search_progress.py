@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.gap.stages import TYPICAL_FITS, FitCount
+from sysid.gap.stage_search import TYPICAL_FITS, FitCount
 
 
 @given(st.integers(1, 500))

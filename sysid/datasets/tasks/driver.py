@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import committed, file_name, sample_columns, uncut_name
 from sysid.execution import Executor
+from sysid.location import absolute_location
 from sysid.progress import Progress, part
 
 #: Gives roles to recordings and cuts those that have several, see :func:`sysid.datasets.splits.split`.
@@ -59,8 +59,7 @@ class TaskIngest:
     @property
     def location(self) -> str:
         """The workspace for processes with another current folder."""
-        place = str(self.store.workspace)
-        return place if "://" in place else str(Path(place).absolute())
+        return absolute_location(str(self.store.workspace))
 
     def survey(self, found: Sequence[RecordingFiles], plan: Plan, report: Progress) -> Mounts:
         """Mounts of the rigid bodies, as :func:`sysid.datasets.channels.survey_mounts`."""
