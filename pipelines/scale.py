@@ -1,4 +1,4 @@
-"""Ingest on 1, 2 and 4 worker processes of a Dask cluster on this machine: time, overhead a task, bytes moved, faults.
+"""Ingest and gap on 1, 2 and 4 worker processes of a Dask cluster on this machine: time, overhead a task, bytes moved, faults.
 
     python pipelines/scale.py --work workspace/scale --publish
 
@@ -25,6 +25,8 @@ from typing import Any
 
 from committed import ROOT, markdown, provenance, write_result, write_tables
 from scaling.estimate import CORES, HEAD, MACHINES, RAW_BYTES, estimate_rows, exponent
+from scaling.gap import HEAD as GAP_HEAD
+from scaling.gap import gap_rows, table_rows
 from scaling.measured_executor import MeasuredExecutor, nothing
 from sysid.datasets import Dataset, Store, ingest
 from sysid.execution import Executor, LocalExecutor
@@ -201,6 +203,7 @@ def study(work: Path, counts: Sequence[int], recordings: int, growing: Sequence[
         "alone": {"seconds": seconds},
         "bytes": {"raw": sum(source.size for source in alone.sources), "tables": tables},
         "rows": rows,
+        "gap": gap_rows(work / "alone", alone.reference, counts, cluster),
         "growth": grown,
         "faults": [killed_worker(logs, work, 2, expected)],
     }
@@ -264,6 +267,8 @@ def tables(result: dict[str, Any]) -> str:
         markdown(growth_head, growth_rows, "r"),
         job,
         markdown(HEAD, estimate_rows(result)),
+        f"`sysid gap` on the same {count} recordings, after a first gap in the same processes:",
+        markdown(GAP_HEAD, table_rows(result["gap"])),
         faults,
     )
     return "\n\n".join(parts)

@@ -49,6 +49,18 @@ def result(same: bool) -> dict[str, Any]:
         "alone": {"seconds": 8.0},
         "bytes": {"raw": 2_500_000, "tables": 1_500_000},
         "rows": [{**row, **bytes_of, "where": "processes"}, {**row, **bytes_of, "where": "cluster"}],
+        "gap": [
+            {"where": "threads of one process", "workers": 1, "seconds": 9.0, "same_result": True},
+            {
+                "where": "Dask cluster on loopback",
+                "workers": 2,
+                "seconds": 6.0,
+                "same_result": same,
+                "tasks": 7,
+                "sent_bytes": 9000,
+                "returned_bytes": 250_000,
+            },
+        ],
         "growth": [{**grown, "recordings": n, "seconds": 0.5 * n} for n in (6, 12)],
         "faults": [{"fault": "worker killed in mid-ingest", "same_result": same}],
     }
@@ -59,6 +71,7 @@ def test_the_page_states_speed_up_waiting_bytes_and_whether_the_versions_agree(s
     text = scale.tables(result(same))
     assert "| Dask cluster on loopback | 2 | 5.0 | 1.60 | 2.0 | 50 | 10 | 5 |" in text
     assert f"in {2 if same else 0} of 2 runs" in text
+    assert f"| Dask cluster on loopback | 2 | 6.0 | 1.50 | 7 | 9 | 250 | {'yes' if same else '**no**'} |" in text
     assert f"| worker killed in mid-ingest | {'yes' if same else '**no**'} |" in text
 
 
@@ -79,6 +92,7 @@ def test_two_workers_and_a_killed_one_give_the_version_of_one_process(
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(scale.ROOT / "pipelines"), str(scale.ROOT)]))
     found = scale.study(tmp_path, [2], 4, [4, 6])
     assert [row["same_result"] for row in (*found["rows"], *found["faults"])] == [True, True, True]
+    assert [row["same_result"] for row in found["gap"]] == [True, True, True]
     assert all(row["tasks"] == 16 and row["task_seconds"] > 0.0 for row in found["rows"])
 
 
