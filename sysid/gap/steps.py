@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -196,13 +196,18 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
     return replace(repaired, reference=store(study, proof, registry))
 
 
-def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
-    """Recordings that would distinguish ties and excite effects that are not excited."""
+def next_experiment(study: Study, proof: Proof, shown: Sequence[Excitation] | None = None) -> tuple[str, ...]:
+    """Recordings that would distinguish ties and excite effects that are not excited.
+
+    Args:
+        shown: excitation of every candidate, where it is known already.
+    """
     machine = study.case.plant.machine
     sagging = [axis for tie in proof.outcome.ties if (axis := sagging_axis(tie, machine))]
     masses = [advice_on_sag(sagging)] if sagging else []
     ties = (advice_on_tie(tie, machine) for tie in proof.outcome.ties if not sagging_axis(tie, machine))
-    lacking = (advice(e, machine) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
+    known = shown if shown is not None else excitation(study.case, list(study.stages))
+    lacking = (advice(e, machine) for e in known if not e.sufficient)
     return tuple(dict.fromkeys((*masses, *ties, *lacking)))  # the same for all effects of an axis that did not move
 
 

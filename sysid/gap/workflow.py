@@ -129,7 +129,7 @@ def find_gap(
         effects=tuple(with_units(outcome.named, dataset)),
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
-        next_experiment=() if verdict == "no_gap" else steps.next_experiment(study, proof),
+        next_experiment=() if verdict == "no_gap" else steps.next_experiment(study, proof, shown),
         gap=proof.gap,
         stage_gap=proof.stage_gap,
         excitation=shown,
