@@ -214,6 +214,7 @@ def _converged(
 
     for _ in range(2):
         rich = searched(variances, discrepancy, rich)
+        del discrepancy  # a table of all rows, before the next one
         discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
     proposals = proposals_under(variances, discrepancy)

@@ -44,25 +44,26 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
     """The columns of a stage, with the dead time and lag of ``theta``."""
     problem = rows.problem
     make = _maker(model, rows, theta)
-    found: dict[str, list[Array]] = {}
-    timing = np.zeros(rows.count)
+    groups, sizes = tuple[str, ...](), list[int]()
+    table, timing = np.empty((rows.count, 0)), np.zeros(rows.count)
     at = 0
     signals = len(problem.signals)
     for recording in rows.recordings:
         columns = make(recording)
+        if not at:
+            groups, sizes = tuple(columns), [values.shape[1] for values in columns.values()]
+            table = np.empty((rows.count, sum(sizes)))
         width = rows.series[at].width
-        for name, values in columns.items():
-            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width))  # (m, bins, d)
-            found.setdefault(name, []).append(np.concatenate([means[:, :, k].T for k in range(signals)]))
+        first = 0
+        for name, size in zip(groups, sizes, strict=True):
+            means = np.nan_to_num(bin_means(np.moveaxis(columns[name], 1, 0), width))  # (m, bins, d)
+            for k in range(signals):
+                table[rows.series[at + k].rows, first : first + size] = means[:, :, k].T
+            first += size
         for k in range(signals):
             s = rows.series[at + k]
             timing[s.rows] = 0.5 / recording.rate_hz * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
         at += signals
-    groups = tuple(found)
-    sizes = [found[name][0].shape[1] for name in groups]
-    table, ends = np.empty((rows.count, sum(sizes))), np.cumsum([0, *sizes])
-    for name, first, last in zip(groups, ends[:-1], ends[1:], strict=True):
-        np.concatenate(found.pop(name), out=table[:, first:last])
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
 
 
