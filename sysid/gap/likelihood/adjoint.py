@@ -22,15 +22,14 @@ Array = npt.NDArray[np.float64]
 STEP = 1e-5
 
 
-def gradient_of(columns: Array, slope: Array, filters: Callable[[Array], Filter], z: Array) -> Array:
+def gradient_of(columns: Array, slope: Array, found: Filter, filters: Callable[[Array], Filter], z: Array) -> Array:
     """Derivatives with respect to the parameters of a disturbance, (k,), of a function of innovations plus their log scale.
 
     Args:
         z: logarithms of the parameters, (k,).
         columns: (n, m), before the whitening. slope: of the function, with respect to each innovation, (n, m).
-        filters: the filter of the series at values of ``z``.
+        found: the filter of the series at ``z``; ``filters``: at other values of it.
     """
-    found = filters(z)
     gains, by_gain = _gains(found), _by_gains(columns, slope, found)
     by_gain[3] += found.present / found.deviation  # of the log scale
     return np.array([np.vdot(_gains(filters(z + step)) - gains, by_gain) / STEP for step in STEP * np.eye(len(z))])

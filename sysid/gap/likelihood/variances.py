@@ -235,29 +235,40 @@ class _Signal:
     centre: Array
 
     def cost(self, z: Array) -> float:
-        return self._cost(z)[0]
+        return self._cost(z, self._filters_at(z))[0]
 
     def cost_and_slope(self, z: Array) -> tuple[float, Array]:
-        cost, by_column, whitened = self._cost(z)
+        filters = self._filters_at(z)
+        cost, by_column = self._cost(z, filters)
         slope = (z - self.centre) / SPREAD**2
-        for k, columns in self.tables.items():
-            weights = self.weights[self.rows.series[k].rows, None]
-            slope += gradient_of(columns, (whitened[k] @ by_column) * weights, self._filters(k), z)
+        for k, columns in self.tables.items():  # whitened again: kept, they would be a table of all rows
+            by_innovation = (self._whitened(k, filters[k]) @ by_column) * self._weights(k)
+            slope += gradient_of(columns, by_innovation, filters[k], self._filters(k), z)
         return cost, slope
 
-    def _cost(self, z: Array) -> tuple[float, Array, dict[int, Array]]:
-        """The cost, the matrix that maps whitened columns to its derivatives by them, and the whitened columns."""
-        gram, log_scale, whitened = self.rest.copy(), 0.0, {}
-        for k, columns in self.tables.items():
-            whitener, out = self._filters(k)(z), np.empty(columns.shape)
-            whitener.whiten(columns, out)
-            out *= self.weights[self.rows.series[k].rows, None]
+    def _cost(self, z: Array, filters: Mapping[int, Filter]) -> tuple[float, Array]:
+        """The cost, and the matrix that maps whitened columns to its derivatives by them."""
+        gram, log_scale = self.rest.copy(), 0.0
+        for k, whitener in filters.items():
+            out = self._whitened(k, whitener)
             gram += out.T @ out
             log_scale += whitener.log_scale
-            whitened[k] = out
         value, by_column = evidence_and_slope(gram, self.scale)
         prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
-        return float(log_scale - value + prior), by_column, whitened
+        return float(log_scale - value + prior), by_column
+
+    def _whitened(self, k: int, whitener: Filter) -> Array:
+        """The weighted innovations of the columns of a series, (n, m)."""
+        out = np.empty(self.tables[k].shape)
+        whitener.whiten(self.tables[k], out)
+        out *= self._weights(k)
+        return out
+
+    def _weights(self, k: int) -> Array:
+        return self.weights[self.rows.series[k].rows, None]
+
+    def _filters_at(self, z: Array) -> dict[int, Filter]:
+        return {k: self._filters(k)(z) for k in self.tables}
 
     def _filters(self, k: int) -> Callable[[Array], Filter]:
         return lambda z: whitening_of(self.rows, k, Disturbance(*map(float, np.exp(z))), self.extra[k])

@@ -35,6 +35,8 @@ def test_the_gradient_is_that_of_finite_differences(integrates: bool) -> None:
     slope = weights + 0.3 * value(NUMBERS)[1] ** 2
     step = 1e-5 * np.eye(6)
     expected = [(value(NUMBERS + each)[0] - value(NUMBERS - each)[0]) / 2e-5 for each in step]
-    assert gradient_of(columns, slope, filters, NUMBERS) == pytest.approx(np.array(expected), rel=2e-4, abs=1e-6)
+    assert gradient_of(columns, slope, filters(NUMBERS), filters, NUMBERS) == pytest.approx(
+        np.array(expected), rel=2e-4, abs=1e-6
+    )
     if integrates:
         assert np.all(np.abs(expected) > 1.0)  # every number matters here
