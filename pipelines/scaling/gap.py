@@ -14,6 +14,7 @@ from sysid.datasets import Store
 from sysid.execution import Executor, LocalExecutor
 from sysid.gap import find_gap
 from sysid.gap.tasks.search import SearchTasks
+from sysid.location import absolute_location
 from sysid.plant import nominal_plant
 from sysid.registry import Registry
 
@@ -27,25 +28,29 @@ def gap_rows(workspace: Path, reference: str, counts: Sequence[int], cluster: Cl
     dataset, registry = Store(workspace).load(reference), Registry(workspace)
     plant = nominal_plant(dataset.machine)
 
-    def row(where: str, workers: int, executor: Executor | None) -> tuple[dict[str, Any], Any]:
-        measured = MeasuredExecutor(executor) if executor is not None else None
-        tasks = SearchTasks(measured, str(workspace.absolute())) if measured is not None else None
-        find_gap(dataset, plant, registry, tasks=SearchTasks(executor, str(workspace.absolute())) if executor else None)
+    def timed_gap(executor: Executor | None) -> tuple[float, Any]:
+        """Seconds, and everything but the time that it took."""
+        tasks = SearchTasks(executor, absolute_location(workspace)) if executor is not None else None
         begin = time.perf_counter()
         found = find_gap(dataset, plant, registry, tasks=tasks)
-        seconds = time.perf_counter() - begin
-        sums = measured.measures if measured is not None else None
-        moved = {"tasks": sums.tasks, "sent_bytes": sums.sent, "returned_bytes": sums.returned} if sums is not None else {}
-        return {"where": where, "workers": workers, "seconds": seconds, **moved}, replace(found, seconds=0.0).to_json()
+        return time.perf_counter() - begin, replace(found, seconds=0.0).to_json()
 
-    alone, expected = row("threads of one process", 1, None)
-    rows = [{**alone, "same_result": True}]
+    timed_gap(None)
+    alone, expected = timed_gap(None)
+    rows: list[dict[str, Any]] = [{"where": "threads of one process", "workers": 1, "seconds": alone, "same_result": True}]
     for workers in counts:
         with LocalExecutor(workers).kept() as kept, cluster(workers) as (remote, _):
             for where, executor in (("processes of this machine", kept), ("Dask cluster on loopback", remote)):
-                if workers > 1 or executor is remote:  # one process is the caller itself
-                    found, content = row(where, workers, executor)
-                    rows.append({**found, "same_result": content == expected})
+                if workers == 1 and executor is kept:  # one process is the caller itself
+                    continue
+                timed_gap(executor)
+                measured = MeasuredExecutor(executor)
+                seconds, content = timed_gap(measured)
+                sums = measured.measures
+                moved = {"tasks": sums.tasks, "sent_bytes": sums.sent, "returned_bytes": sums.returned}
+                rows.append(
+                    {"where": where, "workers": workers, "seconds": seconds, **moved, "same_result": content == expected}
+                )
     return rows
 
 

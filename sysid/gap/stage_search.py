@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -66,6 +66,22 @@ class FitCount:
         self.progress(share, f"{self.label}: {text}")
 
 
+@dataclass(frozen=True)
+class Offer:
+    """What the search of a stage begins with.
+
+    Args:
+        nameable: labels of the candidates that the recordings excite enough.
+        nominal: error of the plant under test, in noise floors.
+    """
+
+    candidates: Sequence[Candidate]
+    nameable: Sequence[str]
+    seen: Data
+    nominal: float
+    fits: FitCount
+
+
 def find_stage(
     case: Case, stage: Stage, forms: Forms, progress: Progress, refuted: frozenset[EffectKey] = frozenset()
 ) -> StageResult:
@@ -83,9 +99,9 @@ def find_stage(
     candidates = [c for c in offered if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     if problem.stage == LINKS:
-        result = _found_in_links(case, stage, candidates, nameable, seen, nominal, fits)
+        result = _found_in_links(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     elif is_pose_set(case.dataset):
-        result = _found_in_poses(case, stage, candidates, nameable, seen, nominal, fits)
+        result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
         model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
         shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
@@ -102,19 +118,12 @@ def find_stage(
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 
 
-def _found_in_links(
-    case: Case,
-    stage: Stage,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    seen: Data,
-    nominal: float,
-    fits: FitCount,
-) -> StageResult:
+def _found_in_links(case: Case, stage: Stage, offer: Offer) -> StageResult:
     """The result of the links of an arm; errors of their inertial parameters are adjusted without a name."""
     model = compile_plant(case.plant)
-    fitted = fit_links_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable, fits)
-    result = _result(stage.problem, seen, fitted, nominal)
+    seen_by = stage.problem, stage.split.seen, stage.theta, stage.sigma
+    fitted = fit_links_stage(model, *seen_by, offer.candidates, offer.nameable, offer.fits)
+    result = _result(stage.problem, offer.seen, fitted, offer.nominal)
     off = [adjusted_link(case.plant, stage.theta, name) for name in links_adjusted(model, result.fit.theta, stage.theta)]
     unknowns = (*result.fit.unknowns, *(u for c in off for u in c.unknowns))
     values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
@@ -148,23 +157,16 @@ def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
     return replace(fitted, decision=fitted.decision.without_names(lacks), cause=WEIGHT)
 
 
-def _found_in_poses(
-    case: Case,
-    stage: Stage,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    seen: Data,
-    nominal: float,
-    fits: FitCount,
-) -> StageResult:
+def _found_in_poses(case: Case, stage: Stage, offer: Offer) -> StageResult:
     """The result of static poses; with folds, each fold is predicted by a search without it."""
-    model, problem = compile_plant(case.plant), seen.problem
+    model, problem = compile_plant(case.plant), offer.seen.problem
 
     def fitted_to(recordings: Sequence[Recording]) -> StageFit:
-        return fit_pose_stage(model, problem, recordings, stage.theta, stage.sigma, candidates, nameable, fits)
+        seen_by = problem, recordings, stage.theta, stage.sigma
+        return fit_pose_stage(model, *seen_by, offer.candidates, offer.nameable, offer.fits)
 
     whole = fitted_to(stage.split.seen)
-    result = _result(problem, seen, whole, nominal)
+    result = _result(problem, offer.seen, whole, offer.nominal)
     if not are_folds(stage.split.fit, stage.split.held_out):
         return result
     folds = dict.fromkeys(fold_of(r) for r in stage.split.fit)

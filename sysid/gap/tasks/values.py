@@ -37,17 +37,18 @@ _CLASSES = {
 
 def from_result(result: StageResult) -> Plain:
     """The result without its problem, which the receiver has."""
-    models: dict[int, tuple[ModelFit, Plain]] = {}
+    models: list[Plain] = []
+    known: dict[int, int] = {}
 
     def fields_of(value: Any) -> Plain:
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
 
     def plain(value: Any) -> Any:
         if isinstance(value, ModelFit):
-            if id(value) not in models:
-                models[id(value)] = (value, {})
-                models[id(value)] = (value, fields_of(value))
-            return {"model": list(models).index(id(value))}
+            if id(value) not in known:
+                known[id(value)] = len(models)
+                models.append(fields_of(value))
+            return {"model": known[id(value)]}
         if isinstance(value, Candidate):
             return {"candidate": value.label}
         if isinstance(value, Problem):
@@ -66,8 +67,7 @@ def from_result(result: StageResult) -> Plain:
             return value
         raise TypeError(f"{type(value).__name__} in the result of a stage has no plain form")
 
-    written = plain(result)
-    return {"result": written, "models": [model for _, model in models.values()]}
+    return {"result": plain(result), "models": models}
 
 
 def to_result(written: Plain, problem: Problem, candidates: Sequence[Candidate]) -> StageResult:
