@@ -195,32 +195,36 @@ def _squareplus(x: torch.Tensor, buffer: torch.Tensor) -> torch.Tensor:
 
 
 class BatchedAdam:
-    """Adam (Kingma & Ba 2015) on a :class:`BatchedMlp`, with one learning rate per member."""
+    """Adam (Kingma & Ba 2015) on a :class:`BatchedMlp`, with one learning rate per member.
+
+    Args:
+        first, second: estimates of the first and second moments of the gradients.
+        steps: updates made so far. Their number is kept on the device only, so that an update can be part of a CUDA graph.
+    """
 
     def __init__(self, first: Stack, second: Stack, steps: int) -> None:
         import torch
 
-        self.first, self.second, self.steps = first, second, steps
-        self._count = torch.tensor(float(steps), device=first.flat.device)
+        self.first, self.second = first, second
+        self._steps = torch.tensor(float(steps), device=first.flat.device)
 
-    def step(self, model: BatchedMlp, rates: Sequence[float]) -> None:
+    def step(self, model: BatchedMlp, rates: Sequence[float | torch.Tensor]) -> None:
         """One update from the gradients of the model, with the learning rate of each member."""
-        import torch
         from torch.optim.adam import adam
 
-        self.steps += 1
         begin = 0
         for rate, run in itertools.groupby(rates):
             end = begin + len(list(run))
             weights, gradients, first, second = (
                 self._part(stack, begin, end) for stack in (model.parameters, model.gradients, self.first, self.second)
             )
-            counts = [torch.full_like(self._count, self.steps - 1) for _ in weights]
+            counts = [self._steps.clone() for _ in weights]  # adam() increments them
             adam(
                 weights, gradients, first, second, [], counts, fused=True, amsgrad=False, maximize=False,
                 lr=rate, beta1=0.9, beta2=0.999, eps=1e-8, weight_decay=0.0,
             )  # fmt: skip
             begin = end
+        self._steps += 1
 
     @staticmethod
     def _part(stack: Stack, begin: int, end: int) -> list[torch.Tensor]:

@@ -148,7 +148,7 @@ class _Batch:
         """One update of all members; returns its number."""
         import torch
 
-        before = self.adam.steps
+        before = self.jobs[0].state.step
         if not self.prefetched[0] <= before < self.prefetched[1]:
             self.prefetched = (before, before + self.prefetch)
             self._prefetch_rows()
@@ -220,7 +220,7 @@ class _Batch:
         sizes = self.model.sizes
         room = Stack.zeros(sizes, len(stay), self.device)
         model = BatchedMlp(sizes, self.model.parameters.kept(sizes, stay), room, self.model.rectifier)
-        adam = BatchedAdam(self.adam.first.kept(sizes, stay), self.adam.second.kept(sizes, stay), self.adam.steps)
+        adam = BatchedAdam(self.adam.first.kept(sizes, stay), self.adam.second.kept(sizes, stay), self.jobs[0].state.step)
         return _Batch([self.jobs[k] for k in stay], self.device, (model, adam))
 
 

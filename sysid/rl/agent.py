@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Floats, Stack, pack, padded, unpack
 from sysid.rl.recipe import Learning, Networks
+from sysid.rl.repeated import Repeated
 
 if TYPE_CHECKING:
     import torch
@@ -93,7 +94,8 @@ class Agent:
         self.space, self.networks, self.learning, self.device = space, networks, learning, torch.device(device)
         wide, acts = len(space.low), len(space.action_low)
         sincos = networks.critic_features == "sincos"
-        self.angles = [number for number, angle in enumerate(space.angles) if angle] if sincos else []
+        angles = [number for number, angle in enumerate(space.angles) if angle] if sincos else []
+        self.angles = torch.tensor(angles, dtype=torch.long, device=self.device)
         self.sizes = {
             "actor": (wide, *networks.actor, acts),
             "critic": (wide + acts + 2 * len(self.angles), *networks.critic, 1 if networks.critic_head == "value" else 4),
@@ -105,7 +107,7 @@ class Agent:
             for base in (name.removeprefix("target_"),)
         }
         self.adams = {name: self._adam(name, 0) for name in TRAINED}
-        #: Updates made.
+        #: Updates made; whoever calls :meth:`update` counts them.
         self.updates = 0
 
         def constant(values: npt.ArrayLike) -> torch.Tensor:
@@ -113,11 +115,11 @@ class Agent:
 
         self._centre, self._per_half = constant(space.centre), constant(1.0 / space.half)
         self._action_centre, self._action_per_half = constant(space.action_centre), constant(1.0 / space.action_half)
-        self._angle_centre, self._angle_half = (
-            constant(values[self.angles]) for values in (space.action_centre, space.action_half)
-        )
+        self._angle_centre, self._angle_half = (constant(values[angles]) for values in (space.action_centre, space.action_half))
         self._target_centre = constant(space.centre[slice(*space.target)])
         self._buffers: dict[tuple[str, int], torch.Tensor] = {}
+        #: By number of observations: inputs, outputs, and the actor from the ones to the others.
+        self._acts: dict[int, tuple[torch.Tensor, torch.Tensor, Repeated]] = {}
         #: Of the last update: critic loss L, and mean Q of the actor's actions.
         self.loss = self.value = torch.zeros((), device=self.device)
 
@@ -125,13 +127,29 @@ class Agent:
         """The actor's actions (n, A) in shares of half the range, within ±1, for observations (n, O)."""
         import torch
 
-        with torch.no_grad():
-            s = self._normalised(torch.from_numpy(observations.astype(np.float32)).to(self.device))
-            mu = torch.tanh(self.models["actor"].predict(self._padded("act", s))[0, :, : len(self.space.action_low)])
-            return mu.cpu().numpy().astype(np.float64)
+        count = len(observations)
+        if count not in self._acts:
+            seen = torch.zeros((count, len(self.space.low)), device=self.device)
+            found = torch.zeros((count, len(self.space.action_low)), device=self.device)
+            self._acts[count] = (seen, found, Repeated(lambda: self._act(seen, found), self.device))
+        seen, found, act = self._acts[count]
+        seen.copy_(torch.from_numpy(observations.astype(np.float32)))
+        act()
+        return found.cpu().numpy().astype(np.float64)
 
-    def update(self, s: torch.Tensor, a: torch.Tensor, r: torch.Tensor, following: torch.Tensor, rate: float = 1.0) -> None:
+    def _act(self, seen: torch.Tensor, found: torch.Tensor) -> None:
+        import torch
+
+        with torch.no_grad():
+            s = self._normalised(seen)
+            found.copy_(torch.tanh(self.models["actor"].predict(self._padded("act", s))[0, :, : len(self.space.action_low)]))
+
+    def update(
+        self, s: torch.Tensor, a: torch.Tensor, r: torch.Tensor, following: torch.Tensor, rate: float | torch.Tensor = 1.0
+    ) -> None:
         """One update from a batch: observations (N, O), actions (N, A) [SI], rewards (N,), next observations (N, O).
+
+        It does not wait for the device and changes nothing but tensors, so that it can be part of a CUDA graph.
 
         Args:
             rate: share of both learning rates.
@@ -170,7 +188,6 @@ class Agent:
             if learning.discount > 0.0:
                 for name in TRAINED:
                     models[f"target_{name}"].parameters.flat.lerp_(models[name].parameters.flat, learning.tau)
-        self.updates += 1
 
     def is_finite(self) -> bool:
         """Whether all weights are finite."""

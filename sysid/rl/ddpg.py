@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,12 @@ from sysid.rl.agent import Agent, Space
 from sysid.rl.environment import Environment
 from sysid.rl.noise import OrnsteinUhlenbeck
 from sysid.rl.recipe import TrainingRecipe
+from sysid.rl.repeated import Repeated
 from sysid.rl.replay import Replay
 from sysid.rl.task import ObservationSlices
+
+if TYPE_CHECKING:
+    import torch
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +74,12 @@ class Trainer:
             exploration.theta, exploration.sigma, exploration.time_step, noise,
         )  # fmt: skip
         self.replay = Replay(learning.buffer, environment.observations, environment.actions, recipe.device)
+        #: Of an update, on the device: rows of the buffer, their content, moves of replaced targets, share of the rates.
+        self._chosen = torch.zeros(learning.batch, dtype=torch.long, device=recipe.device)
         self._batch = torch.empty((learning.batch, self.replay.width), device=recipe.device)
+        self._moves = torch.zeros((round(learning.hindsight * learning.batch) // 2, 3), device=recipe.device)
+        self._rate_share = torch.ones((), device=recipe.device)
+        self._learn = self._repeated_update()
         #: Steps made; all copies together make one.
         self.step_count = 0
         #: One entry for each episode and evaluation: ``step`` (steps times copies) and figures.
@@ -157,6 +166,7 @@ class Trainer:
         self.observations, self._returns, self._distance = (np.array(state[key]) for key in ("now", "returns", "away"))
         self.episodes, self.evaluations = list(state["episodes"]), list(state["evaluations"])
         self.agent.restore(state["agent"])
+        self._learn = self._repeated_update()
         self.noise.restore(state["noise"])
         self.environment.restore(state["environment"])
         self._actions.bit_generator.state = state["actions"]
@@ -197,24 +207,44 @@ class Trainer:
         return np.clip(space.action_centre + shares * space.action_half, space.action_low, space.action_high)
 
     def _update(self) -> None:
-        rows, parts = self.replay.sample(self.recipe.learning.batch, self._batches, self._batch), self.replay.columns
-        observations, actions, rewards, following = (rows[:, part] for part in parts)
-        if self.recipe.learning.hindsight > 0.0:
-            self.relabel(observations, rewards, following)
-        self.agent.update(observations, actions, rewards[:, 0], following, self._rate())
+        """Draw a batch on the CPU, learn from it on the device."""
+        import torch
+
+        self._chosen.copy_(self.replay.draw(self.recipe.learning.batch, self._batches))
+        if len(self._moves):
+            drawn = self._batches.standard_normal(tuple(self._moves.shape), dtype=np.float32)
+            self._moves.copy_(torch.from_numpy(drawn * np.float32(self.recipe.learning.hindsight_near)))
+        self._rate_share.fill_(self._rate())
+        self._learn()
+        self.agent.updates += 1
         if self.agent.updates % CHECK_INTERVAL == 0:
             self.check()
 
-    def relabel(self, observations: Any, rewards: Any, following: Any) -> None:
-        """Replace the targets of a share of a batch, and recompute its rewards (hindsight)."""
+    def _repeated_update(self) -> Repeated:
+        """One update from the chosen rows; to be renewed when the agent's tensors are replaced."""
+
+        def update() -> None:
+            rows = self.replay.take(self._chosen, self._batch)
+            observations, actions, rewards, following = (rows[:, part] for part in self.replay.columns)
+            if self.recipe.learning.hindsight > 0.0:
+                self.relabel(observations, rewards, following, self._moves)
+            rate = self._rate_share if self.agent.device.type == "cuda" else self._rate()
+            self.agent.update(observations, actions, rewards[:, 0], following, rate)
+
+        return Repeated(update, self.agent.device)
+
+    def relabel(self, observations: torch.Tensor, rewards: torch.Tensor, following: torch.Tensor, moves: torch.Tensor) -> None:
+        """Replace the targets of a share of a batch, and recompute its rewards (hindsight).
+
+        Args:
+            moves: of the first new targets from the reached end effectors, (n, 3) [m]; the others are of other transitions.
+        """
         import torch
 
-        learning, ee, target = self.recipe.learning, self.slices.ee, self.slices.target
-        count = round(learning.hindsight * len(rewards))
-        near = count // 2
+        ee, target = self.slices.ee, self.slices.target
+        count, near = round(self.recipe.learning.hindsight * len(rewards)), len(moves)
         reached = following[:count, ee]
-        moved = self._batches.standard_normal((near, 3), dtype=np.float32) * np.float32(learning.hindsight_near)
-        aims = torch.cat([reached[:near] + torch.from_numpy(moved).to(reached.device), reached[near:].roll(1, 0)])
+        aims = torch.cat([reached[:near] + moves, reached[near:].roll(1, 0)])
         before, after = ((reached - aim).norm(dim=1, keepdim=True) for aim in (following[:count, target], aims))
         rewards[:count] += before - after
         observations[:count, target] = aims

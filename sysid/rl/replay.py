@@ -62,11 +62,16 @@ class Replay:
             self.rows[: len(fresh) - first] = table[first:].to(self.rows.device)
         self.count += len(fresh)
 
-    def sample(self, count: int, rng: np.random.Generator, out: torch.Tensor) -> torch.Tensor:
-        """``count`` random rows, drawn with replacement, in ``out`` (count, width)."""
+    def draw(self, count: int, rng: np.random.Generator) -> torch.Tensor:
+        """Numbers of ``count`` random rows, (count,), drawn with replacement, on the CPU."""
         import torch
 
-        chosen = torch.from_numpy(rng.integers(0, len(self), count)).to(self.rows.device)
+        return torch.from_numpy(rng.integers(0, len(self), count))
+
+    def take(self, chosen: torch.Tensor, out: torch.Tensor) -> torch.Tensor:
+        """The rows of these numbers, (n,) on the device of the table, in ``out`` (n, width)."""
+        import torch
+
         return torch.index_select(self.rows, 0, chosen, out=out)
 
     def save(self, folder: Path) -> None:

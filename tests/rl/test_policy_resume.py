@@ -168,7 +168,7 @@ def test_the_buffer_keeps_the_newest() -> None:
         table.add(np.stack([rows, -rows], axis=1), rows[:, None], rows, np.zeros((4, 2)))
     assert (len(table), table.count) == (10, 28)
     assert sorted(table.rows[:, 0].tolist()) == list(range(18, 28))
-    drawn = table.sample(2000, np.random.default_rng(0), torch.empty(2000, table.width))
+    drawn = table.take(table.draw(2000, np.random.default_rng(0)), torch.empty(2000, table.width))
     assert set(drawn[:, 0].tolist()) == set(range(18, 28))
     torch.testing.assert_close(drawn[:, 1], -drawn[:, 0])
 
