@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -28,12 +29,12 @@ def gap_rows(workspace: Path, reference: str, counts: Sequence[int], cluster: Cl
     dataset, registry = Store(workspace).load(reference), Registry(workspace)
     plant = nominal_plant(dataset.machine)
 
-    def timed_gap(executor: Executor | None) -> tuple[float, Any]:
-        """Seconds, and everything but the time that it took."""
+    def timed_gap(executor: Executor | None) -> tuple[float, str]:
+        """Seconds, and everything but the time that it took, as text: values that are not defined (NaN) are equal there."""
         tasks = SearchTasks(executor, absolute_location(workspace)) if executor is not None else None
         begin = time.perf_counter()
         found = find_gap(dataset, plant, registry, tasks=tasks)
-        return time.perf_counter() - begin, replace(found, seconds=0.0).to_json()
+        return time.perf_counter() - begin, json.dumps(replace(found, seconds=0.0).to_json(), sort_keys=True)
 
     timed_gap(None)
     alone, expected = timed_gap(None)
