@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from committed import provenance, write_result, write_tables
 from loop.alternatives import LAG_DELAY_GAIN, WITH_DEADBAND, deployed, fixed_structure, guessed_plant, true_plant
 from loop.page import rounds_table, summary, tables
+from loop.policies import policy_deployment
 from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
 from loop.sealed import draw_machine, write_site, write_truth
@@ -40,6 +41,8 @@ ROOT = Path(__file__).resolve().parents[1]
 REPORTS, PAGE = ROOT / "reports" / "loop", ROOT / "docs" / "closing-the-gap.md"
 PIPELINE = "pipelines/close_the_gap.py"
 SEEDS = (0, 1, 2, 3, 4)
+#: Plants for which a policy is trained too.
+POLICIES = ("nominal", "repaired", "truth")
 
 
 def main(seeds: tuple[int, ...], work: Path, publish: bool, excitation: bool = False) -> Path:
@@ -95,7 +98,8 @@ def run_rounds(seed: int, folder: Path, excitation: bool) -> dict[str, Any]:
 def compare(seed: int, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     """Figures of the controllers of several plants on the machine of a seed, whose rounds are in ``folder``.
 
-    All controllers have the same noise, so that they differ by their plants only.
+    Inverse kinematics follows the path, and a policy that was trained for the plant. All controllers have the same noise, so
+    that they differ by their plants only.
     """
     machine = draw_machine(seed)
     site = Site(machine, folder)
@@ -110,7 +114,11 @@ def compare(seed: int, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]
         "with_deadband": fixed_structure(nominal, first, WITH_DEADBAND),
         "truth": true_plant(nominal, hidden, parked),
     }
-    return {name: deployed(site, plant, name) for name, plant in plants.items()}
+    registered = {name: site.registered(plant) for name, plant in plants.items()}
+    made = {name: deployed(site, site.deployment(plant), name) for name, plant in registered.items()}
+    for name in POLICIES:
+        made[f"policy_{name}"] = deployed(site, policy_deployment(site, registered[name]), f"policy-{name}")
+    return made
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from loop.deployment import Deployment
 from loop.rounds import Site, fly_paths
 from loop.score import figures_of
 from sysid.datasets import Dataset, Recording
@@ -122,14 +123,14 @@ def true_plant(nominal: Plant, hidden: Sequence[Mapping[str, Any]], parked: Mapp
     return plant
 
 
-def deployed(site: Site, plant: Plant, name: str) -> dict[str, Any]:
-    """Figures of the helix under the controller of ``plant``; its logs are not those of the loop.
+def deployed(site: Site, deployment: Deployment, name: str) -> dict[str, Any]:
+    """Figures of the helix under a deployment; its logs are not those of the loop.
 
     The runs are numbered from :data:`FIRST_RUN` on whatever the plant, so that controllers are compared under the same noise. A
     path that the runner refuses has no figures, and the reason in ``why``.
     """
     site.runs = FIRST_RUN
     try:
-        return figures_of(fly_paths(site, site.registered(plant), ("helix",), site.folder / f"flights-{name}"))
+        return figures_of(fly_paths(site, deployment, ("helix",), site.folder / f"flights-{name}"))
     except SettingsError as error:
         return {"helix": {"ended": "refused", "why": error.found}}

@@ -25,6 +25,8 @@ def goals(machines: Sequence[Machine]) -> str:
     after = [max(_other(machine, "repaired")) for machine in machines]
     simulated = [value / max(_last_simulated(machine)) for value, machine in zip(after, machines, strict=True)]
     truth = [value / max(_other(machine, "truth")) for value, machine in zip(after, machines, strict=True)]
+    policy = [max(_other(machine, "policy_repaired")) for machine in machines]
+    trained = [value / max(_other(machine, "policy_truth")) for value, machine in zip(policy, machines, strict=True)]
     between = [_to_second(machine) for machine in machines]
     rows = [
         (
@@ -36,6 +38,8 @@ def goals(machines: Sequence[Machine]) -> str:
         _row("error after, largest coordinate", f"≤ {AFTER_MM:.0f} mm", after, "{:.1f} mm", AFTER_MM),
         _row("beside the repaired simulation", f"≤ {BESIDE_SIMULATION}", simulated, "{:.2f}", BESIDE_SIMULATION),
         _row("beside the controller of the true plant", f"≤ {BESIDE_TRUTH}", truth, "{:.2f}", BESIDE_TRUTH),
+        _row("trained policy, largest coordinate", f"≤ {AFTER_MM:.0f} mm", policy, "{:.1f} mm", AFTER_MM),
+        _row("beside a policy trained for the true plant", f"≤ {BESIDE_TRUTH}", trained, "{:.2f}", BESIDE_TRUTH),
         _named(machines),
         *(
             _better(title, [(_other(machine, key), value) for machine, value in zip(machines, after, strict=True)])

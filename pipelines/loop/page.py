@@ -9,6 +9,18 @@ from typing import Any
 from committed import markdown
 from loop.goals import goals
 
+#: Compared controllers, by their key in the result.
+CONTROLLERS = {
+    "nominal": "nominal plant",
+    "repaired": "repaired plant, last round",
+    "guessed": "nominal plant, ±20 % guessed",
+    "lag_delay_gain": "dead time, lag and gain by least squares",
+    "with_deadband": "the same and one dead-band",
+    "truth": "true plant",
+    "policy_nominal": "nominal plant, trained policy",
+    "policy_repaired": "repaired plant, last round, trained policy",
+    "policy_truth": "true plant, trained policy",
+}
 #: Columns of the errors at the tool.
 ERRORS = ("helix, max", "helix, RMSE", "circle, max")
 
@@ -29,14 +41,7 @@ def summary(result: Mapping[str, Any]) -> str:
 
 def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Controller → its runs on each machine."""
-    return {
-        "nominal plant": [machine["compared"]["nominal"] for machine in machines],
-        "repaired plant, last round": [machine["compared"]["repaired"] for machine in machines],
-        "nominal plant, ±20 % guessed": [machine["compared"]["guessed"] for machine in machines],
-        "dead time, lag and gain by least squares": [machine["compared"]["lag_delay_gain"] for machine in machines],
-        "the same and one dead-band": [machine["compared"]["with_deadband"] for machine in machines],
-        "true plant": [machine["compared"]["truth"] for machine in machines],
-    }
+    return {title: [machine["compared"][key] for machine in machines] for key, title in CONTROLLERS.items()}
 
 
 def _worst(row: Mapping[str, Any]) -> str:

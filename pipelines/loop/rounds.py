@@ -108,13 +108,12 @@ def path_task(path: str) -> dict[str, Any]:
     return {"mode": "track", "track": {"path": path}}
 
 
-def fly_paths(site: Site, plant: Plant, paths: Sequence[str], logs: Path | None = None) -> dict[str, Flight]:
-    """The first run of each path on the machine, controlled from ``plant``.
+def fly_paths(site: Site, deployment: Deployment, paths: Sequence[str], logs: Path | None = None) -> dict[str, Flight]:
+    """The first run of each path on the machine.
 
     Raises:
         SettingsError: the runner refuses a path, e.g. since it exceeds the top speed of the plant.
     """
-    deployment = site.deployment(plant)
     flights: dict[str, Flight] = {}
     for path in paths:
         flight = site.fly(deployment, path_task(path), logs)
@@ -152,7 +151,7 @@ def close_gap(site: Site, show: Callable[[str], None], planning: Planning | None
     experiments: Sequence[Experiment] = ()
     for number in range(MOST + 1):
         begin, cpu_begin = time.perf_counter(), time.process_time()
-        flights, simulated = fly_paths(site, plant, PATHS), simulate_paths(site, plant)
+        flights, simulated = fly_paths(site, site.deployment(plant), PATHS), simulate_paths(site, plant)
         made = fly_experiments(site, plant, experiments)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from loop.deployment import Deployment
 from loop.flight import Flight, fly
+from loop.policies import CHECKS
 from loop.rounds import path_task
 from paper.rows import MACHINE_MAX, PaperRow
 from sysid.bench.recipe_file import load_recipe
@@ -17,10 +18,6 @@ WITHOUT = {
     "domain": "the paper's network is used as it is, also between its poses",
     "delay": "the machine's dead time is unknown, and a simulated machine cannot be damaged",
 }
-
-
-#: A policy of a redundant machine begins in another posture than inverse kinematics, and approaches it at limited speed.
-CHECKS = {"policy": {"share": 1.0}}
 
 
 def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, policy: str, seed: int) -> dict[str, Flight]:

@@ -184,6 +184,24 @@ def gap_result(*named: NamedEffect, written: tuple[WrittenEffect, ...] = ()) -> 
     return GapResult("crane@1", "crane@1", "crane@2", "named", named, (), (), (), none, none, (), (), 1.0, written=written)
 
 
+def test_a_policy_of_a_plant_is_deployed_with_its_controller(
+    loop: Any, site: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import loop.policies as policies
+
+    monkeypatch.setattr(policies, "EPISODES", 64)
+    short = policies.RECIPE.read_text("utf-8").replace("steps = 100", "steps = 20")
+    (tmp_path / "short.toml").write_text(short.replace("copies = 64", "copies = 16"), "utf-8")
+    monkeypatch.setattr(policies, "RECIPE", tmp_path / "short.toml")
+    nominal = site.nominal()
+    found = policies.policy_deployment(site, nominal)
+    version = site.workspace.models.find(found.policy)
+    assert (version.kind, version.lineage["plant"]) == ("policy", nominal.reference)
+    assert version.lineage["forward"] == found.forward
+    assembly = found.assembled(site.workspace.models, site.description, {"mode": "track", "track": {"path": "helix"}})
+    assert found.policy in [each.reference for each in assembly.loaded.versions]
+
+
 @pytest.mark.parametrize("excitation", [False, True])
 def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest.MonkeyPatch, excitation: bool) -> None:
     """A repair that is not promoted is deployed too; a proposed experiment is made in the next round."""
@@ -219,6 +237,7 @@ def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest
 
 def test_names_are_compared_with_the_truth(loop: Any) -> None:
     from loop.flight import Flight
+    from loop.page import CONTROLLERS
     from loop.rounds import Round
 
     ramp = np.linspace(0.0, 0.03, 31)
@@ -249,7 +268,7 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
 
     refused = {path: {"ended": "refused", "why": "needs 110 % of the top speed of slew"} for path in flights}
     run = found["rounds"][1]
-    compared = dict.fromkeys(("nominal", "repaired", "guessed", "with_deadband", "truth"), run) | {"lag_delay_gain": refused}
+    compared = dict.fromkeys(CONTROLLERS, run) | {"lag_delay_gain": refused}
     text = loop.tables({"machines": [{**found, "compared": compared}]}).replace("`", "")
     assert "| seed 9 | 4 | 2 | input_delay boom (adjusted without a name), backlash stick | stiction boom |" in text
     assert "| seed 9 | 0 | 173.21 | 17.32 | 8.66 | 173.21 | 17.32 | 8.66 |" in text
@@ -258,6 +277,7 @@ def test_names_are_compared_with_the_truth(loop: Any) -> None:
     assert "| hidden effects named | all, none wrong | 2 of 4, 1 wrong | 0 of 1 |" in text
     assert "| naming beside a guess of ±20 % | ≥ 2 times better | 1.0 times | 0 of 1 |" in text
     assert "| naming beside least squares without dead-bands | ≥ 2 times better | refused | 1 of 1 |" in text
+    assert "| beside a policy trained for the true plant | ≤ 1.2 | 1.00 | 1 of 1 |" in text
     assert "| wall time from first to second deployment | ≤ 30 min | 5 s | 1 of 1 |" in text
     assert "| seed 9 | true plant | 30 / 0.0 / 30 |" in text
     assert "| seed 9 | dead time, lag and gain by least squares | refused: needs 110 % of the top speed of slew | – |" in text

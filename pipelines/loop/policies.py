@@ -1,0 +1,28 @@
+"""Policies in the loop: one is trained for a plant and its kinematics, and deployed with the controller of that plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from loop.deployment import Deployment
+from loop.rounds import Site
+from sysid.plant import Plant
+from sysid.rl.recipe import load_training
+from sysid.rl.training import train_policy
+
+#: Where joints follow at once: a map from target to joints. Half of its episodes: a minute of a core.
+EPISODES = 1280
+RECIPE = Path(__file__).resolve().parents[2] / "rl" / "autolog" / "quick.toml"
+#: A policy of a redundant machine begins in another posture than inverse kinematics, and approaches it at limited speed.
+CHECKS = {"policy": {"share": 1.0}}
+
+
+def policy_deployment(site: Site, plant: Plant, seed: int = 0) -> Deployment:
+    """Train a policy where the joints of a registered plant follow at once; its deployment beside inverse kinematics."""
+    below = site.deployment(plant)
+    recipe = load_training(RECIPE)
+    learning = replace(recipe.learning, episodes=EPISODES)
+    recipe = replace(recipe, name="loop-policy", plant=below.plant, forward=below.forward, seed=seed, learning=learning)
+    trained = train_policy(site.workspace.models, recipe, site.folder / "training")
+    return replace(below, policy=trained.version.reference, checks=CHECKS)
