@@ -27,6 +27,7 @@ class Deployment:
     Args:
         without: disabled checks of the supervisor, with their reasons.
         checks: changed thresholds, as in ``[checks]`` of a runner recipe.
+        lookahead: of the targets [s]; None: the runner's default, none for a policy.
     """
 
     plant: str
@@ -34,6 +35,7 @@ class Deployment:
     policy: str = "ik-lookahead"
     without: Mapping[str, str] = field(default_factory=lambda: WITHOUT)
     checks: Mapping[str, Any] = field(default_factory=dict)
+    lookahead: float | None = None
 
     def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:
         """The runner for a task.
@@ -44,11 +46,12 @@ class Deployment:
         """
         versions = {"plant": self.plant, "forward": self.forward, "policy": self.policy}
         models = [reference for reference in versions.values() if reference not in KINEMATIC]
+        ahead = {} if self.lookahead is None else {"lookahead": self.lookahead}
         values = {
             "schema": 1,
             "name": "loop",
             "machine": str((site / "machine.toml").resolve()),
-            "versions": versions | {"unpromoted": _unpromoted(registry, models)},
+            "versions": {**versions, **ahead, "unpromoted": _unpromoted(registry, models)},
             "transport": {"kind": "can"},
             "checks": {**self.checks, "without": dict(self.without)},
             "loop": {"settle_s": REST_S, "priority": 0, "lock_memory": False},

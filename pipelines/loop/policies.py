@@ -7,6 +7,7 @@ from pathlib import Path
 
 from loop.deployment import Deployment
 from loop.rounds import Site
+from sysid.control import lookahead_time
 from sysid.plant import Plant
 from sysid.rl.recipe import load_training
 from sysid.rl.training import train_policy
@@ -19,10 +20,13 @@ CHECKS = {"policy": {"share": 1.0}}
 
 
 def policy_deployment(site: Site, plant: Plant, seed: int = 0) -> Deployment:
-    """Train a policy where the joints of a registered plant follow at once; its deployment beside inverse kinematics."""
+    """Train a policy where the joints of a registered plant follow at once; its deployment beside inverse kinematics.
+
+    The targets are shown to it one response time of the plant ahead, as ``ik-lookahead`` has them.
+    """
     below = site.deployment(plant)
     recipe = load_training(RECIPE)
     learning = replace(recipe.learning, episodes=EPISODES)
     recipe = replace(recipe, name="loop-policy", plant=below.plant, forward=below.forward, seed=seed, learning=learning)
     trained = train_policy(site.workspace.models, recipe, site.folder / "training")
-    return replace(below, policy=trained.version.reference, checks=CHECKS)
+    return replace(below, policy=trained.version.reference, checks=CHECKS, lookahead=lookahead_time(plant))

@@ -103,6 +103,12 @@ def response_time(plant: Plant) -> float:
     return max(item.dead_time for item in tune(plant))
 
 
+def lookahead_time(plant: Plant) -> float:
+    """:func:`response_time` in whole samples, rounded up [s]: how far ahead a controller has to know its targets."""
+    rate = plant.machine.rate_hz
+    return math.ceil(response_time(plant) * rate - 1e-9) / rate
+
+
 def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
     axis = plant.machine.axes[i]
     where = f"cylinder controller: axis {axis.name}"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path as File
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import AxisTuning, CylinderController, response_time, tune
+from sysid.control import AxisTuning, CylinderController, lookahead_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -64,8 +63,7 @@ class TrackingTask:
     @property
     def dead_time(self) -> float:
         """Delay and lag of the slowest axis in whole steps [s]: the look-ahead of ``ik-lookahead``."""
-        rate = self.path.rate_hz
-        return math.ceil(response_time(self.plant) * rate - 1e-9) / rate
+        return lookahead_time(self.plant)
 
     def run(self, name: str, policy: Policy, lookahead: float = 0.0) -> TrackingResult:
         """Follow the path with ``policy``, which observes targets ``lookahead`` seconds ahead.

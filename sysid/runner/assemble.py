@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import response_time, tune
+from sysid.control import lookahead_time, tune
 from sysid.control.input_shaper import InputShaper, input_shaper
 from sysid.control.pendulum import pendulum_of
 from sysid.errors import SettingsError
@@ -150,7 +149,7 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
     if lookahead is None:
         lookahead = 0.0
         if recipe.versions.policy == "ik-lookahead":
-            lookahead = math.ceil(response_time(loaded.plant) * machine.rate_hz - 1e-9) / machine.rate_hz
+            lookahead = lookahead_time(loaded.plant)
     low, high = joint_limits(loaded.plant)
     tracking, inverse = None, InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
     tracks = recipe.mode == "track" or (recipe.mode == "shadow" and recipe.shadow.of == "track")
