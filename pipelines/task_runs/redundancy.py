@@ -1,9 +1,7 @@
-"""Circles anywhere in the reach of a redundant machine, from random postures: distance from limits and from an obstacle."""
+"""Circles anywhere in the reach of a redundant machine, from random postures: distance of the joints from their limits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,8 +9,6 @@ import numpy.typing as npt
 
 from sysid.control import CylinderController
 from sysid.control.coordinated_motion import SHARE
-from sysid.rl.clearance import Sphere, clearance, link_ends
-from sysid.rl.environment import Policy
 from sysid.rl.inverse_kinematics import chain_of_plant
 from sysid.rl.limit_avoidance import LimitAvoidingPolicy
 from sysid.rl.paths import REACHED, Path, circle
@@ -24,11 +20,6 @@ Array = npt.NDArray[np.float64]
 
 #: Number of circles and seed of their centres and postures; most of them that are drawn.
 CIRCLES, SEED, DRAWN = 20, 2, 5000
-#: Obstacles: radius, depth of the joint inside it on the path of inverse kinematics, distance of the first posture and of the
-#: tip's path from it [m]; directions that are tried.
-RADIUS, INSIDE, CLEAR, TRIES = 0.08, 0.03, 0.02, 100
-#: The joint between boom and stick, among the ends of the links.
-ELBOW = 2
 
 
 def circles(task: TrackingTask, count: int = CIRCLES) -> list[tuple[Path, Array]]:
@@ -46,44 +37,6 @@ def circles(task: TrackingTask, count: int = CIRCLES) -> list[tuple[Path, Array]
             found.append((path, begin[0]))
         if len(found) == count:
             break
-    return found
-
-
-def obstacles(task: TrackingTask, each: list[tuple[Path, Array]]) -> list[tuple[Path, Array, Sphere]]:
-    """Of the circles, those with an obstacle that inverse kinematics hits: half way along, the joint between boom and stick is
-    :data:`INSIDE` of it, in a random direction. The links begin clear of it, and it is not in the way of the tip.
-    """
-    rng, chain, found = np.random.default_rng(SEED + 1), chain_of_plant(task.plant), []
-    for path, begin in each:
-        joints, _ = task.inverse.follow(path.points, begin)
-        elbow = link_ends(chain, joints[len(joints) // 2][None])[0, ELBOW]
-        for _ in range(TRIES):
-            way = rng.normal(size=3)
-            sphere = Sphere(elbow + (RADIUS - INSIDE) * way / np.linalg.norm(way), RADIUS)
-            tip = np.linalg.norm(path.points - sphere.centre, axis=1).min() - RADIUS
-            if tip > CLEAR and clearance(chain, begin[None], sphere)[0] > CLEAR:
-                found.append((path, begin, sphere))
-                break
-    return found
-
-
-def obstacle_rows(task: TrackingTask, each: list[tuple[Path, Array, Sphere]]) -> list[dict[str, Any]]:
-    """Of each circle: least clearance of the links; RMSE of the tip after the first second."""
-    late, chain, rate = task.dead_time, chain_of_plant(task.plant), task.path.rate_hz
-    made: dict[str, Callable[[Sphere], Policy]] = {
-        "ik-lookahead": lambda sphere: InversePolicy(task.inverse),
-        "ik-lookahead, gradient projection": lambda sphere: LimitAvoidingPolicy(task.inverse, chain, rate),
-        "the same with the obstacle": lambda sphere: LimitAvoidingPolicy(task.inverse, chain, rate, [sphere]),
-    }
-    found = []
-    for name, policy in made.items():
-        clear, errors = [], []
-        for path, start, sphere in each:
-            controller = Controller(name, (partial(policy, sphere),), late, late)
-            result = run(task, task.plant, controller, path, start)[0]
-            clear.append(round(1e3 * float(clearance(chain, result.joints, sphere).min()), 1))
-            errors.append(round(1e3 * float(np.sqrt(np.mean(np.sum(result.after(SETTLED_S).error ** 2, axis=1)))), 3))
-        found.append({"controller": name, "clearance_mm": clear, "rmse_mm": errors})
     return found
 
 

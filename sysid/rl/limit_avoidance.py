@@ -1,27 +1,21 @@
-"""Redundancy used to keep joints away from their limits, and links away from obstacles: gradient projection.
+"""Redundancy used to keep joints away from their limits: gradient projection.
 
 A redundant machine can move its joints without moving the end effector, along the null space of the Jacobian J. In shares u of
 each joint's range, inverse kinematics is started from
 
-    u + min(rate·dt, gain·|n·g|)·sign(n·g)·n        J·n = 0, ‖n‖ = 1, g = ∂H/∂u
-    H = Σ ln u + ln(1 − u) + Σ ln min(d, reach)
+    u + min(rate·dt, gain·|n·g|)·sign(n·g)·n        J·n = 0, ‖n‖ = 1, g = ∂H/∂u, H = Σ ln u + ln(1 − u)
 
-where H is the logarithmic barrier of the limits and of the distances d of the links from obstacles; the solver then puts the
-end effector back on its target.
+where H is the logarithmic barrier of the limits; the solver then puts the end effector back on its target.
 
-Source: Liégeois, IEEE Transactions on Systems, Man, and Cybernetics 7 (1977) 868–871; for obstacles Maciejewski and Klein,
-International Journal of Robotics Research 4 (1985) 109–117.
+Source: Liégeois, IEEE Transactions on Systems, Man, and Cybernetics 7 (1977) 868–871.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.rl.clearance import Sphere, clearance
 from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain
 from sysid.rl.task import ObservationSlices
 
@@ -31,31 +25,26 @@ Array = npt.NDArray[np.float64]
 RATE, GAIN = 0.1, 1e-4
 #: Joints nearer to a limit than this share count as that near: the barrier is infinite there.
 NEAREST = 1e-3
-#: Distance from which an obstacle counts, and nearer than which it counts as that near [m].
-OBSTACLE_REACH, OBSTACLE_NEAREST = 0.2, 2e-3
 #: Finite difference of the Jacobian [shares of the range].
 DIFFERENCE = 1e-6
 
 
 class LimitAvoidingPolicy:
-    """Inverse kinematics of one machine that moves along the null space, away from the limits and from obstacles.
+    """Inverse kinematics of one machine that moves along the null space, away from the limits.
 
     Args:
         inverse: bounded inverse kinematics on ``chain``.
         rate_hz: setpoints per second.
-        obstacles: of the links.
 
     Raises:
         SettingsError: a machine that is not redundant.
     """
 
-    def __init__(
-        self, inverse: InverseKinematics, chain: KinematicChain, rate_hz: float, obstacles: Sequence[Sphere] = ()
-    ) -> None:
+    def __init__(self, inverse: InverseKinematics, chain: KinematicChain, rate_hz: float) -> None:
         if len(inverse.low) < 4:
             found = f"{len(inverse.low)} joints for the three coordinates of a point"
             raise SettingsError("limit avoidance", found, "a redundant machine: four joints or more")
-        self.inverse, self.chain, self.obstacles = inverse, chain, tuple(obstacles)
+        self.inverse, self.chain = inverse, chain
         self._most, self._slices = RATE / rate_hz, ObservationSlices.of(len(inverse.low))
         self._last: Array | None = None
 
@@ -76,22 +65,11 @@ class LimitAvoidingPolicy:
         """Joints (A,) after one step along the null space."""
         low, span = self.inverse.low, self.inverse.high - self.inverse.low
         share = np.clip((joints - low) / span, NEAREST, 1.0 - NEAREST)
-        slope = 1.0 / share - 1.0 / (1.0 - share) + self._from_obstacles(joints, span)
+        slope = 1.0 / share - 1.0 / (1.0 - share)
         for direction in self._null_space(joints, span):
             pull = float(direction @ slope)
             joints = joints + span * direction * min(max(GAIN * pull, -self._most), self._most)
         return joints
-
-    def _from_obstacles(self, joints: Array, span: Array) -> Array:
-        """Gradient of the barrier of all obstacles, (A,), in shares of the range."""
-        slope, steps = np.zeros(len(joints)), DIFFERENCE * np.diag(span)
-        around = np.concatenate([joints + steps, joints - steps, joints[None]])
-        for obstacle in self.obstacles:
-            away = clearance(self.chain, around, obstacle)
-            if away[-1] < OBSTACLE_REACH:
-                change = (away[: len(joints)] - away[len(joints) : -1]) / (2.0 * DIFFERENCE)
-                slope += change / max(float(away[-1]), OBSTACLE_NEAREST)
-        return slope
 
     def _null_space(self, joints: Array, span: Array) -> Array:
         """Orthonormal directions, (A − 3, A), in shares of the range."""

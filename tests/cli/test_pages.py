@@ -47,7 +47,14 @@ def steps(name: str, folder: Path, request: pytest.FixtureRequest, slow: bool) -
         yield step
 
 
-@pytest.mark.parametrize("name", [name for name in PAGES if name != EXCAVATOR])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name.startswith("datasets/") and PAGES[name] else ())
+        for name in PAGES
+        if name != EXCAVATOR
+    ],
+)
 def test_a_page_works_word_by_word(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """Its quick commands. Long ones are marked on the page and run below."""
     assert [step.block for step in steps(name, tmp_path, request, slow=False) if step.block.kind == "sh"]

@@ -185,6 +185,7 @@ def test_a_column_without_values(arm: Dataset) -> None:
     assert [each.keys for each in found] == [("ee.y:missing",)]
 
 
+@pytest.mark.slow
 def test_no_alarm_on_measured_data(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
     """The machines in datasets/ with their recipes; what is found is that axes stand still."""
     sets = [

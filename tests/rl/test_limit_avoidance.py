@@ -7,7 +7,6 @@ import pytest
 from crane_model import crane_plant
 
 from sysid.errors import SettingsError
-from sysid.rl.clearance import Sphere, clearance, link_ends
 from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
 from sysid.rl.limit_avoidance import LimitAvoidingPolicy
 from sysid.rl.reach import joint_limits
@@ -41,37 +40,6 @@ def test_a_step_is_along_the_null_space() -> None:
         step = policy.away(joints) - joints
         moved = np.linalg.norm(CHAIN.predict((joints + step)[None]) - CHAIN.predict(joints[None]))
         assert moved < 1e-5, "second order in a step of a thousandth"
-
-
-def test_links_are_lines_between_the_joints() -> None:
-    rng = np.random.default_rng(1)
-    joints = INVERSE.low + SPAN * rng.uniform(0.0, 1.0, (20, 4))
-    ends = link_ends(CHAIN, joints)
-    np.testing.assert_allclose(ends[:, -1], CHAIN.predict(joints))
-    lengths = np.linalg.norm(np.diff(ends, axis=1), axis=2)
-    assert np.ptp(lengths[:, 1], axis=0) < 1e-9, "the boom has one length"
-    sphere = Sphere(np.array([0.6, 0.1, 0.5]), 0.05)
-    points = ends[:, :-1, None] + np.linspace(0.0, 1.0, 2001)[:, None] * np.diff(ends, axis=1)[:, :, None]
-    expected = np.linalg.norm(points - sphere.centre, axis=-1).min(axis=(1, 2)) - sphere.radius
-    np.testing.assert_allclose(clearance(CHAIN, joints, sphere), expected, atol=1e-5)
-
-
-def test_a_link_leaves_an_obstacle_and_the_tip_stays() -> None:
-    joints = INVERSE.low + SPAN * [0.5, 0.5, 0.4, 0.4]
-    target = CHAIN.predict(joints)[0]
-    elbow = link_ends(CHAIN, joints[None])[0, 2]
-    obstacle = Sphere(elbow + np.array([0.0, 0.0, 0.07]), 0.05)
-    seen = np.concatenate([joints, target, target])[None]
-    with_it, without = (LimitAvoidingPolicy(INVERSE, CHAIN, 100.0, given) for given in ((obstacle,), ()))
-    paths = []
-    for policy in (with_it, without):
-        policy.reset(seen)
-        paths.append(np.array([policy.act(seen)[0] for _ in range(600)]))
-    assert np.linalg.norm(CHAIN.predict(paths[0]) - target, axis=1).max() < 1e-5
-    away, other = (clearance(CHAIN, path, obstacle) for path in paths)
-    assert clearance(CHAIN, joints[None], obstacle)[0] == pytest.approx(0.02, abs=2e-3)
-    assert away[-1] > 0.05
-    assert away[-1] > other[-1] + 0.02
 
 
 def test_without_redundancy_it_is_refused() -> None:

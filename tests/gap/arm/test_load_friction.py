@@ -97,7 +97,7 @@ PLAIN: dict[str, Friction] = {
 }
 
 
-@pytest.mark.parametrize("kind", PLAIN)
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=() if kind == "sharp" else pytest.mark.slow) for kind in PLAIN])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_plain_friction_under_a_load_that_varies_does_not_grow_with_it(kind: str, seed: int) -> None:
     assert NAME not in named(dataset(PLAIN[kind], seed))
@@ -107,8 +107,11 @@ def test_plain_friction_under_a_load_that_varies_does_not_grow_with_it(kind: str
     "friction",
     [
         lambda v, load: VISCOUS * v + (COULOMB + COEFFICIENT * np.maximum(np.abs(load) - HALF, 0.0)) * np.sign(v),
-        lambda v, load: VISCOUS * v + (COULOMB + COEFFICIENT * np.minimum(np.abs(load), HALF)) * np.sign(v),
-        lambda v, load: (VISCOUS + 0.2 * np.abs(load)) * v + COULOMB * np.sign(v),
+        pytest.param(
+            lambda v, load: VISCOUS * v + (COULOMB + COEFFICIENT * np.minimum(np.abs(load), HALF)) * np.sign(v),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(lambda v, load: (VISCOUS + 0.2 * np.abs(load)) * v + COULOMB * np.sign(v), marks=pytest.mark.slow),
     ],
     ids=["from a threshold", "saturated", "with speed"],
 )

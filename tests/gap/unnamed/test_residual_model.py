@@ -65,6 +65,7 @@ def test_held_out_errors_fall(rate: Rate, period: float) -> None:
     assert errors[1] == pytest.approx(item.after, rel=0.3), "the whole chain runs with it too"
 
 
+@pytest.mark.slow
 def test_its_bound_is_estimated_from_the_data() -> None:
     (item,) = modelled(ripple, 0.03).carried
     (residual,) = modelled(ripple, 0.03).repaired.residuals
@@ -155,6 +156,7 @@ def test_simulators_and_localising_refuse_residual_models() -> None:
         find_gap(data(heavy), BASE, carry=True, localise_only=True)
 
 
+@pytest.mark.slow
 def test_gaps_by_stage_are_those_with_it() -> None:
     outcome = modelled(heavy)
     gap = Gap({"boom.cylinder": 1.0, "x": 1.0}, {"boom.cylinder": 1.0, "x": 0.5}, {"boom.cylinder": 0.1, "x": 0.1})
