@@ -33,7 +33,7 @@ from sysid.rl.recipe import load_training
 from sysid.rl.tracking_task import TrackingTask, plan_tracking
 from sysid.rl.training import train_policy
 from sysid.rl.versions import load_versions
-from task_runs import choices, page, peer, pump, redundancy, sway
+from task_runs import page, peer, pump, redundancy, sway
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORT, PAGE = ROOT / "reports" / "learning_tasks", ROOT / "docs" / "learning-tasks.md"
@@ -41,7 +41,7 @@ RECIPE = ROOT / "rl" / "autolog" / "tool.toml"
 PLANT, FORWARD = "autolog@2", "autolog-forward@1"
 #: Seeds of the trained policies.
 SEEDS = 3
-PARTS = ("paths", "targets", "swing", "pump", "redundancy", "obstacles", "choices")
+PARTS = ("paths", "targets", "swing", "pump", "redundancy")
 Array = npt.NDArray[np.float64]
 
 
@@ -91,10 +91,6 @@ def main(workspace: Path, count: int = sway.MOVES, seeds: int = SEEDS, parts: Se
                 result[part] = pump.rows(pump.with_pump(task), sway.moves(task, count))
             case "redundancy":
                 result[part] = redundancy.rows(task, redundancy.circles(task, count))
-            case "obstacles":
-                result[part] = redundancy.obstacle_rows(task, redundancy.obstacles(task, redundancy.circles(task, count)))
-            case "choices":
-                result[part] = choices.rows(workspace, RECIPE, (PLANT, FORWARD), seeds, count)
     write_result(report / "result.json", result)
     if published:
         for name, text in page.tables(result).items():

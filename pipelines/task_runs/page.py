@@ -21,8 +21,6 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         "swing": swing(result["swing"]),
         "pump": pump(result["pump"]),
         "redundancy": redundancy(result["redundancy"]),
-        "obstacles": obstacles(result["obstacles"]),
-        "choices": choices(result["choices"]),
     }
 
 
@@ -105,30 +103,6 @@ def redundancy(rows: Rows) -> str:
         count = f"{better} of {len(row['mean'])}" if row is not rows[0] else "–"
         lines.append((row["controller"], mean, end, count, spread(row["rmse_mm"])))
     return markdown(head, lines, "l")
-
-
-def obstacles(rows: Rows) -> str:
-    """Clearance: median; least of all circles."""
-    head = ("controller", "least clearance of the links, mm", "hits the obstacle in", "RMSE of the tip, mm")
-    lines = []
-    for row in rows:
-        clear = row["clearance_mm"]
-        hits = f"{sum(value < 0.0 for value in clear)} of {len(clear)}"
-        lines.append((row["controller"], f"{statistics.median(clear):.0f}; {min(clear):.0f}", hits, spread(row["rmse_mm"])))
-    return markdown(head, lines, "l")
-
-
-def choices(rows: Rows) -> str:
-    """All moves of all seeds of a choice together; processor time of the median seed."""
-    head = ("recipe", "seeds", "moves: tool settles, s", "residual swing, mm", "not settled")
-    more = ("swing: tool settles, s", "residual swing, mm", "not settled", "processor time, s")
-    lines = []
-    for name in dict.fromkeys(row["choice"] for row in rows):
-        those = [row for row in rows if row["choice"] == name]
-        moved, swung = ([move for row in those for move in row[key]] for key in ("moves", "swing"))
-        seconds = f"{statistics.median(row['cpu_seconds'] for row in those):.0f}"
-        lines.append((name, str(len(those)), *rest(moved), *rest(swung), seconds))
-    return markdown((*head, *more), lines, "lrrrrrrrr")
 
 
 def rest(moves: Rows) -> tuple[str, str, str]:

@@ -95,32 +95,19 @@ class Stack:
 
 @dataclass(frozen=True)
 class BatchedMlp:
-    """Parameters and gradients of m perceptrons of padded ``sizes`` (d_in, hidden…, d_out).
-
-    Args:
-        normalised: every hidden layer has mean 0 and variance 1 over its units before the rectifier, in :meth:`forward` and
-            :meth:`backward` (layer normalisation without gain; Ba, Kiros and Hinton 2016); widths must not be padded.
-    """
+    """Parameters and gradients of m perceptrons of padded ``sizes`` (d_in, hidden…, d_out)."""
 
     sizes: tuple[int, ...]
     parameters: Stack
     gradients: Stack
     rectifier: Rectifier = "relu"
-    normalised: bool = False
-    _deviations: dict[tuple[int, int], torch.Tensor] = field(default_factory=dict, repr=False)
-    _normal: dict[tuple[int, int], torch.Tensor] = field(default_factory=dict, repr=False)
     _buffers: dict[int, tuple[list[torch.Tensor], list[torch.Tensor]]] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of_rows(
-        sizes: tuple[int, ...],
-        rows: Sequence[Floats],
-        device: torch.device | str = "cpu",
-        rectifier: Rectifier = "relu",
-        normalised: bool = False,
+        sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu", rectifier: Rectifier = "relu"
     ) -> BatchedMlp:
-        stacks = Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device)
-        return BatchedMlp(sizes, *stacks, rectifier, normalised)
+        return BatchedMlp(sizes, Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device), rectifier)
 
     def predict(self, x: torch.Tensor, members: Sequence[int] | None = None) -> torch.Tensor:
         """(m, n, d_in) → (m, n, d_out), of all or of ``members``."""
@@ -154,14 +141,9 @@ class BatchedMlp:
 
         weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
         outs, buffers = self._buffers_for(x.shape[1])
-        for layer, (weight, bias, out, buffer) in enumerate(zip(weights, biases, outs, buffers, strict=True)):
+        for weight, bias, out, buffer in zip(weights, biases, outs, buffers, strict=True):
             x = torch.baddbmm(bias, x, weight, out=out)
             if out is not outs[-1]:
-                if self.normalised:
-                    out.sub_(out.mean(dim=2, keepdim=True))
-                    deviation = out.square().mean(dim=2, keepdim=True).add_(1e-5).sqrt_()
-                    self._deviations[layer, x.shape[1]] = deviation
-                    self._normal[layer, x.shape[1]] = out.div_(deviation).clone()
                 x = out.relu_() if self.rectifier == "relu" else _squareplus(out, buffer)
         return x
 
@@ -190,10 +172,6 @@ class BatchedMlp:
                     torch.ops.aten.threshold_backward.grad_input(delta, before, 0.0, grad_input=delta)
                 else:
                     delta.mul_(before.add(1.0).square_().add_(1.0).reciprocal_().neg_().add_(1.0))
-                if self.normalised:
-                    normal, deviation = self._normal[layer - 1, x.shape[1]], self._deviations[layer - 1, x.shape[1]]
-                    along = (delta * normal).mean(dim=2, keepdim=True)
-                    delta = delta.sub_(delta.mean(dim=2, keepdim=True)).sub_(normal * along).div_(deviation)
         return delta if of == "parameters" else torch.bmm(delta, weights[0].transpose(1, 2))
 
     def _buffers_for(self, rows: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:

@@ -100,13 +100,9 @@ class Agent:
             "actor": (wide, *networks.actor, acts),
             "critic": (wide + acts + 2 * len(self.angles), *networks.critic, 1 if networks.critic_head == "value" else 4),
         }
-        rows = {
-            "actor": [_first_weights(self.sizes["actor"], rng, ACTOR_START)],
-            "critic": [_first_weights(self.sizes["critic"], rng, None) for _ in range(networks.critics)],
-        }
-        norm = networks.critic_normalised
+        rows = {name: _first_weights(self.sizes[name], rng, ACTOR_START if name == "actor" else None) for name in TRAINED}
         self.models = {
-            name: BatchedMlp.of_rows(padded(self.sizes[base]), rows[base], self.device, normalised=norm and base == "critic")
+            name: BatchedMlp.of_rows(padded(self.sizes[base]), [rows[base]], self.device)
             for name in NETWORKS
             for base in (name.removeprefix("target_"),)
         }
@@ -169,20 +165,20 @@ class Agent:
                 s_next, target_next = self._normalised(following), self._critic_target(following)
                 mu = torch.tanh(models["target_actor"].forward(self._padded("actor", s_next))[0, :, : a.shape[1]])
                 value, _ = self._q("target_critic", s_next, mu, target_next)
-                r = r + learning.discount**learning.steps * value.amin(dim=0)
+                r = r + learning.discount * value
             # Critic.
             q, way = self._q("critic", s, a, target)
             error = q - r
             self.loss = error.square().mean()
             models["critic"].backward(self._buffer("critic", s), self._output_gradient(way, error * (2.0 / len(s))))
-            self.adams["critic"].step(models["critic"], [rate * learning.critic_rate] * self.networks.critics)
+            self.adams["critic"].step(models["critic"], [rate * learning.critic_rate])
             # Actor: ascent along the critic's gradient.
             x = self._padded("actor", s)
             mu = torch.tanh(models["actor"].forward(x)[0, :, : a.shape[1]])
             q, way = self._q("critic", s, mu, target)
             self.value = q.mean()
             slope = models["critic"].backward(
-                self._buffer("critic", s), self._output_gradient(way, torch.full_like(q, -1.0 / q.numel())), of="inputs"
+                self._buffer("critic", s), self._output_gradient(way, torch.full_like(q, -1.0 / len(s))), of="inputs"
             )
             delta = torch.zeros_like(self._buffer("delta", s, models["actor"].sizes[-1]))
             delta[0, :, : a.shape[1]] = self._action_gradient(slope, s.shape[1], mu) * (1.0 - mu.square())
@@ -227,8 +223,7 @@ class Agent:
 
     def _adam(self, name: str, steps: int) -> BatchedAdam:
         sizes = self.models[name].sizes
-        count = self.networks.critics if name == "critic" else 1
-        return BatchedAdam(Stack.zeros(sizes, count, self.device), Stack.zeros(sizes, count, self.device), steps)
+        return BatchedAdam(Stack.zeros(sizes, 1, self.device), Stack.zeros(sizes, 1, self.device), steps)
 
     def _normalised(self, observations: torch.Tensor) -> torch.Tensor:
         return (observations - self._centre) * self._per_half
@@ -238,13 +233,13 @@ class Agent:
         begin = observations[:, slice(*self.space.ee)] if self.networks.critic_head == "offset" else self._target_centre
         return (observations[:, slice(*self.space.target)] - begin) / self.space.reach
 
-    def _buffer(self, name: str, like: torch.Tensor, width: int = 0, members: int = 1) -> torch.Tensor:
-        """A reusable buffer (members, N, width), zero where nothing is written."""
+    def _buffer(self, name: str, like: torch.Tensor, width: int = 0) -> torch.Tensor:
+        """A reusable buffer (1, N, width), zero where nothing is written."""
         import torch
 
         key = (name, len(like))
         if key not in self._buffers:
-            self._buffers[key] = torch.zeros((members, len(like), width), device=self.device)
+            self._buffers[key] = torch.zeros((1, len(like), width), device=self.device)
         return self._buffers[key]
 
     def _padded(self, name: str, s: torch.Tensor) -> torch.Tensor:
@@ -253,44 +248,42 @@ class Agent:
         return buffer
 
     def _q(self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Q (C, N) of each critic, of observations and actions, both normalised; with the distance head also the direction
-        (p − target)/‖p − target‖, (C, N, 3)."""
+        """Q (N,) of observations and actions, both normalised; with the distance head also (p − target)/‖p − target‖."""
         wide, acts, turns = s.shape[1], a.shape[1], len(self.angles)
-        x = self._buffer("critic", s, self.models[name].sizes[0], self.networks.critics)
-        x[:, :, :wide] = s
-        x[:, :, wide : wide + acts] = a
+        x = self._buffer("critic", s, self.models[name].sizes[0])
+        x[0, :, :wide] = s
+        x[0, :, wide : wide + acts] = a
         if turns:
             angle = a[:, self.angles] * self._angle_half + self._angle_centre
-            x[:, :, wide + acts : wide + acts + turns] = angle.sin()
-            x[:, :, wide + acts + turns : wide + acts + 2 * turns] = angle.cos()
-        out = self.models[name].forward(x)
+            x[0, :, wide + acts : wide + acts + turns] = angle.sin()
+            x[0, :, wide + acts + turns : wide + acts + 2 * turns] = angle.cos()
+        out = self.models[name].forward(x)[0]
         if self.networks.critic_head == "value":
-            return out[:, :, 0], None
-        away = out[:, :, :3] - target
-        distance = away.norm(dim=2, keepdim=True).clamp_min_(1e-9)
-        return out[:, :, 3] - self.space.reach * distance[:, :, 0], away / distance
+            return out[:, 0], None
+        away = out[:, :3] - target
+        distance = away.norm(dim=1, keepdim=True).clamp_min_(1e-9)
+        return out[:, 3] - self.space.reach * distance[:, 0], away / distance
 
     def _output_gradient(self, way: torch.Tensor | None, slope: torch.Tensor) -> torch.Tensor:
-        """From the gradient with respect to Q, (C, N), to that of the critics' last layers, (C, N, padded)."""
+        """From the gradient with respect to Q, (N,), to that of the critic's last layer, (1, N, padded)."""
         import torch
 
-        delta = torch.zeros((*slope.shape, self.models["critic"].sizes[-1]), device=self.device)
+        delta = torch.zeros_like(self._buffer("critic_delta", slope, self.models["critic"].sizes[-1]))
         if way is None:
-            delta[:, :, 0] = slope
+            delta[0, :, 0] = slope
         else:
-            delta[:, :, :3] = (-self.space.reach * slope)[:, :, None] * way
-            delta[:, :, 3] = slope
+            delta[0, :, :3] = (-self.space.reach * slope)[:, None] * way
+            delta[0, :, 3] = slope
         return delta
 
     def _action_gradient(self, inputs: torch.Tensor, wide: int, a: torch.Tensor) -> torch.Tensor:
-        """From the gradient of the critics' inputs to that of the normalised action, (N, A)."""
+        """From the gradient of the critic's inputs to that of the normalised action, (N, A)."""
         acts, turns = a.shape[1], len(self.angles)
-        inputs = inputs.sum(dim=0)
-        found = inputs[:, wide : wide + acts].clone()
+        found = inputs[0, :, wide : wide + acts].clone()
         if turns:
             angle = a[:, self.angles] * self._angle_half + self._angle_centre
-            along_sin = inputs[:, wide + acts : wide + acts + turns]
-            along_cos = inputs[:, wide + acts + turns : wide + acts + 2 * turns]
+            along_sin = inputs[0, :, wide + acts : wide + acts + turns]
+            along_cos = inputs[0, :, wide + acts + turns : wide + acts + 2 * turns]
             found[:, self.angles] += self._angle_half * (along_sin * angle.cos() - along_cos * angle.sin())
         return found
 

@@ -86,8 +86,6 @@ class Trainer:
         self.episodes: list[dict[str, float]] = []
         self.evaluations: list[dict[str, float]] = []
         self._returns, self._distance = np.zeros(environment.size), np.zeros(environment.size)
-        #: Observations, actions and rewards of the last steps, fewer than ``learning.steps``.
-        self._recent: list[tuple[Array, Array, Array]] = []
         evaluation.spread = recipe.setting.spread
         self._begin = evaluation.reset()
         self._task = evaluation.state()
@@ -195,27 +193,13 @@ class Trainer:
         environment.spread = self._target_spread()
         following, rewards, truncated = environment.step(actions)
         final = environment.final
-        self._keep(actions, rewards, final, bool(truncated.any()))
+        self.replay.add(self.observations, actions, rewards, final)
         self.observations = following
         self.step_count += 1
         if self.replay.count >= learning.start and self.step_count % learning.every == 0:
             for _ in range(learning.updates):
                 self._update()
         self._record(rewards, final, truncated, callback)
-
-    def _keep(self, actions: Array, rewards: Array, final: Array, ended: bool) -> None:
-        """Add the transition that began ``learning.steps`` ago to the buffer, with the discounted sum of its rewards."""
-        learning = self.recipe.learning
-        if learning.steps == 1:
-            self.replay.add(self.observations, actions, rewards, final)
-            return
-        self._recent.append((self.observations, actions, rewards))
-        if len(self._recent) == learning.steps:
-            total = sum(learning.discount**k * each[2] for k, each in enumerate(self._recent))
-            first = self._recent.pop(0)
-            self.replay.add(first[0], first[1], np.asarray(total), final)
-        if ended:  # of all copies at once
-            self._recent.clear()
 
     def _setpoints(self, shares: Array) -> Array:
         """Shares of half the range in SI; clipped, because a rounding error beyond a limit would get the whole penalty."""

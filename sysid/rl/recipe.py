@@ -72,17 +72,12 @@ class Networks(Strict):
         critic_head: ``value``: the last layer is Q. ``distance``: it is a point p and an offset b, Q = b − ‖p − target‖, the
             form of the reward. ``offset``: the same with p relative to the end effector, for the full path.
         critic_features: ``plain``, or ``sincos``: additional inputs sine and cosine of the action's angles.
-        critics: number of critics; the least of their target values is bootstrapped, the mean of their Q is ascended (clipped
-            double Q for two; Fujimoto, van Hoof and Meger 2018).
-        critic_normalised: layer normalisation of the critics.
     """
 
     actor: tuple[int, ...] = (400, 300)
     critic: tuple[int, ...] = (400, 300)
     critic_head: Literal["value", "distance", "offset"] = "value"
     critic_features: Literal["plain", "sincos"] = "plain"
-    critics: int = 1
-    critic_normalised: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,8 +90,6 @@ class Learning(Strict):
         start: transitions in the buffer before the first update.
         buffer: transitions kept.
         batch: transitions of an update.
-        steps: rewards of so many steps are added before the bootstrap (n-step returns); the last transitions of an episode, of
-            which fewer follow, are left out.
         discount: γ. Where every setpoint is reached within a step, γ = 0 has the same optimal policy as any other.
         tau: τ of the target networks.
         actor_rate, critic_rate: of Adam.
@@ -113,7 +106,6 @@ class Learning(Strict):
     start: int = 1024
     buffer: int = 1_000_000
     batch: int = 1024
-    steps: int = 1
     discount: float = 0.99
     tau: float = 1e-3
     actor_rate: float = 1e-3
@@ -192,8 +184,6 @@ def parse_training(values: dict[str, Any], where: object) -> TrainingRecipe:
         ("learning.batch", learning.batch, 1, learning.buffer),
         ("learning.start", learning.start, 1, learning.buffer),
         ("learning.buffer", learning.buffer, recipe.setting.copies, None),
-        ("learning.steps", learning.steps, 1, 1 if learning.hindsight > 0.0 else recipe.setting.task.steps),
-        ("networks.critics", networks.critics, 1, None),
         ("learning.discount", learning.discount, 0, 1),
         ("learning.tau", learning.tau, 0, 1),
         ("learning.hindsight", learning.hindsight, 0, 1),

@@ -74,18 +74,6 @@ def test_gradient_projection_keeps_away_from_the_limits(study: ModuleType, task:
     assert np.median(away["rmse_mm"]) < np.median(plain["rmse_mm"]) + 1.0
 
 
-def test_gradient_projection_keeps_away_from_an_obstacle(study: ModuleType, task: TrackingTask) -> None:
-    each = study.redundancy.obstacles(task, study.redundancy.circles(task, 4))
-    assert len(each) >= 2
-    plain, _, away = study.redundancy.obstacle_rows(task, each)
-    assert max(plain["clearance_mm"]) < 0.0
-    assert np.median(away["clearance_mm"]) > np.median(plain["clearance_mm"]) + 20.0
-    assert np.median(away["rmse_mm"]) < np.median(plain["rmse_mm"]) + 1.0
-    text = study.page.obstacles([plain, away])
-    assert text.splitlines()[-2].startswith("| ik-lookahead |")
-    assert f"| {len(each)} of {len(each)} |" in text.splitlines()[-2]
-
-
 def test_a_trained_policy_is_one_row_of_all_seeds(study: ModuleType, task: TrackingTask) -> None:
     controller = study.sway.Controller("two", (lambda: InversePolicy(task.inverse), lambda: InversePolicy(task.inverse)))
     (row,) = study.sway.move_rows(task, [controller], study.sway.moves(task, 1))
