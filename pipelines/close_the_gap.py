@@ -115,9 +115,11 @@ def compare(seed: int, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]
         "truth": true_plant(nominal, hidden, parked),
     }
     registered = {name: site.registered(plant) for name, plant in plants.items()}
-    made = {name: deployed(site, site.deployment(plant), name) for name, plant in registered.items()}
+    deployments = {name: site.deployment(plant) for name, plant in registered.items()}
+    made = {name: deployed(site, deployment, name) for name, deployment in deployments.items()}
     for name in POLICIES:
-        made[f"policy_{name}"] = deployed(site, policy_deployment(site, registered[name]), f"policy-{name}")
+        trained = policy_deployment(site, registered[name], deployments[name])
+        made[f"policy_{name}"] = deployed(site, trained, f"policy-{name}")
     return made
 
 

@@ -23,7 +23,7 @@ import torch
 
 from benchmarks.rows import in_turns
 from benchmarks.training import Updates, ours_on, sb3_on, sbx_on, transitions
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.registry import Registry
@@ -32,6 +32,7 @@ from sysid.rl.recipe import TrainingRecipe, load_training
 from sysid.rl.tracking_task import TruncatedObservationPolicy, plan_tracking
 from sysid.rl.training import environments, policy_of
 from sysid.rl.versions import load_versions
+from trained.page import mm
 
 ROOT = Path(__file__).resolve().parents[1]
 RECIPES, REPORT, PAGE = ROOT / "rl" / "autolog", ROOT / "reports" / "training_gpu", ROOT / "docs" / "ddpg.md"
@@ -137,40 +138,39 @@ def measure(plant: Plant, forward: ForwardModel, minutes: float) -> dict[str, An
 
 def tables(result: dict[str, Any]) -> str:
     """The result for the page."""
-    names = list(dict.fromkeys(row["trainer"] for row in result["updates"]))
-    lines = ["| batch, layers | " + " | ".join(names) + " |", "| --- |" + " ---: |" * len(names)]
-    for case in dict.fromkeys((row["batch"], tuple(row["layers"])) for row in result["updates"]):
-        cells = {
-            row["trainer"]: row["updates_per_second"]
-            for row in result["updates"]
-            if (row["batch"], tuple(row["layers"])) == case
-        }
-        texts = [
-            f"{cells[name][0]:.0f} ({cells[name][1]:.0f} to {cells[name][2]:.0f})" if name in cells else "–" for name in names
-        ]
-        lines.append(f"| {case[0]}, {'-'.join(map(str, case[1]))} | " + " | ".join(texts) + " |")
-    lines += [
-        "",
-        "| recipe | device | a step of all copies and its updates, ms | whole training, estimated, s |",
-        "| --- | --- | ---: | ---: |",
-    ]
-    for row in result["trainings"]:
-        device = "GPU" if row["device"] == "cuda" else "CPU, one thread"
-        lines.append(f"| {row['recipe']} | {device} | {row['ms_per_step']:.2f} | {row['estimated_s']:.0f} |")
-    for run in result["complete"]:
-        last, share = run["marks"][-1], run["marks"][-1]["step"] / run["total_steps"]
-        lines += ["", f"`{run['recipe']}` on the GPU, seed {run['seed']}, error of the actor on the helix:", ""]
-        lines += ["| steps | time, s | RMSE x/y/z, mm | largest error x/y/z, mm |", "| ---: | ---: | --- | --- |"]
-        for mark in [*run["marks"][: -1 : max(1, len(run["marks"]) // 6)], last]:
-            cells = (str(mark["step"]), f"{mark['seconds']:.0f}", _mm(mark["rmse"]), _mm(mark["max"]))
-            lines.append("| " + " | ".join(cells) + " |")
-        if share < 1.0:
-            lines += ["", f"Stopped after {100 * share:.0f} % of its {run['total_steps']} steps."]
-    return "\n".join(lines)
+    return "\n\n".join([_updates(result["updates"]), _trainings(result["trainings"]), *map(_course, result["complete"])])
 
 
-def _mm(values: list[float]) -> str:
-    return "/".join(f"{1e3 * value:.1f}" for value in values)
+def _updates(rows: list[dict[str, Any]]) -> str:
+    names = list(dict.fromkeys(row["trainer"] for row in rows))
+    cases: dict[str, dict[str, str]] = {}
+    for row in rows:
+        case = cases.setdefault(f"{row['batch']}, {'-'.join(map(str, row['layers']))}", {})
+        case[row["trainer"]] = "{:.0f} ({:.0f} to {:.0f})".format(*row["updates_per_second"])
+    return markdown(
+        ("batch, layers", *names), [(case, *(cells.get(name, "–") for name in names)) for case, cells in cases.items()]
+    )
+
+
+def _trainings(rows: list[dict[str, Any]]) -> str:
+    head = ("recipe", "device", "a step of all copies and its updates, ms", "whole training, estimated, s")
+    device = {"cuda": "GPU", "cpu": "CPU, one thread"}
+    cells = [(r["recipe"], device[r["device"]], f"{r['ms_per_step']:.2f}", f"{r['estimated_s']:.0f}") for r in rows]
+    return markdown(head, cells, "ll")
+
+
+def _course(run: dict[str, Any]) -> str:
+    """Some of the evaluations of a training, and the last."""
+    marks, total = run["marks"], run["total_steps"]
+    shown = [*marks[: -1 : max(1, len(marks) // 6)], marks[-1]]
+    head = ("steps", "time, s", "RMSE x/y/z, mm", "largest error x/y/z, mm")
+    cells = [(str(m["step"]), f"{m['seconds']:.0f}", mm(m["rmse"]), mm(m["max"])) for m in shown]
+    text = (
+        f"`{run['recipe']}` on the GPU, seed {run['seed']}, error of the actor on the helix:\n\n{markdown(head, cells, 'rrll')}"
+    )
+    if marks[-1]["step"] < total:
+        text += f"\n\nStopped after {100 * marks[-1]['step'] / total:.0f} % of its {total} steps."
+    return text
 
 
 def main() -> None:

@@ -19,14 +19,13 @@ RECIPE = Path(__file__).resolve().parents[2] / "rl" / "autolog" / "quick.toml"
 CHECKS = {"policy": {"share": 1.0}}
 
 
-def policy_deployment(site: Site, plant: Plant, seed: int = 0) -> Deployment:
-    """Train a policy where the joints of a registered plant follow at once; its deployment beside inverse kinematics.
+def policy_deployment(site: Site, plant: Plant, below: Deployment) -> Deployment:
+    """Train a policy where the joints of a registered plant follow at once, and deploy it with the versions of ``below``.
 
     The targets are shown to it one response time of the plant ahead, as ``ik-lookahead`` has them.
     """
-    below = site.deployment(plant)
     recipe = load_training(RECIPE)
     learning = replace(recipe.learning, episodes=EPISODES)
-    recipe = replace(recipe, name="loop-policy", plant=below.plant, forward=below.forward, seed=seed, learning=learning)
+    recipe = replace(recipe, name="loop-policy", plant=below.plant, forward=below.forward, learning=learning)
     trained = train_policy(site.workspace.models, recipe, site.folder / "training")
     return replace(below, policy=trained.version.reference, checks=CHECKS, lookahead=lookahead_time(plant))

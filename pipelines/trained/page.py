@@ -39,7 +39,7 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
     yield "| --- | --- | --- | --- | --- |"
     for arm, number in (("feedback", 1), ("plain", 2)):
         worst = "27.2/14.5/26.3" if number == 1 else "–"
-        yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
+        yield f"| the paper's policy {number} ({arm}) | 1 | {mm(PAPER[arm])} | {worst} | – |"
     whole = f"the paper's recipe, one update every {EVERY} steps"
     for part, what in (("whole", whole), ("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
         for arm in ("feedback", "plain"):
@@ -113,12 +113,12 @@ def _arm(results: Results, part: str, arm: str) -> Sequence[Mapping[str, Any]]:
 
 def _peer(results: Results, peers: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     ours = [seconds_to(result, PAPER["feedback"]) for result in results["quick", "feedback"]]
-    yield f"Processor time to {_mm(PAPER['feedback'])} mm on the helix: `quick.toml` {_times(ours)}; Stable-Baselines3's DDPG"
+    yield f"Processor time to {mm(PAPER['feedback'])} mm on the helix: `quick.toml` {_times(ours)}; Stable-Baselines3's DDPG"
     if not peers:
         yield "has not been run yet."
         return
     theirs = [seconds_to(result, PAPER["feedback"]) for result in peers]
-    reached = "; ".join(f"{_mm(min(result['marks'], key=_distance)['rmse'])} mm at best" for result in peers)
+    reached = "; ".join(f"{mm(min(result['marks'], key=_distance)['rmse'])} mm at best" for result in peers)
     yield f"{_times(theirs)}, given {max(result['limit'] for result in peers):.0f} s ({reached})."
 
 
@@ -166,7 +166,7 @@ def _spread(results: Sequence[Mapping[str, Any]], key: str) -> str:
 
 def _middle(values: Array) -> str:
     """Median and worst of the seeds, (n, 3) [m]."""
-    return f"{_mm(np.median(values, axis=0))}; {_mm(values.max(axis=0))}"
+    return f"{mm(np.median(values, axis=0))}; {mm(values.max(axis=0))}"
 
 
 def _away(results: Sequence[Mapping[str, Any]]) -> str:
@@ -197,7 +197,7 @@ def _times(values: Sequence[float | None]) -> str:
     return f"{statistics.median(known):.0f} s{missing}"
 
 
-def _mm(values: Sequence[float]) -> str:
+def mm(values: Sequence[float]) -> str:
     return _list([1e3 * value for value in values])
 
 

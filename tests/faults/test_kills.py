@@ -97,7 +97,7 @@ def fill(bench: Bench, step: int) -> None:
     check(bench, workspace, seen(workspace), step)
 
 
-@pytest.mark.parametrize("bench", ["append", "register"], indirect=True)
+@pytest.mark.parametrize("bench", ["append", "register", "fleet watch"], indirect=True)
 def test_a_disk_that_is_full_from_some_step_on(bench: Bench) -> None:
     for step in sampled(bench.steps):
         fill(bench, step)

@@ -194,7 +194,7 @@ def test_a_policy_of_a_plant_is_deployed_with_its_controller(
     (tmp_path / "short.toml").write_text(short.replace("copies = 64", "copies = 16"), "utf-8")
     monkeypatch.setattr(policies, "RECIPE", tmp_path / "short.toml")
     nominal = site.nominal()
-    found = policies.policy_deployment(site, nominal)
+    found = policies.policy_deployment(site, nominal, site.deployment(nominal))
     version = site.workspace.models.find(found.policy)
     assert (version.kind, version.lineage["plant"]) == ("policy", nominal.reference)
     assert version.lineage["forward"] == found.forward
