@@ -73,7 +73,7 @@ def joint_limits(plant: Plant) -> tuple[Array, Array]:
         low[i], high[i] = axis.limits or (-np.inf, np.inf)
         if axis.drives == "cylinder" and axis.stroke is not None:
             if axis.name not in plant.linkages:
-                expected = "geometry in machine.toml or a fitted actuator network"
+                expected = "geometry in machine.toml or a fitted actuator network (sysid fit actuator)"
                 raise SettingsError(where, f"axis {axis.name} has no linkage", expected)
             ends = np.sort(plant.linkages[axis.name].joint(np.array(axis.stroke)))
             low[i], high[i] = max(low[i], ends[0]), min(high[i], ends[1])
