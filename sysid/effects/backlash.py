@@ -15,7 +15,7 @@ EFFECT = Effect(
     stage="joint",
     target="axis",
     slots=(Slot("width"),),
-    forms=(Form((Parameter("width", "drive", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the backlash"),)),),
+    forms=(Form((Parameter("width", "joint", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the backlash"),)),),
     equation="y = min(max(y, x − width/2), x + width/2)",
     source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
     excited_by="reversals of the axis, slow ones above all",

@@ -30,7 +30,8 @@ class Parameter:
 
     Args:
         name: as in the contract.
-        unit: SI; ``drive`` or ``signal`` stands for m or rad, the unit of the target; ``command`` for the unit of its command.
+        unit: SI; ``drive``, ``joint`` or ``signal`` stands for m or rad, the unit of that quantity of the target; ``command``
+            for the unit of its command.
             Of two units with ``or`` the first is that of a prismatic axis, the second that of a revolute one.
         bounds: (low, high) of a fit.
         starts: start values of a fit.

@@ -12,7 +12,7 @@ EFFECT = Effect(
     stage="end_effector",
     target="axis",
     slots=(Slot("offset"),),
-    forms=(Form((Parameter("offset", "drive", (-0.5, 0.5), (-0.02, 0.02), 2e-4, "true joint − measured joint"),)),),
+    forms=(Form((Parameter("offset", "joint", (-0.5, 0.5), (-0.02, 0.02), 2e-4, "true joint − measured joint"),)),),
     equation="q_true = q_measured + offset",
     source="Khalil & Dombre, Modeling, Identification and Control of Robots, 2002, ch. 11",
     excited_by="poses spread over the work space",

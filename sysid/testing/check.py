@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 #: Units of parameters; ``drive`` and ``signal`` are m or rad, depending on the target; of two, a prismatic axis has the first.
 UNITS = frozenset(
     {
-        *("1", "s", "1/s", "Hz", "ppm", "m", "rad", "drive", "drive/s", "command/s", "signal"),
+        *("1", "s", "1/s", "Hz", "ppm", "m", "rad", "drive", "joint", "drive/s", "command/s", "signal"),
         *("N or N·m", "N·s/m or N·m·s/rad", "m/N or rad/(N·m)", "1/N or 1/(N·m)", "kg", "kg·m", "kg·m²"),
     }
 )

@@ -160,7 +160,10 @@ def _target(effect: Effect) -> str:
 
 
 def _unit(unit: str) -> str:
-    return unit.replace("drive/s", "m/s or rad/s").replace("drive", "m or rad").replace("signal", "m or rad")
+    words = {"drive/s": "m/s or rad/s", "drive": "m or rad", "joint": "m or rad", "signal": "m or rad"}
+    for word, shown in words.items():
+        unit = unit.replace(word, shown)
+    return unit
 
 
 def _link(name: str) -> str:

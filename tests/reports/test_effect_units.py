@@ -17,6 +17,8 @@ from sysid.reports.effect_units import remainder_unit, shown
     [
         ("backlash", "width", "slew", "rad"),
         ("backlash", "width", "telescope", "m"),
+        ("backlash", "width", "stick", "rad"),
+        ("joint_offset", "offset", "boom", "rad"),
         ("valve_deadband", "positive", "boom", "1"),
         ("gripper_sway", "length", "tool", "m"),
         ("sensor_bias", "bias", "boom.joint", "rad"),
