@@ -17,6 +17,7 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.alignment import Pair, estimate
 from sysid.datasets.clocks.backlash import directions, turning_rows
 from sysid.datasets.clocks.records import RecordingClocks, align
+from sysid.datasets.clocks.resets import pieces
 from sysid.datasets.clocks.residual import clock_residuals
 
 Array = npt.NDArray[np.float64]
@@ -100,6 +101,46 @@ def test_two_strokes_do_not_tell_a_play_from_the_map() -> None:
     rng = np.random.default_rng(0)
     x, y = motion + 1e-4 * rng.normal(size=len(time)), motion + 1e-4 * rng.normal(size=len(time))
     assert estimate([Pair("slew.joint~slew.joint", time, x, time, y, 7, 0.035)]).backlash == ()
+
+
+def two_axes(seed: int, degrees: float, until: float) -> list[Pair]:
+    """One axis that moves for 30 s, then another one behind backlash that moves from 34 s ``until`` a time."""
+    rng = np.random.default_rng(seed)
+    slew = pair(seed, 0.0, seconds=50.0)
+    time, ahead = strokes(50.0, rng)
+    slow = np.interp(np.clip(time, 34.0, until), time, 0.3 * ahead)
+    after = behind(slow, degrees * DEGREE)
+    first, stick = slew.x_times < 30.0, 0.2 * NOISE
+    held = np.interp(np.minimum(slew.x_times, 30.0), slew.x_times[first], slew.x[first])
+    x = held + np.where(first, 0.0, NOISE * rng.normal(size=len(held)))
+    rest = slew.y_times + OFFSET > 30.0
+    y = np.where(rest, np.median(held[~first]) + NOISE * rng.normal(size=len(slew.y)), slew.y)
+    x2 = np.interp(slew.x_times, time, slow) + stick * rng.normal(size=len(slew.x))
+    y2 = np.interp(slew.y_times * (1.0 + SKEW) + OFFSET, time, after) + stick * rng.normal(size=len(slew.y))
+    return [
+        Pair("slew.joint~slew.joint", slew.x_times, x, slew.y_times, y, 7, 0.035),
+        Pair("stick.cylinder~stick.joint", slew.x_times, x2, slew.y_times, y2, 9, 0.035),
+    ]
+
+
+@pytest.mark.parametrize("until", [38.0, 42.0, 50.0])
+@pytest.mark.parametrize("degrees", [0.5, 1.5])
+def test_backlash_of_an_axis_that_moves_last_is_no_step_of_the_clock(degrees: float, until: float) -> None:
+    for seed in range(6):
+        (found,) = pieces(two_axes(seed, degrees, until))
+        error = found.estimate.at(found.estimate.mid_time) - (OFFSET + SKEW * found.estimate.mid_time)
+        width = t.ppf(0.999, found.estimate.degrees_of_freedom) * np.sqrt(found.estimate.covariance[0, 0])
+        assert abs(error) < max(width, 2e-3)
+
+
+def test_one_pair_that_seldom_turns_does_not_hide_the_backlash_of_another() -> None:
+    turning = pair(1, 1.0)
+    line = np.clip(turning.x_times, 10.0, 20.0)
+    there = np.clip(turning.y_times * (1.0 + SKEW) + OFFSET, 10.0, 20.0)
+    once = replace(turning, name="boom.joint~boom.joint", x=0.02 * line, y=0.02 * there)
+    found = estimate([turning, once])
+    assert [item.name for item in found.backlash if item.found] == [turning.name]
+    assert found.backlash[0].width == pytest.approx(DEGREE, rel=0.1)
 
 
 @settings(deadline=None)

@@ -58,8 +58,10 @@ REACH_S = 0.05
 #: Width that is allowed for backlash: first share of the range of x, then a multiple of the estimated width; at least a share
 #: of the range and a multiple of the noise; at most the last share.
 BACKLASH_FIRST, BACKLASH_MARGIN, BACKLASH_LEAST, BACKLASH_NOISE, BACKLASH_MAX = 0.02, 1.5, 0.005, 6.0, 0.2
+#: Two clocks agree within this many standard errors.
+AGREEMENT = 3.0
 #: With fewer reversals backlash cannot be distinguished from the map between the two signals.
-MIN_REVERSALS = 8
+MIN_REVERSALS = 4
 
 
 def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> tuple[Pair, ...]:
@@ -123,6 +125,24 @@ def estimate(pairs: Sequence[Pair]) -> Estimate:
     return result if result.refused else allowing_for_backlash(good or ready, result)
 
 
+def continues(pairs: Sequence[Pair], own: Estimate, near: Estimate) -> bool:
+    """Whether the motion of ``pairs`` fits near the clock ``near`` too, about as well as with its ``own`` estimate.
+
+    One stroke resembles other strokes and, up to a map, itself at many lags; backlash then decides which lag fits best. The
+    clock of the motion before it is therefore one of the lags that are compared.
+    """
+    ready = [smoothed(pair) for pair in pairs if moves(pair)]
+    if not ready or own.refused or near.refused:
+        return False
+    middle = own.mid_time
+    found, shares = _refine(ready, near.at(middle), middle)
+    here = found.at(middle)
+    if found.refused or abs(here - near.at(middle)) > abs(here - own.at(middle)):
+        return False
+    _, own_shares = _refine(ready, own.mid_offset, middle)
+    return CLEAR_SHARE * _unexplained(ready, found, shares) <= _unexplained(ready, own, own_shares)
+
+
 def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
     """The estimate with backlash between the signals of each pair, where there is any (:mod:`sysid.datasets.clocks.backlash`).
 
@@ -134,13 +154,12 @@ def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
     full = _with_backlash(pairs, plain)
     if full is None:
         return plain
-    widths, found = full
-    significant = [item.found for item in found.backlash]
+    allowed, found = full
     result = found
-    if not all(significant):
-        result = plain
-        if any(significant):
-            result = _refine(_with_widths(pairs, widths, found), plain.mid_offset, plain.mid_time)[0]
+    if not all(item.found for item in found.backlash) or len(found.backlash) < len(allowed):
+        kept = _significant(allowed, found)
+        unchanged = len(kept) == len(pairs) and not any(pair.backlash > 0.0 for pair in kept)
+        result = plain if unchanged else _refine(kept, plain.mid_offset, plain.mid_time)[0]
         covariance = result.covariance.copy()
         covariance[0, 0] = max(covariance[0, 0], found.covariance[0, 0])
         result = replace(result, covariance=covariance)
@@ -150,40 +169,74 @@ def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
 def with_backlash_found(pairs: Sequence[Pair], near: Estimate) -> tuple[Pair, ...]:
     """The smoothed ``pairs`` with the significant backlash between their signals, near a known clock."""
     full = _with_backlash(pairs, near)
-    return tuple(pairs) if full is None else _with_widths(pairs, *full)
+    return tuple(pairs) if full is None else _significant(*full)
 
 
-def _with_widths(pairs: Sequence[Pair], widths: Sequence[float], found: Estimate) -> tuple[Pair, ...]:
-    """``pairs`` with the widths of those whose backlash is significant in ``found``."""
-    return tuple(
-        replace(pair, backlash=width if item.found else 0.0)
-        for pair, width, item in zip(pairs, widths, found.backlash, strict=True)
-    )
+def _significant(allowed: Sequence[Pair], found: Estimate) -> tuple[Pair, ...]:
+    """``allowed`` without the widths of those whose backlash is not significant in ``found``."""
+    there = {item.name for item in found.backlash if item.found}
+    return tuple(pair if pair.name in there else replace(pair, backlash=0.0) for pair in allowed)
 
 
-def _with_backlash(pairs: Sequence[Pair], plain: Estimate) -> tuple[list[float], Estimate] | None:
-    """Widths of the allowed backlash [unit of each x], and the fit with them; None with too few samples between reversals."""
-    ranges = [range_of(pair.x) for pair in pairs]
-    scales = [r / max(range_of(pair.y), 1e-300) for pair, r in zip(pairs, ranges, strict=True)]
-    least = [max(BACKLASH_LEAST * r, BACKLASH_NOISE * pair.noise) for pair, r in zip(pairs, ranges, strict=True)]
-    widths = [max(BACKLASH_FIRST * r, low) for r, low in zip(ranges, least, strict=True)]
-    if min(len(turning_rows(p.x[~np.isnan(p.x)], width)[0]) for p, width in zip(pairs, widths, strict=True)) < MIN_REVERSALS:
-        return None
+def _with_backlash(pairs: Sequence[Pair], plain: Estimate) -> tuple[tuple[Pair, ...], Estimate] | None:
+    """The pairs with the width that is allowed for each, and the fit with them; None where no backlash can be determined.
+
+    A pair that turns too seldom, or has too few samples between its reversals, may have backlash as large as its motion. It is
+    compared without backlash if it fits the clock of the others, and left out if it does not.
+    """
     found = plain
-    for _ in range(3):
-        tried = [replace(pair, backlash=width) for pair, width in zip(pairs, widths, strict=True)]
-        found, _ = _refine(tried, plain.mid_offset, plain.mid_time)
-        if found.refused or len(found.backlash) < len(pairs) or _implausible_skew(found):
+    allowed = [replace(pair, backlash=width) for pair in pairs if (width := _first_width(pair)) > 0.0]
+    for _ in range(4):
+        if not allowed:
             return None
-        needed = [
-            min(max(BACKLASH_MARGIN * abs(b.width) * s, low), BACKLASH_MAX * r)
-            for b, s, low, r in zip(found.backlash, scales, least, ranges, strict=True)
-        ]
-        limits = [2.0 * max(need, 0.5 * BACKLASH_FIRST * r) for need, r in zip(needed, ranges, strict=True)]
-        if all(need <= width <= limit for width, need, limit in zip(widths, needed, limits, strict=True)):
+        found, _ = _refine(allowed, plain.mid_offset, plain.mid_time)
+        if found.refused or _implausible_skew(found):
+            return None
+        known = {item.name: item.width for item in found.backlash}
+        kept = [pair for pair in allowed if pair.name in known]
+        needed = [_needed_width(pair, known[pair.name]) for pair in kept]
+        limits = [2.0 * max(w, 0.5 * BACKLASH_FIRST * range_of(pair.x)) for w, pair in zip(needed, kept, strict=True)]
+        enough = all(w <= pair.backlash <= limit for pair, w, limit in zip(kept, needed, limits, strict=True))
+        if enough and len(kept) == len(allowed):
             break
-        widths = [1.2 * need for need in needed]
-    return widths, found
+        allowed = [replace(pair, backlash=1.2 * w) for pair, w in zip(kept, needed, strict=True)]
+    names = {pair.name for pair in allowed}
+    for pair in (pair for pair in pairs if pair.name not in names):
+        both, _ = _refine([*allowed, pair], found.mid_offset, found.mid_time)
+        if _agree(both, found) and _fits_in_motion(pair, both):
+            allowed, found = [*allowed, pair], both
+    return tuple(allowed), found
+
+
+def _agree(one: Estimate, other: Estimate) -> bool:
+    """Whether a clock is within the uncertainty of another one, in offset and skew."""
+    if one.refused:
+        return False
+    away = np.array([one.at(other.mid_time) - other.mid_offset, one.skew - other.skew])
+    return bool(np.all(np.abs(away) <= AGREEMENT * np.sqrt(np.diag(other.covariance))))
+
+
+def _first_width(pair: Pair) -> float:
+    """Width that is allowed for the backlash of a pair at first [unit of x]; zero where it turns too seldom."""
+    width = max(BACKLASH_FIRST * range_of(pair.x), _least_width(pair))
+    return width if len(turning_rows(pair.x[~np.isnan(pair.x)], width)[0]) >= MIN_REVERSALS else 0.0
+
+
+def _least_width(pair: Pair) -> float:
+    return max(BACKLASH_LEAST * range_of(pair.x), BACKLASH_NOISE * pair.noise)
+
+
+def _needed_width(pair: Pair, found: float) -> float:
+    """Width that has to be allowed for a backlash ``found`` [unit of y]; in the unit of x."""
+    scale = range_of(pair.x) / max(range_of(pair.y), 1e-300)
+    return min(max(BACKLASH_MARGIN * abs(found) * scale, _least_width(pair)), BACKLASH_MAX * range_of(pair.x))
+
+
+def _fits_in_motion(pair: Pair, near: Estimate) -> bool:
+    """Whether the residuals of a pair without backlash are noise where it moves."""
+    fit = PairFit(prepared(replace(pair, backlash=0.0)))
+    fit.begin(near.mid_offset, near.skew, near.mid_time)
+    return bool(len(fit.coefficients)) and fit.fits_in_motion
 
 
 def _implausible_skew(found: Estimate) -> bool:

@@ -22,6 +22,8 @@ CHUNK = 8192
 TREMOR = 4.0
 #: A rate below this share of its root mean square counts as rest.
 MOVING = 0.1
+#: Mean square of the residuals in motion, in variances of the noise, above which a pair does not fit there.
+MISFIT = 2.0
 #: Longest gap of y over which its motion is smoothed [periods].
 GAP_PERIODS = 3.5
 
@@ -103,15 +105,21 @@ class FitSums:
 
 @dataclass
 class PairFit:
-    """The state of an iteration over one pair: the samples in use, the map's coefficients, the scale of the noise."""
+    """The state of an iteration over one pair: the samples in use, the map's coefficients, the scale of the residuals.
+
+    ``scale`` is that of the samples that determine the clock, ``noise`` that of all, each by its median. A pair that rests most
+    of the time and does not fit where it moves, because of backlash for instance, would otherwise have the weight of its noise.
+    """
 
     pair: PreparedPair
     rows: slice = field(default_factory=lambda: slice(None))
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     scale: float = 0.0
+    noise: float = 0.0
     centre: float = 0.0
     half: float = 1.0
     _residuals: list[Array] = field(default_factory=list)
+    _rates: list[Array] = field(default_factory=list)
     _system: tuple[Array, Array, Array] | None = None
     _projection: Array | None = None
 
@@ -125,7 +133,8 @@ class PairFit:
         """Initial map and scale at this offset and skew."""
         self.coefficients, self._projection = np.zeros(0), None
         chunks = list(self._chunks(offset, skew, reference))
-        y, x, direction = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2, 4))
+        parts = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2, 3, 4))
+        y, x, rates, direction = parts
         if len(y) < self._min_samples:
             return
         low, high = float(x.min()), float(x.max())
@@ -138,7 +147,7 @@ class PairFit:
             weighted = basis * weight
             self.coefficients = _solve(weighted @ basis.T, weighted @ y)
             residual = y - self.coefficients @ basis
-            self.scale = _scale(residual)
+            self._rescale(residual, rates)
             weight = self._weight(residual)
 
     def settle(self, step: Array, hold: bool) -> None:
@@ -147,7 +156,7 @@ class PairFit:
             inner, right, cross = self._system
             self.coefficients = self.coefficients + _solve(inner, right - cross @ step)
             if not hold:
-                self.scale = _scale(np.concatenate(self._residuals))
+                self._rescale(np.concatenate(self._residuals), np.concatenate(self._rates))
 
     def sums(self, offset: float, skew: float, reference: float, block_s: float = 0.0) -> FitSums | None:
         """Sums over the samples in use; None where too few overlap.
@@ -155,7 +164,7 @@ class PairFit:
         Args:
             block_s: length of the blocks [s]; 0: no blocks.
         """
-        self._residuals, self._system = [], None
+        self._residuals, self._rates, self._system = [], [], None
         size = len(self.coefficients)
         if not size:
             return None
@@ -185,6 +194,7 @@ class PairFit:
             robust += float(np.dot(weight**2, squares))
             sum_y, sum_y2 = sum_y + float(y.sum()), sum_y2 + float(np.dot(y, y))
             self._residuals.append(residual)
+            self._rates.append(rate)
             if block_s:
                 alone = rows[size] if self._projection is None else rows[size] - self._projection[:, 0] @ basis
                 own = weighted[size] * rows[size], squares, weight * alone**2
@@ -252,6 +262,15 @@ class PairFit:
         u = np.clip((x - self.centre) / self.half, -1.0, 1.0) * self.half + self.centre
         residual = y - self.coefficients @ self._basis(u, direction)
         return np.where(known, (residual / self.scale) ** 2, np.nan)
+
+    @property
+    def fits_in_motion(self) -> bool:
+        """Whether the residuals are noise where the pair moves."""
+        return self.scale**2 <= MISFIT * self.noise**2
+
+    def _rescale(self, residual: Array, rates: Array) -> None:
+        self.noise = _scale(residual)
+        self.scale = max(self.noise, _scale(residual, rates**2))
 
     @property
     def _min_samples(self) -> int:
@@ -326,9 +345,14 @@ def _merged(parts: Sequence[tuple[npt.NDArray[np.int64], Array]]) -> tuple[npt.N
     return numbers[starts], np.add.reduceat(tables, starts, axis=0)
 
 
-def _scale(residual: Array) -> float:
-    """Standard deviation of the noise, from the median."""
-    return 1.4826 * float(np.median(np.abs(residual))) + 1e-15
+def _scale(residual: Array, weight: Array | None = None) -> float:
+    """Standard deviation of the noise, from the median; ``weight`` (n,) of the samples."""
+    size = np.abs(residual)
+    if weight is None:
+        return 1.4826 * float(np.median(size)) + 1e-15
+    order = np.argsort(size)
+    share = np.cumsum(weight[order])
+    return 1.4826 * float(size[order][np.searchsorted(share, 0.5 * share[-1])]) + 1e-15
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -2,7 +2,8 @@
 
 Where the offset steps, the blocks after the step have another offset than those before, or do not fit at all. A suspected step
 is accepted if both sides can be aligned separately and their offsets differ by much more than their errors and by more than
-half a frame. It is placed on the sample that gives the best fit of both sides, or on an uneven stamp beside it.
+half a frame, and neither side fits the clock of the other about as well. It is placed on the sample that gives the best fit of
+both sides, or on an uneven stamp beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate
+from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, continues, estimate
 from sysid.datasets.clocks.motion_band import moves, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, prepared
 
@@ -67,7 +68,7 @@ def _split(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tupl
         before, after = _split(pairs, first, at, depth - 1), _split(pairs, at, last, depth - 1)
         if any(piece.estimate.refused for piece in (*before, *after)):
             continue
-        if len(before) == len(after) == 1 and not _stepped(before[-1], after[0], _period(pairs)):
+        if len(before) == len(after) == 1 and not _stepped(pairs, before[-1], after[0]):
             return (whole,)
         return (*before, *after)
     if tried and whole.estimate.refused:
@@ -113,10 +114,9 @@ def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> 
 
 def _joined(pairs: Sequence[Pair], parts: Sequence[Piece]) -> tuple[Piece, ...]:
     """Pieces without a step between them, joined."""
-    period = _period(pairs)
     done = [parts[0]]
     for piece in parts[1:]:
-        if _stepped(done[-1], piece, period):
+        if _stepped(pairs, done[-1], piece):
             done.append(piece)
             continue
         both = Piece(done[-1].first_s, piece.last_s, estimate(_cut(pairs, done[-1].first_s, piece.last_s)))
@@ -193,12 +193,17 @@ def _energy_step(blocks: Blocks) -> tuple[int, float, float]:
     return row, float(gain[best] / variance), float(after[best] - before[best])
 
 
-def _stepped(before: Piece, after: Piece, period: float) -> bool:
-    """Whether the offset differs between two pieces where they meet."""
+def _stepped(pairs: Sequence[Pair], before: Piece, after: Piece) -> bool:
+    """Whether the offset differs between two pieces where they meet, and neither fits the clock of the other as well."""
     at = after.first_s
     size = abs(after.estimate.at(at) - before.estimate.at(at))
     error = np.sqrt(before.estimate.variance_at(at) + after.estimate.variance_at(at))
-    return bool(size > max(STEP_PERIODS * period, STEP_ERRORS * error))
+    if size <= max(STEP_PERIODS * _period(pairs), STEP_ERRORS * error):
+        return False
+    return not any(
+        continues(_cut(pairs, own.first_s, own.last_s), own.estimate, other.estimate)
+        for own, other in ((before, after), (after, before))
+    )
 
 
 def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
