@@ -33,7 +33,7 @@ EFFECT = Effect(
                     "time_constant",
                     "s",
                     (5.0, 7200.0),
-                    (60.0, 300.0),
+                    (100.0,),
                     1200.0,
                     "of warming up, from the first sample",
                     secondary=True,

@@ -46,7 +46,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
-from sysid.gap.equivalence import at_bound, reaches, within_equivalence
+from sysid.gap.equivalence import at_bound, beyond_rate, reaches, within_equivalence
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.price import pays, smallest_sets
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, STANDARD_ERRORS
@@ -56,6 +56,7 @@ Array = npt.NDArray[np.float64]
 
 
 #: Conditions that an effect without a name fails.
+TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"
 NOT_EXCITED = "the recordings do not excite it enough"
 LITTLE = "it reduces the error by too little compared with what remains"
 REPLACED = "another model without it predicts as well"
@@ -402,6 +403,8 @@ def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[
     """Condition for a name that an effect of the chosen model fails; empty where it fails none."""
     if candidate.label not in nameable:
         return NOT_EXCITED
+    if any(beyond_rate(c, f) for f in models for c in f.candidates if c.key == candidate.key):
+        return TOO_FAST
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):

@@ -21,6 +21,11 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
     return any(value in u.bounds and value != u.nominal for u, value in pairs)
 
 
+def beyond_rate(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect is larger than the rate of the recordings shows."""
+    return any(value > u.shown for u, value in zip(candidate.unknowns, model.values_of(candidate), strict=True))
+
+
 def equivalent_change(left: float) -> float:
     """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
     return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))

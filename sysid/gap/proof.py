@@ -170,11 +170,15 @@ def _add_sensor_steps(case: Case, stages: Sequence[Stage], coarse: CoarseSensor,
 
 
 def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
-    """Share of the error of the sensor's stage above its specified noise that its steps explain."""
+    """Share of the error of the sensor's stage above its specified noise that its steps explain.
+
+    Effects of the stage that do not lower its error on held-out recordings are not in the plant.
+    """
     k = stage.problem.signals.index(coarse.signal)
     specified = {**case.noise, coarse.signal: coarse.noise}
     floor = float(problem_floor(stage.problem, stage.theta, stage.split.fit, specified, case.seed)[k])
-    error = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
+    tried = (stage.theta, stage.found.fit.theta)
+    error = min(float(stage_rmse(stage.problem, theta, stage.split.held_out)[k]) for theta in tried)
     stepped = float(stage.sigma[k])
     return (min(error, stepped) - floor) / (error - floor) if min(error, stepped) > EXPLAINED * floor else 0.0
 

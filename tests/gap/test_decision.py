@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -503,6 +504,16 @@ def test_what_the_recordings_do_not_excite_is_not_named() -> None:
     assert alone.named == ()
     assert alone.model.candidates == (BAND,)
     assert alone.near_misses[0].lacks == "the recordings do not excite it enough"
+
+
+@pytest.mark.parametrize(("frequency", "named"), [(19.0, True), (21.0, False)])
+def test_an_oscillation_with_fewer_than_five_samples_in_a_period_is_no_name(frequency: float, named: bool) -> None:
+    """The plant has no fast dynamics of a valve; beyond that rate these, a dead time and an oscillation look alike."""
+    spring = OFFERED["oil_compressibility(boom)"]
+    values = np.array([frequency, 0.5])
+    found = decide([NOTHING, replace(model(spring), values=values)], ALL)
+    assert (found.named == (spring,)) is named
+    assert named or found.near_misses[0].lacks == decision.TOO_FAST
 
 
 def test_it_still_keeps_others_from_their_name() -> None:
