@@ -11,11 +11,12 @@ import pytest
 from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
-from sysid.gap import GapResult, find_gap, held_out, held_out_price
+from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
 from sysid.gap.case import Stage
 from sysid.gap.decision import REFUTED
 from sysid.gap.fit import Fit
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
+from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_intervals import simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
@@ -225,6 +226,22 @@ def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
         {} if kept else {"oil(boom)": "on held-out recordings it reduces the error by too little compared with what remains"}
     )
     assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]
+
+
+def test_steps_of_a_sensor_are_compared_with_the_plant_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search on readings in coarse steps may find effects that leave more; these are not in the plant."""
+    monkeypatch.setattr(proof, "problem_floor", lambda *_: np.array([0.02]))
+    monkeypatch.setattr(proof, "stage_rmse", lambda _problem, theta, _recordings: np.array([theta]))
+    coarse = CoarseSensor("stick.cylinder", 6.0, (5.99, 6.01), 0.02)
+    case: Any = SimpleNamespace(noise={"stick.cylinder": 1.73}, seed=0)
+
+    def share(nominal: float, fitted: float) -> float:
+        problem, split = SimpleNamespace(signals=("stick.cylinder",)), SimpleNamespace(fit=(), held_out=())
+        found = SimpleNamespace(fit=SimpleNamespace(theta=fitted))
+        stage: Any = SimpleNamespace(problem=problem, split=split, theta=nominal, found=found, sigma=np.array([1.73]))
+        return proof._explained(case, stage, coarse)
+
+    assert share(2.6, 3.7) == share(3.7, 2.6) == pytest.approx((1.73 - 0.02) / (2.6 - 0.02))
 
 
 def test_the_interval_of_a_vector_holds_for_all_components_together() -> None:
