@@ -20,7 +20,7 @@ from sysid.gap.stage_search import LINKS, Forms, find_stage
 from sysid.gap.tasks.search import SearchTasks
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
-from sysid.plant.model import WORKERS
+from sysid.plant.model import WORKERS, core_taken
 from sysid.progress import Progress, part
 
 
@@ -74,7 +74,8 @@ def _in_threads(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pro
             done[k] = max(done[k], share)
             progress(sum(done) / len(stages), text)
 
-        return find_stage(case, stages[k], forms, stage_progress)
+        with core_taken():
+            return find_stage(case, stages[k], forms, stage_progress)
 
     pool = ThreadPoolExecutor(min(WORKERS, max(len(stages), 1)), thread_name_prefix="sysid-stage")
     try:

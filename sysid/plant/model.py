@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -379,18 +381,34 @@ def measured_point(recording: Recording, point: str) -> Array:
 #: Cores for the lanes.
 WORKERS = cores()
 _pool: ThreadPoolExecutor | None = None
+_counting = threading.Lock()
+#: Number of threads that keep a core busy each.
+_busy = 0
 #: Fewer steps than this are faster on one core than on several.
 SERIAL = 20_000
 
 
+@contextmanager
+def core_taken() -> Iterator[None]:
+    """While this thread keeps a core busy by itself: :func:`in_parallel` of other threads leaves that core to it."""
+    global _busy
+    with _counting:
+        _busy += 1
+    try:
+        yield
+    finally:
+        with _counting:
+            _busy -= 1
+
+
 def in_parallel(lane: Callable[[int], None], count: int, samples: int) -> None:
-    """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all cores where that is faster.
+    """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all free cores where that is faster.
 
     The kernels release the interpreter lock.
     """
     global _pool
-    workers = min(WORKERS, count)
-    if workers == 1 or count * samples < SERIAL:
+    workers = min(WORKERS - max(_busy - 1, 0), count)
+    if workers <= 1 or count * samples < SERIAL:
         for i in range(count):
             lane(i)
         return
