@@ -1,0 +1,70 @@
+"""Fits of several datasets as tasks: the networks of one process, in processes and on a real Dask scheduler."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from crane_data import dataset, poses
+from dask_cluster import cluster
+from stored import small_dataset
+
+from sysid.cli import main
+from sysid.datasets.versions.manifest import PartRecord
+from sysid.workspace import Workspace
+
+UNITS = {
+    "time": "s",
+    **{f"{axis}.joint": "rad" for axis in ("slew", "boom", "stick")},
+    **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
+}
+QUICK = "[forward]\nhidden = [8]\n[forward.training]\nepochs = 4\nbatch = 16\n"
+NAMES = ("one", "two")
+
+
+def workspace(folder: Path) -> Workspace:
+    """A workspace with two datasets of static poses, and a recipe beside it."""
+    found = Workspace(folder / "ws")
+    _, channels = small_dataset(1)
+    for number, name in enumerate(NAMES):
+        data = replace(dataset((poses(count=80 + 20 * number),), {}), name=name, digest=f"{number:x}" * 64, units=UNITS)
+        found.datasets.save(data, channels, PartRecord(1))
+    (folder / "quick.toml").write_text(QUICK)
+    return found
+
+
+def fit(place: Workspace, *args: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--workspace", str(place.folder), "fit", "forward", *args, "--recipe", str(place.folder.parent / "quick.toml")])
+    assert not stop.value.code
+
+
+def networks(place: Workspace) -> list[dict[str, str]]:
+    """SHA-256 of the files of each network."""
+    return [dict(place.models.load(f"{name}-forward@1").sha256) for name in NAMES]
+
+
+def test_several_datasets_get_the_networks_of_single_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    alone, processes, distributed = (workspace(tmp_path / name) for name in ("alone", "processes", "cluster"))
+    for name in NAMES:
+        fit(alone, name)
+    fit(processes, *NAMES, "--workers", "2", "--json", str(tmp_path / "fits.json"))
+    fits = json.loads((tmp_path / "fits.json").read_text())["fits"]
+    assert [each["model"] for each in fits] == [f"{name}-forward@1" for name in NAMES]
+    assert "two-forward@1" in capsys.readouterr().out
+    assert networks(processes) == networks(alone)
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    with cluster(tmp_path / "dask") as (address, _):
+        fit(distributed, *NAMES, "--cluster", address)
+    assert networks(distributed) == networks(alone)
+
+
+def test_a_dataset_that_cannot_be_fitted_leaves_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = workspace(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["--workspace", str(place.folder), "fit", "forward", "one", "missing", "--recipe", str(tmp_path / "quick.toml")])
+    assert stop.value.code == 2
+    assert "missing" in capsys.readouterr().err
+    assert [version.reference for version in place.models.list()] == ["one-forward@1"]
