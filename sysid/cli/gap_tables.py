@@ -188,6 +188,7 @@ def plain_reason(why: str) -> str:
         decision.REPLACED: "another effect in its place predicts as well",
         decision.WITHOUT: "the simulation predicts as well without it",
         decision.REPAIRS: "it may stand in for the wrong formula of a similar effect",
+        decision.KNOWN: "its value is within a tenth of the known one",
         decision.TOO_FAST: "the recordings have too few samples in its period; it may be a dead time",
         "its interval contains its absence": "its interval includes the value without it",
         "": "it was fitted beside the others",

@@ -46,7 +46,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
-from sysid.gap.equivalence import at_bound, beyond_rate, reaches, within_equivalence
+from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.price import pays, smallest_sets
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, STANDARD_ERRORS
@@ -56,6 +56,7 @@ Array = npt.NDArray[np.float64]
 
 
 #: Conditions that an effect without a name fails.
+KNOWN = "its known value is within a tenth, which another motion would change where formulas are wrong"
 TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"
 NOT_EXCITED = "the recordings do not excite it enough"
 LITTLE = "it reduces the error by too little compared with what remains"
@@ -202,6 +203,8 @@ def decide(
     # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
     tested = (model, *acceptable) if not accumulates else tuple(free.least_squares(f) for f in acceptable)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
+    if accumulates:
+        lacking |= {c.key: KNOWN for c in model.candidates if not lacking[c.key] and all(near_known(c, f) for f in tested)}
     tying = {
         c.key: _partners(c, model, acceptable)
         for c in model.candidates

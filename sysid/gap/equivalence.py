@@ -21,6 +21,15 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
     return any(value in u.bounds and value != u.nominal for u, value in pairs)
 
 
+def near_known(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether the plant has the effect already, and no interval of its values leaves a tenth around the known ones.
+
+    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions.
+    """
+    tenth = np.array([(EXPLAINED - 1.0) * abs(u.nominal) for u in candidate.unknowns])
+    return candidate.known and reaches(candidate, model, tenth)
+
+
 def beyond_rate(candidate: Candidate, model: ModelFit) -> bool:
     """Whether a value of an effect is larger than the rate of the recordings shows."""
     return any(value > u.shown for u, value in zip(candidate.unknowns, model.values_of(candidate), strict=True))

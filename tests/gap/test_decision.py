@@ -242,6 +242,21 @@ def test_where_errors_add_up_the_values_are_those_that_leave_least_of_the_output
     assert (found.model.left, found.model.evidence) == (2.0, models[1].evidence)
 
 
+@pytest.mark.parametrize(("ratio", "named"), [(1.05, False), (1.12, True)])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_known_value_within_a_tenth_has_no_name_where_formulas_are_wrong(known: bool, ratio: float, named: bool) -> None:
+    """The owner fitted it to other motion."""
+    unknowns = tuple(replace(u, nominal=0.2) for u in BAND.unknowns)
+    band = replace(BAND, known=known, unknowns=unknowns)
+    there = replace(model(band, left=2.0, deviation=0.001), unknowns=unknowns, values=np.full(len(unknowns), 0.2 * ratio))
+    nothing = model(worse=9.0, left=30.0)
+    found = decide([nothing, there], ALL)
+    assert found.accumulates
+    assert (found.named == (band,)) is (named or not known)
+    assert found.named or found.near_misses[0].lacks == decision.KNOWN
+    assert decide([nothing, there], ALL, needed=right).named == (band,), "formulas right"
+
+
 # -- what else explains it -------------------------------------------------------------------------------------------------
 
 

@@ -228,6 +228,28 @@ def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
     assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "better"),
+    [
+        ([20.0, 20.0], [19.0, 20.0], True),
+        ([20.0, 20.0], [15.0, 21.0], True),  # the stage better, one signal worse by less than a tenth
+        ([20.0, 20.0], [15.0, 23.0], False),
+        ([20.0, 1.0], [20.0, 1.05], True),  # not excited, and within the noise floor
+        ([20.0, 20.0], [20.0, 20.5], False),  # not excited, but worse
+    ],
+)
+def test_no_signal_gets_worse_on_held_out_recordings(
+    before: list[float], after: list[float], better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(held_out, "stage_rmse", lambda _problem, theta, _recordings: np.array(theta))
+    monkeypatch.setattr(held_out, "is_excited", lambda *_: False)
+    found = SimpleNamespace(fit=SimpleNamespace(theta=after))
+    stage: Any = SimpleNamespace(
+        problem=None, split=SimpleNamespace(held_out=()), theta=before, found=found, sigma=np.array([1.0, 1.0])
+    )
+    assert held_out.is_better(stage) is better
+
+
 def test_steps_of_a_sensor_are_compared_with_the_plant_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search on readings in coarse steps may find effects that leave more; these are not in the plant."""
     monkeypatch.setattr(proof, "problem_floor", lambda *_: np.array([0.02]))
