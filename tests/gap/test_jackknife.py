@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plant_data import dataset_of, nominal
 from scipy import stats
 
-from sysid.gap.intervals.jackknife import half_widths
+from sysid.gap.candidates import candidates_at
+from sysid.gap.data import Data
+from sysid.gap.intervals.jackknife import half_widths, jackknifed
+from sysid.gap.problem import problems_of, split_of
+from sysid.machine import KnownEffect
+from sysid.plant import compile_plant
 
 
 def test_it_is_the_spread_of_the_values_without_each_cluster() -> None:
@@ -35,3 +41,16 @@ def test_intervals_contain_the_mean_of_recordings_that_differ() -> None:
 
 def test_two_recordings_are_too_few() -> None:
     assert half_widths(np.ones(20), np.ones((20, 1)), np.repeat([0, 1], 10), np.zeros(1)).tolist() == [0.0]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_threshold_between_two_samples_has_a_width(seed: int) -> None:
+    """Within a tenth of its negligible change no motion, or a single one, begins at another sample."""
+    plant, truth = nominal(), KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.05})
+    dataset = dataset_of(plant.with_effect(truth), 60.0, seed)
+    model, split = compile_plant(plant), split_of(dataset)
+    problem = next(p for p in problems_of(model, dataset) if "boom" in p.targets and p.stage == "command")
+    candidate = next(c for c in candidates_at(plant, model.theta, "command", ("boom",)) if c.effect.name == "stiction")
+    data = Data(problem, split.fit, np.array([dataset.machine.noise[signal] for signal in problem.signals]))
+    widths = jackknifed(data, model.theta, candidate.unknowns, np.array([0.2, 0.05]))
+    assert 0.0 < widths[0] < 0.05

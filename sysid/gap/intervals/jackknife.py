@@ -31,6 +31,8 @@ Clusters = npt.NDArray[np.int64]
 CORRELATED = 25.0
 #: Least number of clusters beyond that of the unknowns.
 MIN_FREE = 2
+#: Steps of the slopes, in the negligible change. Within a short step no motion, or one alone, begins at another sample.
+SMOOTH, STEPWISE = 0.1, 1.0
 #: Prior standard deviation of an unknown, in its negligible change.
 PRIOR = 1e3
 
@@ -70,7 +72,7 @@ def half_widths(errors: Array, slopes: Array, clusters: Clusters, prior: Array) 
 def _linearised(data: Data, theta: Array, unknowns: Sequence[Unknown], values: Array) -> tuple[Array, Array, Clusters]:
     """Residuals in noise floors (n,), slopes of the prediction (n, k), and the part of each row (n,)."""
     low, high = np.array([u.bounds for u in unknowns]).T
-    steps = np.array([0.1 * u.negligible for u in unknowns])
+    steps = np.array([(STEPWISE if u.stepwise else SMOOTH) * u.negligible for u in unknowns])
     above, below = np.minimum(values + steps, high), np.maximum(values - steps, low)
     k = len(values)
     lanes = np.repeat(values[None], 2 * k + 1, axis=0)
