@@ -56,6 +56,8 @@ Array = npt.NDArray[np.float64]
 
 
 #: Conditions that an effect without a name fails.
+MAY_BE_ABSENT = "its interval contains values too small to matter"
+PREDICTED_WITHOUT = "the discrepancy predicts parts of the recordings that were left out better in its place"
 KNOWN = "its known value is within a tenth, which another motion would change where formulas are wrong"
 TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"
 NOT_EXCITED = "the recordings do not excite it enough"
@@ -203,7 +205,7 @@ def decide(
     # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
     tested = (model, *acceptable) if not accumulates else tuple(free.least_squares(f) for f in acceptable)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
-    if accumulates:
+    if accumulates and free.left(acceptable[0]) > EXPLAINED:
         lacking |= {c.key: KNOWN for c in model.candidates if not lacking[c.key] and all(near_known(c, f) for f in tested)}
     tying = {
         c.key: _partners(c, model, acceptable)

@@ -40,13 +40,17 @@ def equivalent_change(left: float) -> float:
     return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
 
 
+def equivalent_half(candidate: Candidate, model: ModelFit) -> Array:
+    """Half-widths (k,) of the regions of practical equivalence of the parameters of an effect."""
+    return np.asarray(equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300))
+
+
 def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
     """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
 
     They include what the discrepancy could do in its place.
     """
-    seen = equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300)
-    return reaches(candidate, model, np.maximum(seen, rope.get(candidate.key, 0.0)))
+    return reaches(candidate, model, np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0)))
 
 
 def reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:

@@ -29,6 +29,8 @@ Array = npt.NDArray[np.float64]
 MAX_EFFECTS, BEST_SETS, ADDITIONS = 3, 3, 6
 #: Number of blocks over which errors of the free run are correlated.
 LAGS = 4
+#: Remaining errors within this factor are those of one optimum.
+SAME = 1.001
 #: A fit ends where the expected gain is below this share of the cost.
 CONVERGED = 1e-4
 #: Amplitude that stands for no disturbance, in noise floors.
@@ -46,7 +48,12 @@ class LeastSquares(FreeRun):
         return min(model, self.least_squares(model), key=lambda f: f.left)
 
     def least_squares(self, model: ModelFit) -> ModelFit:
-        return self.proposals.warm(model.candidates, model)
+        """The set with values of least squares, fitted again from those of ``model`` where these leave less.
+
+        Alone a set may end at another local optimum: a limit of the flow that no command reaches, for instance.
+        """
+        found = self.proposals.warm(model.candidates, model)
+        return found if found.left <= SAME * model.left else self.proposals.fit(model.candidates, model.values[None])
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """Difference in error between two sets over blocks, in standard errors; positive where ``model`` leaves more."""

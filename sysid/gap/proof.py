@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import norm
 
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.decision import NOT_EXCITED
+from sysid.gap.decision import MAY_BE_ABSENT, NOT_EXCITED, PREDICTED_WITHOUT
 from sysid.gap.floor import problem_floor
 from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
 from sysid.gap.held_out_price import without_cheap_names
@@ -23,7 +24,7 @@ from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED, SHARE, Z
+from sysid.gap.thresholds import EXPLAINED, SHARE, STANDARD_ERRORS, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
 from sysid.gap.written import near_misses
@@ -198,7 +199,9 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         if share < _least_share(result):
             refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
         elif may_be_absent(result, candidate, limits):
-            refused[candidate.label] = "its interval contains its absence"
+            refused[candidate.label] = MAY_BE_ABSENT
+        elif not result.accumulates and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS):
+            refused[candidate.label] = PREDICTED_WITHOUT
         if candidate.label in refused:
             why = outcome.refused[candidate.key] = refused[candidate.label]
             outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")

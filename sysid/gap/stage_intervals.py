@@ -12,6 +12,7 @@ from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
+from sysid.gap.equivalence import equivalent_half
 from sysid.gap.fit import spread_of
 from sysid.gap.intervals import jackknifed, known_of
 from sysid.gap.likelihood.stage import ModelFit
@@ -88,10 +89,13 @@ def limits_of(result: StageResult, spread: Array | None = None) -> Array:
 
 
 def may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> bool:
-    """Whether the intervals of all its parameters contain the known value."""
+    """Whether the intervals of all its parameters reach into the region of practical equivalence around the known value."""
     here = limits[result.fit.rows_of(candidate)]
     nominal = np.array([u.nominal for u in candidate.unknowns])
-    return bool(((here[:, 0] <= nominal) & (nominal <= here[:, 1])).all())
+    half = np.zeros(len(nominal))
+    if result.stage_fit is not None and candidate.label in result.stage_fit.decision.model.labels:
+        half = equivalent_half(candidate, result.stage_fit.decision.model)
+    return bool(((here[:, 0] <= nominal + half) & (nominal - half <= here[:, 1])).all())
 
 
 def _interval(model: ModelFit, exact: bool, spread: Array | None) -> Array:

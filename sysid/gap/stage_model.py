@@ -171,7 +171,7 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
     model, smallest = decision.model, decision.acceptable[0]
     dropped = {c.label: _valued(proposals.without(model, c), decision, free) for c in model.candidates}
     remainder = explained(proposals.likelihood, model)
-    squares = free.proposals.warm(smallest.candidates, smallest)
+    squares = free.least_squares(smallest)
     beside = None
     if decision.accumulates and (extended := free.extended(squares)) is not None:
         beside = extended, {c.label: free.proposals.without(extended, c) for c in squares.candidates}
