@@ -196,14 +196,8 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
-        if share < _least_share(result):
-            refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
-        elif may_be_absent(result, candidate, limits):
-            refused[candidate.label] = MAY_BE_ABSENT
-        elif not result.accumulates and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS):
-            refused[candidate.label] = PREDICTED_WITHOUT
-        if candidate.label in refused:
-            why = outcome.refused[candidate.key] = refused[candidate.label]
+        if why := _refusal(result, kept, limits, share):
+            refused[candidate.label] = outcome.refused[candidate.key] = why
             outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
             adjusted.append(candidate)
             continue
@@ -235,6 +229,16 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
+
+
+def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: float) -> str:
+    """Condition for a name that an effect of the decision fails by its proof; empty if it fails none."""
+    if share < _least_share(result):
+        return f"it closes {share:.1%} of the gap on held-out recordings"
+    if may_be_absent(result, kept.candidate, limits):
+        return MAY_BE_ABSENT
+    worse = not result.accumulates and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS)
+    return PREDICTED_WITHOUT if worse else ""
 
 
 def _least_share(result: StageResult) -> float:

@@ -47,6 +47,15 @@ def test_what_is_left_is_that_of_the_better_values() -> None:
     assert free.nearest(far).values == pytest.approx([0.6], abs=0.03)
 
 
+def test_least_squares_that_stopped_elsewhere_are_fitted_again_from_better_values() -> None:
+    """A limit that no command reaches has no slope; the likelihood may have found the limit."""
+    free = fitted((0.6, 0.0, 0.0))
+    best = free.least_squares(with_value(free, F, 0.5))
+    free.proposals.fits[best.labels] = with_value(free, F, 0.1)
+    assert free.least_squares(best).values == pytest.approx(best.values, abs=1e-3)
+    assert free.proposals.fits[best.labels].left == pytest.approx(best.left, rel=1e-3)
+
+
 def test_a_set_is_extended_by_the_effect_that_leaves_least() -> None:
     free = fitted((0.6, -0.3, 0.0))
     one = next(f for f in free.sets() if f.labels == {F.label})

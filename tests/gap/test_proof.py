@@ -13,11 +13,11 @@ from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
 from sysid.gap.case import Stage
-from sysid.gap.decision import REFUTED
+from sysid.gap.decision import MAY_BE_ABSENT, PREDICTED_WITHOUT, REFUTED
 from sysid.gap.fit import Fit
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.sensor_resolution import CoarseSensor
-from sysid.gap.stage_intervals import simultaneous, with_intervals_of
+from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
@@ -248,6 +248,37 @@ def test_no_signal_gets_worse_on_held_out_recordings(
         problem=None, split=SimpleNamespace(held_out=()), theta=before, found=found, sigma=np.array([1.0, 1.0])
     )
     assert held_out.is_better(stage) is better
+
+
+@pytest.mark.parametrize(("low", "absent"), [(1.5, False), (1.2, True), (0.9, True)])
+def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(low: float, absent: bool) -> None:
+    """A unit of the parameter moves the output by one noise floor: the region reaches to 1.46."""
+    candidate: Any = SimpleNamespace(label="gain", unknowns=(SimpleNamespace(nominal=1.0),))
+    model = SimpleNamespace(labels={"gain"}, left=1.0, response=np.ones(1), rows_of=lambda _: slice(0, 1))
+    fitted = SimpleNamespace(decision=SimpleNamespace(model=model))
+    result: Any = SimpleNamespace(fit=SimpleNamespace(rows_of=lambda _: slice(0, 1)), stage_fit=fitted)
+    assert may_be_absent(result, candidate, np.array([[low, 3.0]])) is absent
+
+
+@pytest.mark.parametrize(
+    ("share", "absent", "p_value", "accumulates", "refused"),
+    [
+        (0.5, False, 0.5, False, ""),
+        (0.5, False, 0.97, False, ""),
+        (0.5, False, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
+        (0.5, False, 0.98, True, ""),  # values of the free run: the whitened likelihood does not count
+        (0.5, True, 0.0, False, MAY_BE_ABSENT),
+        (0.005, False, 0.0, False, "it closes 0.5% of the gap on held-out recordings"),
+    ],
+)
+def test_what_refuses_a_name(
+    share: float, absent: bool, p_value: float, accumulates: bool, refused: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
+    monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
+    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(p_value=p_value))
+    result: Any = SimpleNamespace(accumulates=accumulates)
+    assert proof._refusal(result, kept, np.empty(0), share) == refused
 
 
 def test_steps_of_a_sensor_are_compared_with_the_plant_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
