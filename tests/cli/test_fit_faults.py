@@ -7,27 +7,19 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from crane_data import dataset, poses, replaced
+from crane_data import poses, replaced
 from filelock import FileLock
-from stored import small_dataset
+from pose_workspace import QUICK, pose_workspace
 
 from sysid.cli import main
-from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.versions.manifest import PartRecord
+from sysid.datasets.recording import Recording
 from sysid.networks import StructuredForward
 from sysid.registry import Registry
 from sysid.workspace import Workspace
 
-UNITS = {
-    "time": "s",
-    **{f"{axis}.joint": "rad" for axis in ("slew", "boom", "stick")},
-    **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
-}
-QUICK = "[forward]\nhidden = [8]\n[forward.training]\nepochs = 4\nbatch = 16\n"
 GEOMETRY = '[forward]\nmodel = "structured"\nresidual = false\n'
 
 
@@ -52,12 +44,7 @@ DATA: dict[str, Callable[[], Recording]] = {
 def place(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A workspace with a dataset of each kind."""
     folder = tmp_path_factory.mktemp("faults")
-    found = Workspace(folder / "ws")
-    _, channels = small_dataset(1)
-    for number, (name, recording) in enumerate(DATA.items()):
-        data: Dataset = replace(dataset((recording(),), {}), name=name, digest=f"{number:x}" * 64, units=UNITS)
-        found.datasets.save(data, channels, PartRecord(1))
-    (folder / "quick.toml").write_text(QUICK)
+    found = pose_workspace(folder, {name: recording() for name, recording in DATA.items()})
     (folder / "diverging.toml").write_text(QUICK + "learning_rate = 1e18\n")
     (folder / "long.toml").write_text(QUICK.replace("epochs = 4", "epochs = 60") + "check_every = 2\n")
     (folder / "geometry.toml").write_text(GEOMETRY)

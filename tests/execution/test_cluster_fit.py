@@ -3,36 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from crane_data import dataset, poses
+from crane_data import poses
 from dask_cluster import cluster
-from stored import small_dataset
+from pose_workspace import pose_workspace
 
 from sysid.cli import main
-from sysid.datasets.versions.manifest import PartRecord
 from sysid.workspace import Workspace
 
-UNITS = {
-    "time": "s",
-    **{f"{axis}.joint": "rad" for axis in ("slew", "boom", "stick")},
-    **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
-}
-QUICK = "[forward]\nhidden = [8]\n[forward.training]\nepochs = 4\nbatch = 16\n"
 NAMES = ("one", "two")
 
 
 def workspace(folder: Path) -> Workspace:
     """A workspace with two datasets of static poses, and a recipe beside it."""
-    found = Workspace(folder / "ws")
-    _, channels = small_dataset(1)
-    for number, name in enumerate(NAMES):
-        data = replace(dataset((poses(count=80 + 20 * number),), {}), name=name, digest=f"{number:x}" * 64, units=UNITS)
-        found.datasets.save(data, channels, PartRecord(1))
-    (folder / "quick.toml").write_text(QUICK)
-    return found
+    return pose_workspace(folder, {name: poses(count=80 + 20 * number) for number, name in enumerate(NAMES)})
 
 
 def fit(place: Workspace, *args: str) -> None:
