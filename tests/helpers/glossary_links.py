@@ -23,8 +23,8 @@ TERMS = {
     "noise-floor": r"noise floors?",
     "excitation": r"excitation|excites?",
 }
-#: What is no prose: fences, inline code, headings, comments, targets of links, pictures.
-_OTHER = re.compile(r"^```.*?^```|`[^`\n]*`|^#.*?$|<!--.*?-->|\]\([^)]*\)", re.MULTILINE | re.DOTALL)
+#: What is no prose: fences, indented blocks after a blank line, inline code, headings, comments, targets of links, pictures.
+_OTHER = re.compile(r"^```.*?^```|(?<=\n\n)(?: {4}[^\n]*\n)+|`[^`\n]*`|^#.*?$|<!--.*?-->|\]\([^)]*\)", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[[^\[\]]*\]\([^)]*\)")
 
 
