@@ -12,6 +12,7 @@ from sysid.control.law import LAST, RING, command, fill, look_up, ring_size
 from sysid.control.tuning import AxisTuning, tune
 from sysid.errors import InputError, SettingsError
 from sysid.plant import Plant
+from sysid.plant.plant import LINKAGE
 
 Array = npt.NDArray[np.float64]
 
@@ -130,8 +131,7 @@ def _tables(plant: Plant, where: str) -> tuple[Array, Array, Array]:
         if axis.drives != "cylinder":
             continue
         if axis.name not in plant.linkages:
-            expected = "geometry in machine.toml or a fitted actuator network"
-            raise SettingsError(where, f"axis {axis.name} has no linkage", expected)
+            raise SettingsError(where, f"axis {axis.name} has no linkage", LINKAGE)
         linkage = plant.linkages[axis.name]
         first, last = float(linkage.joints.min()), float(linkage.joints.max())
         starts[i], steps[i] = first, (last - first) / (_POINTS - 1)

@@ -21,7 +21,7 @@ from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, machine_arrays
-from sysid.plant.plant import Plant
+from sysid.plant.plant import LINKAGE, Plant
 from sysid.plant.rate import rate_of
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
 from sysid.signals import axis_signal, point_signals
@@ -120,7 +120,7 @@ class Model:
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
         """Measured cylinder → joint through linkage, backlash and sag: (lanes, n)."""
         if axis not in self.linked:
-            raise SettingsError(f"axis {axis}", "no linkage", "geometry in machine.toml or a fitted actuator network")
+            raise SettingsError(f"axis {axis}", "no linkage", LINKAGE)
         i, signal = self.axis_index(axis), axis_signal(axis, "joint")
         cylinder = self.true_signal(thetas, recording, axis_signal(axis, "cylinder"))
         measured, load = self.true_signal(thetas, recording, signal), self.load(thetas, recording)[i]

@@ -35,6 +35,9 @@ from sysid.plant.uncertainty import NONE, PlantNumber, Uncertainty, uncertainty_
 Array = npt.NDArray[np.float64]
 Value = float | Sequence[float]
 
+#: What is expected where a cylinder has no linkage.
+LINKAGE = "geometry in machine.toml or a fitted actuator network (sysid fit actuator)"
+
 
 @dataclass(frozen=True)
 class Plant:

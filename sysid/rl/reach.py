@@ -11,6 +11,7 @@ from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.model import Model, compile_plant
+from sysid.plant.plant import LINKAGE
 from sysid.rl.motion import resting_tips
 
 Array = npt.NDArray[np.float64]
@@ -73,8 +74,7 @@ def joint_limits(plant: Plant) -> tuple[Array, Array]:
         low[i], high[i] = axis.limits or (-np.inf, np.inf)
         if axis.drives == "cylinder" and axis.stroke is not None:
             if axis.name not in plant.linkages:
-                expected = "geometry in machine.toml or a fitted actuator network (sysid fit actuator)"
-                raise SettingsError(where, f"axis {axis.name} has no linkage", expected)
+                raise SettingsError(where, f"axis {axis.name} has no linkage", LINKAGE)
             ends = np.sort(plant.linkages[axis.name].joint(np.array(axis.stroke)))
             low[i], high[i] = max(low[i], ends[0]), min(high[i], ends[1])
         if not (np.isfinite(low[i]) and np.isfinite(high[i])):

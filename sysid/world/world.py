@@ -19,6 +19,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 from sysid.plant.layout import AT, base_place
+from sysid.plant.plant import LINKAGE
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
 from sysid.world.bodies import Gripper, build_bodies
@@ -91,8 +92,7 @@ class World:
         self._bodies = build_bodies(plant, gripper)
         for axis in plant.machine.axes:
             if axis.drives == "cylinder" and axis.name not in plant.linkages:
-                found = f"axis {axis.name} has no linkage"
-                raise SettingsError("PyBullet world", found, "geometry in machine.toml or a fitted actuator network")
+                raise SettingsError("PyBullet world", f"axis {axis.name} has no linkage", LINKAGE)
         self._stepper = Stepper(plant, self.rate_hz)
         self._ground = self._bodies.ground if ground is None else ground
         self._p = pybullet()
