@@ -15,7 +15,7 @@ from sysid.cli.output import Printer, json_option, progress_bar, write_json
 from sysid.cli.tables import show_calibration, show_directions, show_errors
 
 if TYPE_CHECKING:
-    from sysid.networks import Model, NetworkRecipe
+    from sysid.networks import Calibration, Model, NetworkRecipe
     from sysid.progress import Progress
     from sysid.validate import ValidationReport
 
@@ -78,12 +78,17 @@ class _Fit:
     not_evaluated: str
     seconds: float
 
-    def to_json(self) -> dict[str, Any]:
+    @property
+    def calibration(self) -> Calibration | None:
         from sysid.networks import Calibration, StructuredForward
 
+        structure = self.model.structure if isinstance(self.model, StructuredForward) else None
+        return structure if isinstance(structure, Calibration) else None
+
+    def to_json(self) -> dict[str, Any]:
         result: dict[str, Any] = {"model": self.version, "dataset": self.dataset, "seconds": self.seconds}
-        if isinstance(self.model, StructuredForward) and isinstance(self.model.structure, Calibration):
-            result["calibration"] = self.model.structure.to_json()
+        if self.calibration is not None:
+            result["calibration"] = self.calibration.to_json()
         return {**result, "validation": self.report.to_json() if self.report is not None else None}
 
 
@@ -116,10 +121,8 @@ def _task(location: str, kind: str, reference: str, settings: NetworkRecipe, pro
 
 
 def _show(out: Printer, found: _Fit) -> None:
-    from sysid.networks import Calibration, StructuredForward
-
-    if isinstance(found.model, StructuredForward) and isinstance(found.model.structure, Calibration):
-        show_calibration(out, found.model.structure)
+    if found.calibration is not None:
+        show_calibration(out, found.calibration)
     if found.report is not None:
         show_errors(out, found.report)
         show_directions(out, found.report)

@@ -190,7 +190,6 @@ def plain_reason(why: str) -> str:
         decision.REPAIRS: "it may stand in for the wrong formula of a similar effect",
         decision.KNOWN: "its value is within a tenth of the known one",
         decision.TOO_FAST: "the recordings have too few samples in its period; it may be a dead time",
-        decision.MAY_BE_ABSENT: "its interval includes values too small to matter",
         decision.PREDICTED_WITHOUT: "a smooth error in its place predicts recordings that were left out better",
         "": "it was fitted beside the others",
     }.get(why, why)

@@ -56,7 +56,6 @@ Array = npt.NDArray[np.float64]
 
 
 #: Conditions that an effect without a name fails.
-MAY_BE_ABSENT = "its interval contains values too small to matter"
 PREDICTED_WITHOUT = "the discrepancy predicts parts of the recordings that were left out better in its place"
 KNOWN = "its known value is within a tenth, which another motion would change where formulas are wrong"
 TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"

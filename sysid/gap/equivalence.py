@@ -22,7 +22,7 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
 
 
 def near_known(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether the plant has the effect already, and no interval of its values leaves a tenth around the known ones.
+    """Whether the plant has the effect already, and the intervals of all its values reach within a tenth of the known ones.
 
     An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions.
     """

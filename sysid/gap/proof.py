@@ -13,7 +13,7 @@ from scipy.stats import norm
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.decision import MAY_BE_ABSENT, NOT_EXCITED, PREDICTED_WITHOUT
+from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.floor import problem_floor
 from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
 from sysid.gap.held_out_price import without_cheap_names
@@ -236,7 +236,7 @@ def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: fl
     if share < _least_share(result):
         return f"it closes {share:.1%} of the gap on held-out recordings"
     if may_be_absent(result, kept.candidate, limits):
-        return MAY_BE_ABSENT
+        return UNCERTAIN
     worse = not result.accumulates and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS)
     return PREDICTED_WITHOUT if worse else ""
 

@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 #: Relative tolerance for results that are equal up to rounding.
 ROUNDING = 1e-9
-#: Units of parameters; ``drive`` and ``signal`` are m or rad, depending on the target; of two, a prismatic axis has the first.
+#: Units of parameters; ``drive``, ``joint`` and ``signal`` are m or rad by the target; of two, a prismatic axis has the first.
 UNITS = frozenset(
     {
         *("1", "s", "1/s", "Hz", "ppm", "m", "rad", "drive", "joint", "drive/s", "command/s", "signal"),

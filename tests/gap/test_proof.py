@@ -13,7 +13,7 @@ from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
 from sysid.gap.case import Stage
-from sysid.gap.decision import MAY_BE_ABSENT, PREDICTED_WITHOUT, REFUTED
+from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.sensor_resolution import CoarseSensor
@@ -267,7 +267,7 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
         (0.5, False, 0.97, False, ""),
         (0.5, False, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
         (0.5, False, 0.98, True, ""),  # values of the free run: the whitened likelihood does not count
-        (0.5, True, 0.0, False, MAY_BE_ABSENT),
+        (0.5, True, 0.0, False, UNCERTAIN),
         (0.005, False, 0.0, False, "it closes 0.5% of the gap on held-out recordings"),
     ],
 )
