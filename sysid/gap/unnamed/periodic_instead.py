@@ -16,7 +16,7 @@ from sysid.gap.case import Stage
 from sysid.gap.decision import PERIODIC
 from sysid.gap.thresholds import PRICE
 from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
-from sysid.gap.unnamed.residual_formula import MAX_P_VALUE, worst_residual
+from sysid.gap.unnamed.residual_formula import MAX_P_VALUE, moving_parts, worst_residual
 from sysid.gap.unnamed.residual_series import ResidualSeries
 from sysid.machine import Machine
 
@@ -33,19 +33,19 @@ def without_periodic_names(stage: Stage, machine: Machine) -> Stage:
     if not result.accumulates or not result.named or result.stage_fit is None:
         return stage
     before, after = (_series(stage, theta, machine) for theta in (stage.theta, result.fit.theta))
-    if not _better(before, after):
+    both = [name for name in before if name in after]
+    if not _better([before[name] for name in both], [after[name] for name in both]):
         return stage
     lost = dict.fromkeys((kept.candidate.label for kept in result.named), PERIODIC)
     fitted = replace(result.stage_fit, decision=result.stage_fit.decision.without_names(lost))
-    nominal = replace(result.fit, candidates=(), unknowns=(), values=np.empty(0), theta=stage.theta)
-    empty = replace(result, named=(), adjusted=(), fit=nominal, final_rmse=result.nominal_rmse, stage_fit=fitted)
+    empty = replace(result, named=(), adjusted=(), fit=stage.nominal, final_rmse=result.nominal_rmse, stage_fit=fitted)
     return replace(stage, result=replace(empty, names_alone=None))
 
 
-def _series(stage: Stage, theta: Array, machine: Machine) -> list[ResidualSeries]:
-    """Rate of the residual of the stage's only output, by recording."""
+def _series(stage: Stage, theta: Array, machine: Machine) -> dict[str, ResidualSeries]:
+    """Rate of the residual of the stage's only output, by recording in which the axis moves."""
     found = worst_residual(stage.problem, theta, stage.split.seen, machine)
-    return found[2] if found is not None else []
+    return {part.name: part for part in moving_parts(stage.problem, found[2])} if found is not None else {}
 
 
 def _better(before: Sequence[ResidualSeries], after: Sequence[ResidualSeries]) -> bool:

@@ -63,7 +63,7 @@ def describe_period(problem: Problem, theta: Array, recordings: Sequence[Recordi
     found = worst_residual(problem, theta, recordings, machine)
     if found is None or not found[2]:
         return []
-    rmse, signal, series = found[0], found[1], _moving(problem, found[2])
+    rmse, signal, series = found[0], found[1], moving_parts(problem, found[2])
     disturbance = _certain(find_periodic_disturbance(series, lag1_autocorrelation([part.target for part in series])))
     if disturbance is None or disturbance.share < MOST:
         return []
@@ -89,7 +89,7 @@ def worst_residual(
     return rmse, problem.signals[k], [part for part in found if part is not None]
 
 
-def _moving(problem: Problem, series: Sequence[ResidualSeries]) -> Sequence[ResidualSeries]:
+def moving_parts(problem: Problem, series: Sequence[ResidualSeries]) -> Sequence[ResidualSeries]:
     """Recordings in which the axis moves, which have its speed; all of them where none does."""
     return [part for part in series if f"speed of {problem.target}" in part.variables] or series
 
@@ -125,7 +125,7 @@ def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Residu
 
     Of a formula and a periodic disturbance the one that explains the larger share counts, each on data left out of its fit.
     """
-    what, series = _what(series), _moving(problem, series)
+    what, series = _what(series), moving_parts(problem, series)
     found = find_formula(series, _periodic_over(problem, machine))
     probes = cross_correlations(series, found.ar1)
     shown = probes[:MAX_PROBES]

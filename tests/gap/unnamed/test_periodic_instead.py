@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,7 +13,7 @@ from unnamed_data import BASE, MACHINE, MODEL, Rate, disturbed, disturbed_datase
 
 from sysid.gap import find_gap
 from sysid.gap.problem import drive_problem
-from sysid.gap.unnamed.periodic_instead import _better
+from sysid.gap.unnamed.periodic_instead import _better, _series
 from sysid.gap.unnamed.residual_series import ResidualSeries, residual_series
 from sysid.machine import KnownEffect
 
@@ -48,12 +52,22 @@ def test_it_has_to_explain_more_than_the_names_and_they_little_beside_it(
     assert _better(series(rate, before), series(rate, after)) == better
 
 
+def strongly(v: float, x: float, load: float, t: float, dice: float) -> float:
+    """A pump that pulsates by 60 % of the speed."""
+    return 3.0 * pulsing(v, x, load, t, dice)
+
+
+def test_a_recording_in_which_the_axis_stands_still_is_left_out() -> None:
+    """It has no speed that could modulate the amplitude."""
+    moving = disturbed("moving", pulsing, 0)
+    rest = 0.06 + np.random.default_rng(0).normal(0.0, MACHINE.noise["boom.cylinder"], len(moving))
+    still = replace(moving, name="still", table=moving.table.assign(**{"boom.command": 0.0, "boom.cylinder": rest}))
+    stage: Any = SimpleNamespace(problem=DRIVE, split=SimpleNamespace(seen=(moving, still)))
+    assert list(_series(stage, BASE.vector(), MACHINE)) == ["moving"]
+
+
 def test_a_pump_that_pulsates_strongly_is_described_and_gets_no_name() -> None:
-    """With 60 % of the speed; the plant keeps its values."""
-
-    def strongly(v: float, x: float, load: float, t: float, dice: float) -> float:
-        return 3.0 * pulsing(v, x, load, t, dice)
-
+    """The plant keeps its values."""
     found = find_gap(disturbed_dataset(strongly), BASE)
     assert found.verdict == "unnamed"
     assert not found.effects
