@@ -21,7 +21,7 @@ from sysid.gap.data import Data
 from sysid.gap.drive_delay import drive_delay
 from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
-from sysid.gap.fit import fit_candidates, spread_of
+from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
@@ -96,6 +96,11 @@ class Stage:
     @property
     def label(self) -> str:
         return f"{self.problem.stage} stage of {self.problem.target}"
+
+    @property
+    def nominal(self) -> Fit:
+        """The plant under test, without effects."""
+        return Fit((), (), np.empty(0), self.theta, (), 0.0)
 
     @property
     def found(self) -> StageResult:

@@ -28,9 +28,9 @@ Given models of one stage (sets of effects) under shared variances:
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
    one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
-7. Where formulas are wrong, the names have to be worth the price of an effect on held-out recordings too (:func:`pays`);
-   where errors accumulate, each name beside the others, and with twice the price where it moves the output by less than the
-   machine's other drives are wrong by (:mod:`sysid.gap.proof`).
+7. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
+   (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation, and with twice
+   the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out_price`).
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.
@@ -65,12 +65,13 @@ REPLACED = "another model without it predicts as well"
 WITHOUT = "a model without it predicts as well"
 REPAIRS = "it may compensate for the formula of a similar effect"
 PARTIAL = "it changes only some of the speeds, which it would change alike"
-LOST = "on held-out recordings it reduces the error by too little compared with what remains"
+LOST = "on recordings left out of the fit it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 FILTERS = "noise of its measured input explains a change of its size"
 UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
 REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
 PERIODIC = "a disturbance that is periodic in time explains the error better"
+POSITION = "a smooth function of the position explains the error better"
 ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 
 

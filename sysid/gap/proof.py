@@ -26,6 +26,7 @@ from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, wi
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED, SHARE, STANDARD_ERRORS, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
+from sysid.gap.unnamed.position_instead import without_names_of_position
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
 from sysid.gap.written import near_misses
 from sysid.machine import EffectKey, KnownEffect
@@ -59,7 +60,9 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     for coarse in case.coarse:
         _add_sensor_steps(case, stages, coarse, outcome)
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
-    for stage in without_cheap_names([without_periodic_names(stage, case.plant.machine) for stage in known]):
+    machine = case.plant.machine
+    smooth = [without_names_of_position(without_periodic_names(stage, machine), machine) for stage in known]
+    for stage in without_cheap_names(smooth):
         result = stage.found
         proven = bool(result.fit.candidates) and is_better(stage)
         refused = dict[str, str]()

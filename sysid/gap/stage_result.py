@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -54,3 +55,11 @@ class StageResult:
     def accumulates(self) -> bool:
         """Whether the formulas of the stage are wrong and their errors accumulate."""
         return self.stage_fit is not None and self.stage_fit.decision.accumulates
+
+    def without_names(self, lacks: Mapping[str, str]) -> StageResult:
+        """The result without some of its names; their values stay in the plant. ``lacks``: label → the failed condition."""
+        named = tuple(kept for kept in self.named if kept.candidate.label not in lacks)
+        adjusted = (*self.adjusted, *(kept.candidate for kept in self.named if kept.candidate.label in lacks))
+        fitted = self.stage_fit
+        unsure = replace(fitted, decision=fitted.decision.without_names(lacks)) if fitted is not None else None
+        return replace(self, named=named, adjusted=adjusted, stage_fit=unsure)

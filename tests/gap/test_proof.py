@@ -174,8 +174,8 @@ def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_besid
         return SimpleNamespace(theta=np.array([value]))
 
     def pairs(found: Any) -> list[tuple[float, float]]:
-        stage: Any = SimpleNamespace(found=found, theta=np.zeros(1))
-        return [(less.item(), theta.item()) for less, theta in comparisons_without(stage, "rate")]
+        stage: Any = SimpleNamespace(found=found, nominal=vector(0.0))
+        return [(less.theta.item(), model.theta.item()) for less, model in comparisons_without(stage, "rate")]
 
     if not accumulates:
         assert pairs(result(3.0, 4.0, alone=result(1.0, 2.0))) == [(0.0, 3.0)]
@@ -196,13 +196,11 @@ def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_besid
         ((17.0, 12.0), (14.0, 9.0), False),
     ],
 )
-def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
+def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
     alone: tuple[float, float], extended: tuple[float, float] | None, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Scores of the sets without and with the name, in noise floors; a vector is its own score here."""
-    for module in (held_out, held_out_price):
-        monkeypatch.setattr(module, "relative_error", lambda stage, theta, recordings: float(theta[0]))
-    monkeypatch.setattr(held_out_price, "is_excited", lambda stage, without, theta: True)
+    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
     monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 1.0)
 
     def vector(value: float) -> Any:
@@ -218,12 +216,15 @@ def test_one_comparison_on_held_out_recordings_has_to_be_worth_the_price(
     fitted = StageFit((), model, {"oil(boom)": vector(alone[0])}, unused, unused, beside=beside)
     name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)"))
     result = StageResult(unused, (name,), (), vector(alone[1]), 1.0, 1.0, stage_fit=fitted)
-    stage = Stage(unused, SimpleNamespace(held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
+    problem: Any = SimpleNamespace(stage="command", target="boom")
+    stage = Stage(problem, SimpleNamespace(seen=(), held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
     (found,) = without_cheap_names([stage])
     assert bool(found.found.named) is kept
     assert found.found.stage_fit is not None
     lacks = (
-        {} if kept else {"oil(boom)": "on held-out recordings it reduces the error by too little compared with what remains"}
+        {}
+        if kept
+        else {"oil(boom)": "on recordings left out of the fit it reduces the error by too little compared with what remains"}
     )
     assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]
 

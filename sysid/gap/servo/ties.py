@@ -39,10 +39,7 @@ def without_sensor_names(case: Case, stage: Stage) -> Stage:
     if not unknown and not sag_replaces(case, stage):
         return stage
     lost = dict.fromkeys(named, LOAD_UNKNOWN if unknown else LOAD_ALIKE)
-    rest = tuple(kept for kept in result.named if kept.candidate.label not in lost)
-    adjusted = (*result.adjusted, *(kept.candidate for kept in result.named if kept.candidate.label in lost))
-    unsure = replace(fitted, decision=fitted.decision.without_names(lost))
-    return replace(stage, result=replace(result, named=rest, adjusted=adjusted, stage_fit=unsure))
+    return replace(stage, result=result.without_names(lost))
 
 
 def sag_tie(case: Case, stage: Stage) -> tuple[Tie, str] | None:

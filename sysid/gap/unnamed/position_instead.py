@@ -1,0 +1,90 @@
+"""Names of a drive that a smooth function of its position replaces: no effect of the catalogue is a curve over the position.
+
+An uneven gear, whose ratio varies over its range, is in the mean a gain error of the drive or a wrong scale of its sensor. The
+function competes with the names: each recording is predicted by the function that is fitted to all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial.legendre import legvander
+
+from sysid.gap.case import Stage
+from sysid.gap.decision import POSITION
+from sysid.gap.held_out_price import comparisons_without
+from sysid.gap.likelihood.discrepancy.shapes import filled, span_of
+from sysid.gap.price import divides
+from sysid.machine import Axis, Machine
+
+Array = npt.NDArray[np.float64]
+
+#: Degree of the function: up to three turning points over the range.
+DEGREE = 4
+
+
+def without_names_of_position(stage: Stage, machine: Machine) -> Stage:
+    """The stage of a drive without the names that a smooth function of its position replaces; their values stay in the plant.
+
+    The function in place of an effect has to be worth the price of an effect compared with the names, and the effect must not
+    be worth that price beside the function. Only where formulas are wrong.
+    """
+    result, problem = stage.found, stage.problem
+    if problem.stage != "command" or result.stage_fit is None or result.stage_fit.decision.exact:
+        return stage
+    axis, lost = machine.axis(problem.target), dict[str, str]()
+    for kept in result.named:
+        pair = comparisons_without(stage, kept.candidate.label)[0]
+        if replaces(*(position_residuals(stage, each.theta, axis) for each in pair)):
+            lost[kept.candidate.label] = POSITION
+    return replace(stage, result=result.without_names(lost)) if lost else stage
+
+
+@dataclass(frozen=True)
+class PositionResidual:
+    """One recording: the residual in noise floors (n,), and the columns of the function (n, k)."""
+
+    residual: Array
+    columns: Array
+
+
+def position_residuals(stage: Stage, theta: Array, axis: Axis) -> list[PositionResidual]:
+    """The fit and selection recordings; about their means where errors accumulate, since the start is free."""
+    problem, seen = stage.problem, [r for r in stage.split.seen if r.kind == "motion"]
+    middle, half = span_of(tuple(seen), axis.driven)
+    found = []
+    for recording in seen:
+        residual = (problem.measured(recording) - problem.predict(theta[None], recording)[0])[:, 0] / stage.sigma[0]
+        columns = legvander((filled(recording.values(axis.driven)[problem.rows(recording)]) - middle) / half, DEGREE)
+        there = np.isfinite(residual)
+        residual, columns = residual[there], columns[there]
+        if problem.integrates and len(residual):
+            residual, columns = residual - residual.mean(), (columns - columns.mean(axis=0))[:, 1:]
+        found.append(PositionResidual(residual, columns))
+    return found
+
+
+def replaces(without: Sequence[PositionResidual], names: Sequence[PositionResidual]) -> bool:
+    """Whether the function replaces an effect, from the residuals without and with it."""
+    if len(without) < 2:
+        return False
+    instead, both = left_out(without), left_out(names)
+    return divides(_rms([each.residual for each in names]), instead) and not divides(instead, both)
+
+
+def left_out(recordings: Sequence[PositionResidual]) -> float:
+    """RMS error of the recordings, each beside the function that is fitted to all others by least squares."""
+    products = [(r.columns.T @ r.columns, r.columns.T @ r.residual) for r in recordings]
+    gram, right = (np.sum([each[k] for each in products], axis=0) for k in range(2))
+    left = []
+    for r, (own, own_right) in zip(recordings, products, strict=True):
+        coefficients = np.linalg.lstsq(gram - own, right - own_right, rcond=None)[0]
+        left.append(r.residual - r.columns @ coefficients)
+    return _rms(left)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
