@@ -56,7 +56,7 @@ Array = npt.NDArray[np.float64]
 
 
 #: Conditions that an effect without a name fails.
-PREDICTED_WITHOUT = "the discrepancy predicts parts of the recordings that were left out better in its place"
+PREDICTED_WITHOUT = "parts of the recordings that were left out are not predicted clearly better with it"
 KNOWN = "its known value is within a tenth, which another motion would change where formulas are wrong"
 TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"
 NOT_EXCITED = "the recordings do not excite it enough"

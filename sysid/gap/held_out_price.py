@@ -17,8 +17,9 @@ Error = Callable[[Stage, Fitted], float]
 def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     """The stages; where formulas are wrong, without names that are not worth their price on recordings left out of the fit.
 
-    The price is doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive
-    whose name is rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
+    A drive whose formulas seem right has to be worth it too where those of other drives of the machine are wrong. The price is
+    doubled for effects within the error of the machine's other drives (docs/decisions/decision-rule.md). A drive whose name is
+    rejected is wrong by its whole error, which counts for the other drives: repeated until none is.
     """
     known: dict[tuple[str, bytes], float] = {}
 
@@ -41,7 +42,7 @@ def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
 def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage:
     """The stage without its cheap names; ``typical``: error of the machine's other drives, as a share of the distance moved."""
     result, fitted = stage.found, stage.found.stage_fit
-    if not result.named or fitted is None or fitted.decision.exact:
+    if not result.named or fitted is None or (fitted.decision.exact and not (stage.problem.integrates and typical > 0.0)):
         return stage
     lost = dict[str, str]()
     for kept in result.named:
@@ -51,7 +52,7 @@ def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
-    if fitted.decision.accumulates and rest:
+    if stage.problem.integrates and rest:
         others = (comparisons_without(stage, label)[0][0] for label in lost)
         before, *alone = (error(stage, each) for each in (stage.nominal, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
@@ -61,7 +62,7 @@ def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage
 
 def _too_cheap(stage: Stage, without: Fitted, model: Fitted, typical: float, error: Error) -> str:
     """Condition that a name fails by a comparison of sets without and with its effect; empty if it fails none."""
-    if stage.found.accumulates:
+    if stage.problem.integrates:
         before, after = error(stage, without), error(stage, model)
         if not pays(before, after):
             return LOST
@@ -80,7 +81,7 @@ def comparisons_without(stage: Stage, label: str) -> list[tuple[Fitted, Fitted]]
     owner's plant has not exactly may hide it on the few held-out recordings.
     """
     result = stage.found
-    if not result.accumulates:
+    if not stage.problem.integrates:
         return [(stage.nominal, result.fit)]
     pairs: list[tuple[Fitted, Fitted]] = []
     for found in (result.names_alone, result):

@@ -174,7 +174,7 @@ def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_besid
         return SimpleNamespace(theta=np.array([value]))
 
     def pairs(found: Any) -> list[tuple[float, float]]:
-        stage: Any = SimpleNamespace(found=found, nominal=vector(0.0))
+        stage: Any = SimpleNamespace(found=found, nominal=vector(0.0), problem=SimpleNamespace(integrates=accumulates))
         return [(less.theta.item(), model.theta.item()) for less, model in comparisons_without(stage, "rate")]
 
     if not accumulates:
@@ -216,7 +216,7 @@ def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
     fitted = StageFit((), model, {"oil(boom)": vector(alone[0])}, unused, unused, beside=beside)
     name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)"))
     result = StageResult(unused, (name,), (), vector(alone[1]), 1.0, 1.0, stage_fit=fitted)
-    problem: Any = SimpleNamespace(stage="command", target="boom")
+    problem: Any = SimpleNamespace(stage="command", target="boom", integrates=True)
     stage = Stage(problem, SimpleNamespace(seen=(), held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
     (found,) = without_cheap_names([stage])
     assert bool(found.found.named) is kept
@@ -227,6 +227,39 @@ def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
         else {"oil(boom)": "on recordings left out of the fit it reduces the error by too little compared with what remains"}
     )
     assert found.found.stage_fit.decision.lost == lacks  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("scores", "other", "kept"),
+    [
+        ((3.0, 1.8), 2.0, False),
+        ((3.0, 1.8), None, True),  # nothing tells that formulas of this machine are wrong
+        ((23.0, 2.1), 4.0, True),
+        ((6.7, 1.0), 4.0, True),  # the price of two effects
+    ],
+)
+def test_a_name_beside_drives_with_wrong_formulas_pays_even_where_its_own_seem_right(
+    scores: tuple[float, float], other: float | None, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``other``: error of a second drive without a name, whose formulas are wrong; a vector is its own score here."""
+    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
+    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 1.0)
+
+    def stage(target: str, nominal: float, named: tuple[str, ...], exact: bool) -> Stage:
+        unused: Any = None
+        decision: Any = SimpleNamespace(accumulates=not exact, exact=exact)
+        decision.without_names = lambda lost: decision
+        without, fit = (Fit((), (), np.empty(0), np.array([score]), (), 0.0) for score in scores)
+        fitted = StageFit((), decision, dict.fromkeys(named, without), unused, unused)  # type: ignore[dict-item]
+        names: Any = tuple(SimpleNamespace(candidate=SimpleNamespace(label=label)) for label in named)
+        result = StageResult(unused, names, (), fit, 1.0, 1.0, stage_fit=fitted)
+        problem: Any = SimpleNamespace(stage="command", target=target, integrates=True)
+        split: Any = SimpleNamespace(seen=(), held_out=())
+        return Stage(problem, split, np.ones(1), np.array([nominal]), result)
+
+    stages = [stage("slew", 5.0, ("gain(slew)",), True)]
+    stages += [stage("boom", other, (), False)] if other is not None else []
+    assert bool(without_cheap_names(stages)[0].found.named) is kept
 
 
 @pytest.mark.parametrize(
@@ -262,23 +295,20 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 
 
 @pytest.mark.parametrize(
-    ("share", "absent", "p_value", "accumulates", "refused"),
+    ("share", "absent", "nats", "refused"),
     [
-        (0.5, False, 0.5, False, ""),
-        (0.5, False, 0.97, False, ""),
-        (0.5, False, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
-        (0.5, False, 0.98, True, ""),  # values of the free run: the whitened likelihood does not count
-        (0.5, True, 0.0, False, UNCERTAIN),
-        (0.005, False, 0.0, False, "it closes 0.5% of the gap on held-out recordings"),
+        (0.5, False, 3.1, ""),
+        (0.5, False, 2.9, PREDICTED_WITHOUT),  # odds of 20 to 1
+        (0.5, False, -10.0, PREDICTED_WITHOUT),
+        (0.5, True, 50.0, UNCERTAIN),
+        (0.005, False, 50.0, "it closes 0.5% of the gap on held-out recordings"),
     ],
 )
-def test_what_refuses_a_name(
-    share: float, absent: bool, p_value: float, accumulates: bool, refused: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(p_value=p_value))
-    result: Any = SimpleNamespace(accumulates=accumulates)
+    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(nats=nats))
+    result: Any = SimpleNamespace()
     assert proof._refusal(result, kept, np.empty(0), share) == refused
 
 
