@@ -239,7 +239,15 @@ def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: fl
         return f"it closes {share:.1%} of the gap on held-out recordings"
     if may_be_absent(result, kept.candidate, limits):
         return UNCERTAIN
-    return PREDICTED_WITHOUT if kept.evidence.nats < LEAST else ""
+    return PREDICTED_WITHOUT if _nats(result, kept) < LEAST else ""
+
+
+def _nats(result: StageResult, kept: AcceptedEffect) -> float:
+    """Gain of an effect on blocks that were left out; where errors accumulate without the effects that are only adjusted."""
+    if not result.accumulates or result.names_alone is None:
+        return kept.evidence.nats
+    alone = {each.candidate.label: each.evidence.nats for each in result.names_alone.named}
+    return alone.get(kept.candidate.label, kept.evidence.nats)
 
 
 def _least_share(result: StageResult) -> float:

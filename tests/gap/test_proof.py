@@ -308,8 +308,19 @@ def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: s
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
     kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(nats=nats))
-    result: Any = SimpleNamespace()
+    result: Any = SimpleNamespace(accumulates=False, names_alone=None)
     assert proof._refusal(result, kept, np.empty(0), share) == refused
+
+
+@pytest.mark.parametrize(("accumulates", "nats"), [(True, 40.0), (False, 1.0)])
+def test_effects_that_are_only_adjusted_do_not_take_the_evidence_of_a_name(accumulates: bool, nats: float) -> None:
+    """Three adjusted effects together replace a dead time of a quarter of a second."""
+
+    def kept(gain: float) -> Any:
+        return SimpleNamespace(candidate=SimpleNamespace(label="delay"), evidence=SimpleNamespace(nats=gain))
+
+    result: Any = SimpleNamespace(accumulates=accumulates, names_alone=SimpleNamespace(named=(kept(40.0),)))
+    assert proof._nats(result, kept(1.0)) == nats
 
 
 def test_steps_of_a_sensor_are_compared_with_the_plant_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
