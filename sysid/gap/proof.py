@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import norm
 
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
@@ -23,7 +24,7 @@ from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
+from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, STANDARD_ERRORS, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
 from sysid.gap.unnamed.position_instead import without_names_of_position
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
@@ -239,7 +240,9 @@ def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: fl
         return f"it closes {share:.1%} of the gap on held-out recordings"
     if may_be_absent(result, kept.candidate, limits):
         return UNCERTAIN
-    return PREDICTED_WITHOUT if _nats(result, kept) < LEAST else ""
+    if result.problem.integrates:
+        return PREDICTED_WITHOUT if _nats(result, kept) < LEAST else ""
+    return PREDICTED_WITHOUT if kept.evidence.p_value > norm.cdf(STANDARD_ERRORS) else ""
 
 
 def _nats(result: StageResult, kept: AcceptedEffect) -> float:

@@ -295,20 +295,24 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 
 
 @pytest.mark.parametrize(
-    ("share", "absent", "nats", "refused"),
+    ("share", "absent", "nats", "p_value", "integrates", "refused"),
     [
-        (0.5, False, 3.1, ""),
-        (0.5, False, 2.9, PREDICTED_WITHOUT),  # odds of 20 to 1
-        (0.5, False, -10.0, PREDICTED_WITHOUT),
-        (0.5, True, 50.0, UNCERTAIN),
-        (0.005, False, 50.0, "it closes 0.5% of the gap on held-out recordings"),
+        (0.5, False, 3.1, 0.5, True, ""),
+        (0.5, False, 2.9, 0.3, True, PREDICTED_WITHOUT),  # odds of 20 to 1
+        (0.5, False, 2.9, 0.3, False, ""),  # the discrepancy replaces friction, whose values it does not take
+        (0.5, False, -9.0, 0.97, False, ""),
+        (0.5, False, -9.0, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
+        (0.5, True, 50.0, 0.0, True, UNCERTAIN),
+        (0.005, False, 50.0, 0.0, True, "it closes 0.5% of the gap on held-out recordings"),
     ],
 )
-def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_refuses_a_name(
+    share: float, absent: bool, nats: float, p_value: float, integrates: bool, refused: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(nats=nats))
-    result: Any = SimpleNamespace(accumulates=False, names_alone=None)
+    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(nats=nats, p_value=p_value))
+    result: Any = SimpleNamespace(accumulates=False, names_alone=None, problem=SimpleNamespace(integrates=integrates))
     assert proof._refusal(result, kept, np.empty(0), share) == refused
 
 
