@@ -242,7 +242,8 @@ def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: fl
         return UNCERTAIN
     if result.problem.integrates:
         return PREDICTED_WITHOUT if _nats(result, kept) < LEAST else ""
-    return PREDICTED_WITHOUT if kept.evidence.p_value > norm.cdf(STANDARD_ERRORS) else ""
+    worse = kept.evidence.nats < -LEAST and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS)
+    return PREDICTED_WITHOUT if worse else ""
 
 
 def _nats(result: StageResult, kept: AcceptedEffect) -> float:

@@ -302,6 +302,7 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
         (0.5, False, 2.9, 0.3, False, ""),  # the discrepancy replaces friction, whose values it does not take
         (0.5, False, -9.0, 0.97, False, ""),
         (0.5, False, -9.0, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
+        (0.5, False, -0.8, 0.996, False, ""),  # significant, and of no size
         (0.5, True, 50.0, 0.0, True, UNCERTAIN),
         (0.005, False, 50.0, 0.0, True, "it closes 0.5% of the gap on held-out recordings"),
     ],
