@@ -1,4 +1,4 @@
-"""Names that are not worth their price on held-out recordings (docs/decisions/decision-rule.md)."""
+"""Names that are not worth their price on recordings left out of the fit (docs/decisions/decision-rule.md)."""
 
 from __future__ import annotations
 
