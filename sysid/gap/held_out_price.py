@@ -44,9 +44,10 @@ def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage
     result, fitted = stage.found, stage.found.stage_fit
     if not result.named or fitted is None or (fitted.decision.exact and not (stage.problem.integrates and typical > 0.0)):
         return stage
+    alike = typical * _distance(stage) if typical > 0.0 else 0.0
     lost = dict[str, str]()
     for kept in result.named:
-        lacks = [_too_cheap(stage, *pair, typical, error) for pair in comparisons_without(stage, kept.candidate.label)]
+        lacks = [_too_cheap(stage, *pair, alike, error) for pair in comparisons_without(stage, kept.candidate.label)]
         if all(lacks):
             lost[kept.candidate.label] = lacks[0]
     if not lost:
@@ -60,13 +61,16 @@ def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage
     return replace(stage, result=result.without_names(lost))
 
 
-def _too_cheap(stage: Stage, without: Fitted, model: Fitted, typical: float, error: Error) -> str:
-    """Condition that a name fails by a comparison of sets without and with its effect; empty if it fails none."""
+def _too_cheap(stage: Stage, without: Fitted, model: Fitted, alike: float, error: Error) -> str:
+    """Condition that a name fails by a comparison of sets without and with its effect; empty if it fails none.
+
+    Args:
+        alike: error of the machine's other drives over the distance of this one, in noise floors.
+    """
     if stage.problem.integrates:
         before, after = error(stage, without), error(stage, model)
         if not pays(before, after):
             return LOST
-        alike = typical * distance_moved(stage, [*stage.split.seen, *stage.split.held_out])
         return "" if pays_beside(before, after, alike) else ORDINARY
     excited = is_excited(stage, without.theta, model.theta)
     return LOST if excited and not pays(held_out_error(stage, without.theta), held_out_error(stage, model.theta)) else ""
@@ -103,4 +107,9 @@ def _formula_error(stage: Stage, error: Error) -> float:
     if not stage.found.accumulates:
         return 0.0
     model = stage.found.fit if stage.found.named else stage.nominal
-    return error(stage, model) / max(distance_moved(stage, [*stage.split.seen, *stage.split.held_out]), 1e-300)
+    return error(stage, model) / max(_distance(stage), 1e-300)
+
+
+def _distance(stage: Stage) -> float:
+    """Distance that the output moves in a recording, mean over all of them, in noise floors."""
+    return distance_moved(stage, [*stage.split.seen, *stage.split.held_out])

@@ -23,7 +23,7 @@ TERMS = {
     "noise-floor": r"noise floors?",
     "excitation": r"excitation|excites?",
 }
-#: What is no prose: fences, indented blocks after a blank line, inline code, headings, comments, targets of links, pictures.
+#: Markdown that gets no links: code blocks (fenced or indented), inline code, headings, comments, link targets, images.
 _OTHER = re.compile(r"^```.*?^```|(?<=\n\n)(?: {4}[^\n]*\n)+|`[^`\n]*`|^#.*?$|<!--.*?-->|\]\([^)]*\)", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[[^\[\]]*\]\([^)]*\)")
 

@@ -15,6 +15,7 @@ from numpy.polynomial.legendre import legvander
 
 from sysid.gap.case import Stage
 from sysid.gap.decision import POSITION
+from sysid.gap.fit import spread_of
 from sysid.gap.held_out_price import comparisons_without
 from sysid.gap.likelihood.discrepancy.shapes import filled, span_of
 from sysid.gap.price import divides
@@ -72,7 +73,7 @@ def replaces(without: Sequence[PositionResidual], names: Sequence[PositionResidu
     if len(without) < 2:
         return False
     instead, both = left_out(without), left_out(names)
-    return divides(_rms([each.residual for each in names]), instead) and not divides(instead, both)
+    return divides(spread_of([each.residual for each in names]), instead) and not divides(instead, both)
 
 
 def left_out(recordings: Sequence[PositionResidual]) -> float:
@@ -83,8 +84,4 @@ def left_out(recordings: Sequence[PositionResidual]) -> float:
     for r, (own, own_right) in zip(recordings, products, strict=True):
         coefficients = np.linalg.lstsq(gram - own, right - own_right, rcond=None)[0]
         left.append(r.residual - r.columns @ coefficients)
-    return _rms(left)
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    return spread_of(left)
