@@ -50,8 +50,9 @@ def cross_validated_error(stage: Stage, model: Fitted) -> float:
 
 
 def _without_fold(stage: Stage, model: Fitted, fold: int, folds: int) -> Array:
-    """The parameter vector with values that are fitted without a fold, begun at those of ``model``."""
+    """The parameter vector with values fitted without a fold, begun at those of ``model`` and by the same criterion."""
     if not model.candidates:
         return model.theta
     kept = [r for k, r in enumerate(stage.split.seen) if k % folds != fold]
-    return fit_candidates(Data(stage.problem, kept, stage.sigma), stage.theta, model.candidates, [model.values]).theta
+    data = Data(stage.problem, kept, stage.sigma, drifting=not stage.found.accumulates)
+    return fit_candidates(data, stage.theta, model.candidates, [model.values]).theta

@@ -20,11 +20,16 @@ MEMORY = 0.9
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise and activity."""
+    """Recordings of a problem with what does not change between fits: noise and activity.
+
+    Args:
+        drifting: whether errors may be a drift of the machine; else a fit is least squares over the free run.
+    """
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
+    drifting: bool = True
     activities: list[Array] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -57,6 +62,13 @@ class Data:
         memory = 1.0 if self.problem.integrates else MEMORY
         found, total = [], 0.0
         for k in range(len(self.sigma)):
+            if not self.drifting:
+                joined = np.concatenate([part[0, :, k] for part in bins])
+                there = joined[~np.isnan(joined)]
+                noise = max(float(np.sqrt(np.mean(there**2))), 1e-12) if len(there) else 1.0
+                found.append(DriftStrength(noise=noise, memory=memory))
+                total -= len(there) * (np.log(noise) + 0.5)
+                continue
             drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
             found.append(drift)
             total += log_likelihood

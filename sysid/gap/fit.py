@@ -131,7 +131,7 @@ def _descend(
     scale = np.array([u.negligible for u in unknowns])
     plain = (DriftStrength(),) * len(data.sigma)
     x = start
-    if data.problem.short is not None:  # drift does not lead to a local optimum in short runs
+    if data.problem.short is not None and data.drifting:  # drift does not lead to a local optimum in short runs
         x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short, ROUGH)
     x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
@@ -191,8 +191,9 @@ def _least_squares(
     def slopes(part: Array) -> Array:
         return jacobian(data, theta, unknowns, whole(part), drifts, high, problem, errors(part), smooth)[1]
 
+    loss = "soft_l1" if data.drifting else "linear"
     solution = least_squares(
-        errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss="soft_l1",
+        errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss=loss,
         f_scale=outlier_scale(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,
     )  # fmt: skip
     return whole(solution.x)
@@ -210,7 +211,8 @@ def _search_grid(
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
     thetas = place(theta, unknowns, lanes)
-    costs = np.sum(np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma))), axis=1)
+    errors = np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma)))
+    costs = np.sum(errors if data.drifting else errors**2, axis=1)
     best: Array = lanes[int(np.argmin(costs))]
     return best
 
