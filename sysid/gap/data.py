@@ -35,6 +35,11 @@ class Data:
     def __post_init__(self) -> None:
         self.activities = [activity_of(self.problem, r) for r in self.recordings]
 
+    @property
+    def drifts_in_motion(self) -> bool:
+        """Whether residuals are those of a drift model: at a stage that integrates, unless errors are not a drift."""
+        return self.problem.integrates and self.drifting
+
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""
         at = problem or self.problem

@@ -13,10 +13,11 @@ from scipy.stats import norm
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
+from sysid.gap.cross_validation import gain_of_recordings
 from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.floor import problem_floor
 from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
-from sysid.gap.held_out_price import without_cheap_names
+from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
@@ -199,7 +200,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
-        if why := _refusal(result, kept, limits, share):
+        if why := _refusal(stage, kept, limits, share):
             refused[candidate.label] = outcome.refused[candidate.key] = why
             outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
             adjusted.append(candidate)
@@ -234,16 +235,25 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     return refused
 
 
-def _refusal(result: StageResult, kept: AcceptedEffect, limits: Array, share: float) -> str:
+def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> str:
     """Condition for a name that an effect of the decision fails by its proof; empty if it fails none."""
+    result = stage.found
     if share < _least_share(result):
         return f"it closes {share:.1%} of the gap on held-out recordings"
     if may_be_absent(result, kept.candidate, limits):
         return UNCERTAIN
     if result.problem.integrates:
-        return PREDICTED_WITHOUT if _nats(result, kept) < LEAST else ""
+        return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
     worse = kept.evidence.nats < -LEAST and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS)
     return PREDICTED_WITHOUT if worse else ""
+
+
+def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:
+    """Whether whole recordings are predicted clearly better with an effect whose errors accumulate too slowly for blocks."""
+    if not stage.found.accumulates:
+        return False
+    pairs = comparisons_without(stage, kept.candidate.label)
+    return any(gain_of_recordings(stage, *pair) >= LEAST for pair in pairs)
 
 
 def _nats(result: StageResult, kept: AcceptedEffect) -> float:

@@ -50,7 +50,8 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
         return replace(stage, result=replace(result, limits=limits_of(result)))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     limits = limits_of(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
-    known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
+    free = replace(seen, drifting=not result.accumulates)
+    known = known_of(free, stage.theta, result.fit, case.noise, case.seed)
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
     fit = known.fit if EXPLAINED * after < before else result.fit

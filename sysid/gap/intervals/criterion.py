@@ -1,6 +1,6 @@
 """Cost of a parameter vector in nats: the sum of softly winsorised squares of standardised residuals.
 
-Where the stage integrates, residuals are the prediction errors of the fit's drift model; the model is always applied, since it
+Where errors may be a drift, residuals are the prediction errors of the fit's drift model; the model is always applied, since it
 also accounts for the noise of the sample from which a run starts. Elsewhere they are the residuals themselves, as in the fit,
 and their drift widens the intervals.
 """
@@ -28,7 +28,7 @@ class Criterion:
 
     Args:
         theta: vector of the plant under test.
-        drifts: of every signal, where the stage integrates.
+        drifts: of every signal, where errors may be a drift.
         scales: standard deviation of every signal's residuals in units of noise (d,).
         outlier: number of standard deviations beyond which a residual is an outlier.
     """
@@ -59,7 +59,7 @@ class Criterion:
         for part, activity in zip(bins, activities, strict=True):
             for k, (drift, scale) in enumerate(zip(self.drifts, self.scales, strict=True)):
                 series = part[:, :, k]
-                lanes.append((whiten_lanes(series, activity, drift) if self.data.problem.integrates else series) / scale)
+                lanes.append((whiten_lanes(series, activity, drift) if self.data.drifts_in_motion else series) / scale)
         joined: Array = np.nan_to_num(np.concatenate(lanes, axis=1))
         return joined
 
@@ -96,7 +96,7 @@ class Criterion:
 def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values: Array) -> Criterion:
     """The cost with noise and drift as estimated at ``values`` (k,)."""
     at = place(theta, unknowns, values[None])
-    if data.problem.integrates:
+    if data.drifts_in_motion:
         drifts, _ = data.drifts(at[0])
         scales = np.array([drift.noise for drift in drifts])
     else:
