@@ -43,8 +43,9 @@ def gain_of_recordings(stage: Stage, without: Fitted, model: Fitted) -> float:
     """Gain of ``model`` in the prediction of whole recordings [nats].
 
     The squared errors of n recordings are lower by d_1 … d_n. Against a mean of zero, a normal density with unknown mean and
-    variance gains ``n/2·ln(1 + t²/(n − 1))``, t = mean(d)/(standard deviation(d)/√n) (Mood, Graybill, Boes, Introduction
-    to the Theory of Statistics, 3rd ed., ch. IX, section 4.1). Unlike blocks of a few seconds, recordings also show effects as slow as a leak at rest.
+    variance gains ``n/2·ln(1 + t²/(n − 1))``, ``t`` of Student's test of the d (Mood, Graybill, Boes, Introduction to the
+    Theory of Statistics, 3rd ed., ch. IX, section 4.1). Unlike blocks of a few seconds, recordings also show effects as slow as
+    a leak at rest.
     """
     before, after = (_errors(stage, each) for each in (without, model))
     lower = np.array([np.nansum(before[name] ** 2) - np.nansum(after[name] ** 2) for name in before])
