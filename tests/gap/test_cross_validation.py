@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +12,9 @@ from plant_data import dataset_of, nominal
 
 from sysid.gap.candidates import candidates_at
 from sysid.gap.case import Stage
-from sysid.gap.cross_validation import cross_validated_error
-from sysid.gap.fit import Fit, place
+from sysid.gap.cross_validation import cross_validated_error, gain_of_recordings
+from sysid.gap.data import Data
+from sysid.gap.fit import Fit, fit_candidates, place
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
@@ -26,7 +29,8 @@ def study() -> tuple[Stage, Fit]:
     problem = next(p for p in problems_of(model, dataset) if p.stage == "command" and p.target == "boom")
     sigma = np.array([dataset.machine.noise[signal] for signal in problem.signals])
     gain = next(c for c in candidates_at(PLANT, model.theta, "command", ("boom",)) if c.effect.name == "gain_error")
-    stage = Stage(problem, split, sigma, model.theta)
+    result: Any = SimpleNamespace(accumulates=False)
+    stage = Stage(problem, split, sigma, model.theta, result=result)
     return stage, Fit((gain,), gain.unknowns, np.array([TRUE]), placed(stage, gain.unknowns, TRUE), (), 0.0)
 
 
@@ -57,3 +61,51 @@ def test_a_recording_that_differs_is_not_predicted_by_the_others() -> None:
     two = [stage.split.fit[0], split_of(other).fit[1]]
     apart = replace(stage, split=replace(stage.split, fit=tuple(two), select=(), held_out=stage.split.held_out[:0]))
     assert cross_validated_error(apart, fit) > 1.5 * cross_validated_error(apart, apart.nominal)
+
+
+def leaking(rate: float) -> tuple[Stage, Fit]:
+    """The drive of a boom of which each recording drifts by another speed, beside a leak."""
+    dataset = dataset_of(PLANT.with_effect(KnownEffect("internal_leakage", "boom", {"rate": rate})))
+    recordings = []
+    for k, recording in enumerate(dataset.recordings):
+        slow = 2e-5 * (1.0 + 0.3 * k) * recording.table["time"]
+        recordings.append(
+            replace(recording, table=recording.table.assign(**{"boom.cylinder": recording.values("boom.cylinder") - slow}))
+        )
+    dataset = replace(dataset, recordings=tuple(recordings))
+    model, split = compile_plant(PLANT), split_of(dataset)
+    problem = next(p for p in problems_of(model, dataset) if p.stage == "command" and p.target == "boom")
+    sigma = np.array([dataset.machine.noise[signal] for signal in problem.signals])
+    leak = next(c for c in candidates_at(PLANT, model.theta, "command", ("boom",)) if c.effect.name == "internal_leakage")
+    result: Any = SimpleNamespace(accumulates=True)
+    stage = Stage(problem, split, sigma, model.theta, result=result)
+    return stage, Fit((leak,), leak.unknowns, np.array([rate]), placed(stage, leak.unknowns, rate), (), 0.0)
+
+
+def test_where_errors_accumulate_values_are_those_of_least_squares() -> None:
+    """A model with a drift takes a slow effect for a drift."""
+    stage, fit = leaking(1e-4)
+    free, drifting = (Data(stage.problem, stage.split.seen, stage.sigma, drifting=kind) for kind in (False, True))
+    found = fit_candidates(free, stage.theta, fit.candidates, [fit.values])
+    squares = [np.nansum(np.concatenate(free.residuals(f.theta[None]), axis=1) ** 2) for f in (fit, found)]
+    assert squares[1] < squares[0]
+    assert found.values[0] > fit_candidates(drifting, stage.theta, fit.candidates, [fit.values]).values[0]
+
+
+def test_whole_recordings_show_an_effect_that_all_of_them_have() -> None:
+    stage, fit = study()
+    more = dataset_of(PLANT.with_effect(KnownEffect("gain_error", "boom", {"ratio": TRUE})), seed=1).recordings
+    seen = (*stage.split.fit, *(replace(r, name=f"more-{r.name}") for r in more))
+    stage = replace(stage, split=replace(stage.split, fit=seen))
+    assert gain_of_recordings(stage, stage.nominal, fit) > 3.0
+    assert gain_of_recordings(stage, fit, stage.nominal) == 0.0
+    assert gain_of_recordings(stage, fit, fit) == 0.0
+
+
+def test_one_recording_of_several_does_not_show_an_effect() -> None:
+    """The other recordings have the gain of the plant."""
+    stage, fit = study()
+    same = dataset_of(PLANT)
+    rest = [r for r in same.recordings if r.name != stage.split.held_out[0].name]
+    mixed = replace(stage, split=replace(stage.split, fit=tuple(rest), select=()))
+    assert gain_of_recordings(mixed, mixed.nominal, fit) < 3.0

@@ -312,9 +312,30 @@ def test_what_refuses_a_name(
 ) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    kept: Any = SimpleNamespace(candidate=None, evidence=SimpleNamespace(nats=nats, p_value=p_value))
-    result: Any = SimpleNamespace(accumulates=False, names_alone=None, problem=SimpleNamespace(integrates=integrates))
-    assert proof._refusal(result, kept, np.empty(0), share) == refused
+    assert proof._refusal(_stage(integrates), _kept(nats, p_value), np.empty(0), share) == refused
+
+
+def _stage(integrates: bool, accumulates: bool = False) -> Any:
+    result = SimpleNamespace(accumulates=accumulates, names_alone=None, problem=SimpleNamespace(integrates=integrates))
+    return SimpleNamespace(found=result)
+
+
+def _kept(nats: float, p_value: float) -> Any:
+    return SimpleNamespace(candidate=SimpleNamespace(label="leak"), evidence=SimpleNamespace(nats=nats, p_value=p_value))
+
+
+@pytest.mark.parametrize(
+    ("accumulates", "gains", "refused"),
+    [(True, [0.0, 3.1], ""), (True, [2.9, 2.9], PREDICTED_WITHOUT), (False, [9.0], PREDICTED_WITHOUT)],
+)
+def test_whole_recordings_keep_a_name_that_blocks_are_too_short_for(
+    accumulates: bool, gains: list[float], refused: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proof, "may_be_absent", lambda *_: False)
+    monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
+    monkeypatch.setattr(proof, "comparisons_without", lambda *_: [(gain, gain) for gain in gains])
+    monkeypatch.setattr(proof, "gain_of_recordings", lambda stage, without, model: model)
+    assert proof._refusal(_stage(True, accumulates), _kept(0.4, 0.5), np.empty(0), 0.5) == refused
 
 
 @pytest.mark.parametrize(("accumulates", "nats"), [(True, 40.0), (False, 1.0)])
