@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -191,7 +192,7 @@ def _least_squares(
     def slopes(part: Array) -> Array:
         return jacobian(data, theta, unknowns, whole(part), drifts, high, problem, errors(part), smooth)[1]
 
-    loss = "soft_l1" if data.drifting else "linear"
+    loss: Literal["soft_l1", "linear"] = "soft_l1" if data.drifting else "linear"
     solution = least_squares(
         errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss=loss,
         f_scale=outlier_scale(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,

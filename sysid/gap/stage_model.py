@@ -101,12 +101,11 @@ def fit_stage(
     extra = _transients(rows)
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
-    discrepancy = _discrepancy(model, rows, theta, sample)
-    free = free_run_of(rows, discrepancy, excited)
+    free = free_run_of(rows, _discrepancy(model, rows, theta, sample).absent, excited)
     sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
     taus = (FREE_RUN_TAU,) if problem.integrates else FIRST_TAUS
     known = dict(free.proposals.fits)
-    found = [_converged(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
+    found = [_converged(model, rows, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
     # A large discrepancy would replace effects that explain the output, whatever its evidence.
     likeliest = [each[2] for each in found]
     kept = [each for each in found if problem.integrates or not outdone(each[2], likeliest)]
@@ -186,7 +185,6 @@ def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit
 def _converged(
     model: Model,
     rows: StageRows,
-    discrepancy: Discrepancy,
     sample: float,
     start: Start,
     extra: Sequence[Array],
@@ -200,6 +198,7 @@ def _converged(
 
     ``known``: fits under other variances, as start values; those of this one are added.
     """
+    discrepancy = _discrepancy(model, rows, rows.theta, sample)
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     rich = first
 
@@ -214,7 +213,7 @@ def _converged(
 
     for _ in range(2):
         rich = searched(variances, discrepancy, rich)
-        del discrepancy  # a table of all rows, before the next one
+        del discrepancy  # the largest table of a stage, before the next one
         discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
     proposals = proposals_under(variances, discrepancy)

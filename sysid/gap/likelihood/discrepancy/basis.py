@@ -24,12 +24,12 @@ class Discrepancy:
     """Columns of a discrepancy.
 
     Args:
-        columns: (rows, m), unit of the output for a coefficient of one.
+        columns: (rows, m), unit of the output for a coefficient of one; in single precision, the largest table of a stage.
         group: index in ``groups`` of each column, (m,).
         timing: change of the output for half a sample of timing, (rows,).
     """
 
-    columns: Array
+    columns: npt.NDArray[np.float32]
     group: npt.NDArray[np.int64]
     groups: tuple[str, ...]
     timing: Array
@@ -37,7 +37,7 @@ class Discrepancy:
     @property
     def absent(self) -> Discrepancy:
         """The timing alone."""
-        return Discrepancy(np.zeros((len(self.timing), 0)), np.zeros(0, dtype=np.int64), (), self.timing)
+        return Discrepancy(np.zeros((len(self.timing), 0), np.float32), np.zeros(0, dtype=np.int64), (), self.timing)
 
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
@@ -45,14 +45,14 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
     problem = rows.problem
     make = _maker(model, rows, theta)
     groups, sizes = tuple[str, ...](), list[int]()
-    table, timing = np.empty((rows.count, 0)), np.zeros(rows.count)
+    table, timing = np.empty((rows.count, 0), np.float32), np.zeros(rows.count)
     at = 0
     signals = len(problem.signals)
     for recording in rows.recordings:
         columns = make(recording)
         if not at:
             groups, sizes = tuple(columns), [values.shape[1] for values in columns.values()]
-            table = np.empty((rows.count, sum(sizes)))
+            table = np.empty((rows.count, sum(sizes)), np.float32)
         width = rows.series[at].width
         first = 0
         for name, size in zip(groups, sizes, strict=True):
