@@ -31,6 +31,7 @@ Given models of one stage (sets of effects) under shared variances:
 7. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation, and with twice
    the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out_price`).
+   An effect of the machine pays once for all drives that show it.
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.

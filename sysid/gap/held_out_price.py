@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sysid.gap.case import Stage
 from sysid.gap.cross_validation import Fitted, cross_validated_error
 from sysid.gap.decision import BESIDE, LOST, ORDINARY
@@ -32,21 +34,74 @@ def without_cheap_names(stages: Sequence[Stage]) -> list[Stage]:
     kept = list(stages)
     for _ in kept:
         typical = typical_errors([_formula_error(stage, error) for stage in kept])
-        checked = [_without_cheap_names_of(stage, each, error) for stage, each in zip(kept, typical, strict=True)]
+        alike = [each * _distance(stage) if each > 0.0 else 0.0 for stage, each in zip(kept, typical, strict=True)]
+        proven = _proven_together(kept, alike, error)
+        checked = [_without_cheap_names_of(stage, each, error, proven) for stage, each in zip(kept, alike, strict=True)]
         if all(one is other for one, other in zip(kept, checked, strict=True)):
             break
         kept = checked
     return kept
 
 
-def _without_cheap_names_of(stage: Stage, typical: float, error: Error) -> Stage:
-    """The stage without its cheap names; ``typical``: error of the machine's other drives, as a share of the distance moved."""
+def _proven_together(stages: Sequence[Stage], alike: Sequence[float], error: Error) -> frozenset[str]:
+    """Labels of effects of the machine that are worth their price at all drives that show them together.
+
+    A pump that limits the flow of four drives is one effect, and pays once. The intervals of its values have to share a value.
+    """
+    shown: dict[str, list[tuple[Stage, float]]] = {}
+    for stage, each in zip(stages, alike, strict=True):
+        for kept in stage.found.named:
+            if kept.candidate.target == "machine" and stage.problem.integrates:
+                shown.setdefault(kept.candidate.label, []).append((stage, each))
+    return frozenset(
+        label
+        for label, drives in shown.items()
+        if len(drives) > 1
+        and _agree([stage for stage, _ in drives], label)
+        and any(_pays_together(drives, label, which, error) for which in (0, -1))
+    )
+
+
+def _pays_together(drives: Sequence[tuple[Stage, float]], label: str, which: int, error: Error) -> bool:
+    """Whether an effect is worth its price at several drives, each with its ``alike``; ``which`` of the comparisons of each."""
+    before, after, beside = 0.0, 0.0, 0.0
+    for stage, alike in drives:
+        pairs = comparisons_without(stage, label)
+        if not pairs:
+            return False
+        without, model = pairs[which]
+        left = error(stage, model)
+        before, after = before + error(stage, without) ** 2, after + left**2
+        beside += max(left, alike) ** 2
+    count = len(drives)
+    return pays_beside(*(float(np.sqrt(each / count)) for each in (before, after, beside)))
+
+
+def _agree(stages: Sequence[Stage], label: str) -> bool:
+    """Whether the 95 % intervals of an effect's values at several drives share a value."""
+    ends = []
+    for stage in stages:
+        assert stage.found.limits is not None
+        candidate = next(kept.candidate for kept in stage.found.named if kept.candidate.label == label)
+        ends.append(stage.found.limits[stage.found.fit.rows_of(candidate)])
+    table = np.array(ends)  # (drives, values, 2)
+    return bool((table[:, :, 0].max(axis=0) <= table[:, :, 1].min(axis=0)).all())
+
+
+def _without_cheap_names_of(stage: Stage, alike: float, error: Error, proven: frozenset[str]) -> Stage:
+    """The stage without its cheap names.
+
+    Args:
+        alike: error of the machine's other drives over the distance of this one, in noise floors; 0 where it is not known.
+        proven: labels of names that are worth their price at several drives together.
+    """
     result, fitted = stage.found, stage.found.stage_fit
-    if not result.named or fitted is None or (fitted.decision.exact and not (stage.problem.integrates and typical > 0.0)):
+    if not result.named or fitted is None or (fitted.decision.exact and not (stage.problem.integrates and alike > 0.0)):
         return stage
-    alike = typical * _distance(stage) if typical > 0.0 else 0.0
     lost = dict[str, str]()
     for kept in result.named:
+        if kept.candidate.label in proven:
+            continue
         lacks = [_too_cheap(stage, *pair, alike, error) for pair in comparisons_without(stage, kept.candidate.label)]
         if all(lacks):
             lost[kept.candidate.label] = lacks[0]

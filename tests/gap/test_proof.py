@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -214,7 +214,7 @@ def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
     model: Any = Unnamed(accumulates=True, exact=False, lost={})
     unused: Any = None
     fitted = StageFit((), model, {"oil(boom)": vector(alone[0])}, unused, unused, beside=beside)
-    name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)"))
+    name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)", target="boom"))
     result = StageResult(unused, (name,), (), vector(alone[1]), 1.0, 1.0, stage_fit=fitted)
     problem: Any = SimpleNamespace(stage="command", target="boom", integrates=True)
     stage = Stage(problem, SimpleNamespace(seen=(), held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
@@ -251,7 +251,7 @@ def test_a_name_beside_drives_with_wrong_formulas_pays_even_where_its_own_seem_r
         decision.without_names = lambda lost: decision
         without, fit = (Fit((), (), np.empty(0), np.array([score]), (), 0.0) for score in scores)
         fitted = StageFit((), decision, dict.fromkeys(named, without), unused, unused)  # type: ignore[dict-item]
-        names: Any = tuple(SimpleNamespace(candidate=SimpleNamespace(label=label)) for label in named)
+        names: Any = tuple(SimpleNamespace(candidate=SimpleNamespace(label=label, target=target)) for label in named)
         result = StageResult(unused, names, (), fit, 1.0, 1.0, stage_fit=fitted)
         problem: Any = SimpleNamespace(stage="command", target=target, integrates=True)
         split: Any = SimpleNamespace(seen=(), held_out=())
@@ -260,6 +260,38 @@ def test_a_name_beside_drives_with_wrong_formulas_pays_even_where_its_own_seem_r
     stages = [stage("slew", 5.0, ("gain(slew)",), True)]
     stages += [stage("boom", other, (), False)] if other is not None else []
     assert bool(without_cheap_names(stages)[0].found.named) is kept
+
+
+@pytest.mark.parametrize(
+    ("second", "limits", "kept"),
+    [
+        ((40.0, 10.0), (1.5, 2.0), True),  # the error of both falls to a quarter
+        ((40.0, 20.0), (1.5, 2.0), False),  # together they do not pay either
+        ((40.0, 10.0), (2.1, 2.5), False),  # another limit: no pump has both
+    ],
+)
+def test_a_limit_of_the_pump_pays_once_for_all_drives(
+    second: tuple[float, float], limits: tuple[float, float], kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone, the limit reduces the error of the first drive by half, which is not its price."""
+    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
+    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 0.0)
+    label, unused = "pump_flow_limit(machine)", cast(Any, None)
+
+    def stage(target: str, scores: tuple[float, float], ends: tuple[float, float]) -> Stage:
+        decision: Any = SimpleNamespace(accumulates=True, exact=False)
+        decision.without_names = lambda lost: decision
+        candidate: Any = SimpleNamespace(label=label, target="machine", unknowns=(None,))
+        without, fit = (Fit((candidate,), (), np.empty(0), np.array([score]), (), 0.0) for score in scores)
+        fitted = StageFit((), decision, {label: without}, unused, unused)  # type: ignore[dict-item]
+        names: Any = (SimpleNamespace(candidate=candidate),)
+        result = StageResult(unused, names, (), fit, 1.0, 1.0, stage_fit=fitted, limits=np.array([ends]))
+        problem: Any = SimpleNamespace(stage="command", target=target, integrates=True)
+        split: Any = SimpleNamespace(seen=(), held_out=())
+        return Stage(problem, split, np.ones(1), np.array([scores[0]]), result)
+
+    found = without_cheap_names([stage("slew", (10.0, 5.0), (1.6, 1.9)), stage("boom", second, limits)])
+    assert bool(found[0].found.named) is kept
 
 
 @pytest.mark.parametrize(
