@@ -36,8 +36,8 @@ class Data:
         self.activities = [activity_of(self.problem, r) for r in self.recordings]
 
     @property
-    def drifts_in_motion(self) -> bool:
-        """Whether residuals are those of a drift model: at a stage that integrates, unless errors are not a drift."""
+    def models_drift(self) -> bool:
+        """Whether residuals are prediction errors of a drift model: at a stage that integrates, if errors may be a drift."""
         return self.problem.integrates and self.drifting
 
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:

@@ -142,12 +142,12 @@ def _descend(
                 continue
             x = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
-    if not data.drifts_in_motion or not any(drift.present for drift in drifts):
+    if not data.models_drift or not any(drift.present for drift in drifts):
         x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
         drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
         # Where the stage does not integrate, drift does not mislead plain least squares, which published figures use.
-        if not data.drifts_in_motion or not any(drift.present for drift in drifts):
+        if not data.models_drift or not any(drift.present for drift in drifts):
             break
         moved = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, EXACT)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])

@@ -58,7 +58,7 @@ def _proven_together(stages: Sequence[Stage], alike: Sequence[float], error: Err
         for label, drives in shown.items()
         if len(drives) > 1
         and _agree([stage for stage, _ in drives], label)
-        and any(_pays_together(drives, label, which, error) for which in (0, -1))
+        and any(_pays_together(drives, label, which, error) for which in (0, -1))  # alone, or beside a further effect
     )
 
 

@@ -200,13 +200,16 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
+        elsewhere = _is_named(candidate, outcome)  # a pump shows at several stages
         if why := _refusal(stage, kept, limits, share):
+            if elsewhere:
+                outcome.notes.append(f"{instance.name} on {instance.target} is not certain at the {stage.label}: {why}")
+                continue
             refused[candidate.label] = outcome.refused[candidate.key] = why
             outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
             adjusted.append(candidate)
             continue
-        others = {(candidate.effect.name, candidate.target), *candidate.aliases}
-        if others & {(e.name, e.target) for e in outcome.named if e.side == candidate.side}:  # a pump shows at several stages
+        if elsewhere:
             outcome.notes.append(f"{instance.name} on {instance.target} shows at the {stage.label} as well: {shown}")
             if not kept.ties:
                 _use_narrower(outcome, _named(stage, kept, limits, share), instance)
@@ -221,6 +224,8 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         else:
             outcome.named.append(_named(stage, kept, limits, share))
     for candidate in adjusted:
+        if _is_named(candidate, outcome):
+            continue
         values = result.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
         if not candidate.effect.fitted:
@@ -233,6 +238,12 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
+
+
+def _is_named(candidate: Candidate, outcome: ProofOutcome) -> bool:
+    """Whether an effect has its name already, from another stage."""
+    others = {(candidate.effect.name, candidate.target), *candidate.aliases}
+    return bool(others & {(e.name, e.target) for e in outcome.named if e.side == candidate.side})
 
 
 def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> str:

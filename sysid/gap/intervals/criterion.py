@@ -59,7 +59,7 @@ class Criterion:
         for part, activity in zip(bins, activities, strict=True):
             for k, (drift, scale) in enumerate(zip(self.drifts, self.scales, strict=True)):
                 series = part[:, :, k]
-                lanes.append((whiten_lanes(series, activity, drift) if self.data.drifts_in_motion else series) / scale)
+                lanes.append((whiten_lanes(series, activity, drift) if self.data.models_drift else series) / scale)
         joined: Array = np.nan_to_num(np.concatenate(lanes, axis=1))
         return joined
 
@@ -96,7 +96,7 @@ class Criterion:
 def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values: Array) -> Criterion:
     """The cost with noise and drift as estimated at ``values`` (k,)."""
     at = place(theta, unknowns, values[None])
-    if data.drifts_in_motion:
+    if data.models_drift:
         drifts, _ = data.drifts(at[0])
         scales = np.array([drift.noise for drift in drifts])
     else:

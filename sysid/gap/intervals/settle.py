@@ -40,7 +40,7 @@ def settled(data: Data, theta: Array, fit: Fit) -> Fit:
         values = moved
     at = place(theta, fit.unknowns, values[None])[0]
     drifts, log_likelihood = data.drifts(at)
-    if data.drifts_in_motion and log_likelihood <= fit.log_likelihood:
+    if data.models_drift and log_likelihood <= fit.log_likelihood:
         return fit
     return replace(fit, values=values, theta=at, drifts=drifts, log_likelihood=log_likelihood)
 
