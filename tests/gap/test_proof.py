@@ -12,6 +12,7 @@ from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
+from sysid.gap.candidates import candidates_at
 from sysid.gap.case import Stage
 from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
@@ -21,6 +22,7 @@ from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_interval
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
+from sysid.plant import compile_plant
 
 
 def reads_too_much(seconds: float) -> GapResult:
@@ -354,6 +356,42 @@ def _stage(integrates: bool, accumulates: bool = False) -> Any:
 
 def _kept(nats: float, p_value: float) -> Any:
     return SimpleNamespace(candidate=SimpleNamespace(label="leak"), evidence=SimpleNamespace(nats=nats, p_value=p_value))
+
+
+@pytest.mark.parametrize("uncertain", [True, False])
+def test_a_named_limit_of_the_pump_keeps_its_value_where_another_drive_does_not_prove_it(
+    uncertain: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other drive has a name that the proof refuses, or only adjusts the limit."""
+    plant, named = nominal(), KnownEffect("pump_flow_limit", "machine", {"limit": 1.8})
+    pump = next(
+        c
+        for c in candidates_at(plant, compile_plant(plant).theta, "command", ("boom", "machine"))
+        if c.effect.name == named.name
+    )
+    outcome = proof.ProofOutcome(plant.with_effect(named))
+    outcome.named.append(proof.NamedEffect(named.name, "machine", {"limit": 1.8}, {"limit": (1.7, 1.9)}, 0.9))
+    monkeypatch.setattr(proof, "_refusal", lambda *_: UNCERTAIN)
+    monkeypatch.setattr(proof, "_share", lambda *_: 0.5)
+    monkeypatch.setattr(proof, "_uncertainty", lambda *_: SimpleNamespace(places=()))
+    kept: Any = SimpleNamespace(candidate=pump, ties=())
+    unused: Any = None
+    fit = Fit((pump,), pump.unknowns, np.array([1.4]), np.empty(0), (), 0.0)
+    fitted = StageFit((), SimpleNamespace(model=None), {}, unused, unused)  # type: ignore[arg-type]
+    result = StageResult(
+        unused,
+        (kept,) if uncertain else (),
+        () if uncertain else (pump,),
+        fit,
+        1.0,
+        1.0,
+        stage_fit=fitted,
+        limits=np.ones((1, 2)),
+    )
+    problem: Any = SimpleNamespace(stage="command", target="boom")
+    stage = Stage(problem, unused, np.ones(1), np.empty(0), result)
+    assert proof._accept(stage, outcome) == {}
+    assert outcome.repaired.effect(named.name, "machine") == named
 
 
 @pytest.mark.parametrize(
