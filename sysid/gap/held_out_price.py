@@ -81,9 +81,10 @@ def _agree(stages: Sequence[Stage], label: str) -> bool:
     """Whether the 95 % intervals of an effect's values at several drives share a value."""
     ends = []
     for stage in stages:
-        assert stage.found.limits is not None
+        limits = stage.found.limits if stage.found.presence is None else stage.found.presence
+        assert limits is not None
         candidate = next(kept.candidate for kept in stage.found.named if kept.candidate.label == label)
-        ends.append(stage.found.limits[stage.found.fit.rows_of(candidate)])
+        ends.append(limits[stage.found.fit.rows_of(candidate)])
     table = np.array(ends)  # (drives, values, 2)
     return bool((table[:, :, 0].max(axis=0) <= table[:, :, 1].min(axis=0)).all())
 

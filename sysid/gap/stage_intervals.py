@@ -28,12 +28,21 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     result, names = stage.found, alone.found
     assert result.limits is not None
     assert names.limits is not None
-    limits = result.limits.copy()
+    limits = _with_names(result, result.limits, names, names.limits)
+    presence = result.presence
+    if presence is not None and names.presence is not None:
+        presence = _with_names(result, presence, names, names.presence)
+    return replace(stage, result=replace(result, limits=limits, presence=presence))
+
+
+def _with_names(result: StageResult, limits: Array, names: StageResult, alone: Array) -> Array:
+    """Intervals ``limits`` (k, 2) of a result with those of its names ``alone`` in place of theirs."""
+    found = limits.copy()
     for kept in names.named:  # an effect that ties with others is not among them
         here, there = result.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
-        limits[here, 0] = np.minimum(names.limits[there, 0], result.fit.values[here])
-        limits[here, 1] = np.maximum(names.limits[there, 1], result.fit.values[here])
-    return replace(stage, result=replace(result, limits=limits))
+        found[here, 0] = np.minimum(alone[there, 0], result.fit.values[here])
+        found[here, 1] = np.maximum(alone[there, 1], result.fit.values[here])
+    return found
 
 
 def with_intervals(case: Case, stage: Stage) -> Stage:
@@ -49,13 +58,21 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
     if case.adapter is not None or regression:
         return replace(stage, result=replace(result, limits=limits_of(result)))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    limits = limits_of(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
-    free = replace(seen, drifting=not result.accumulates)
-    known = known_of(free, stage.theta, result.fit, case.noise, case.seed)
-    limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
+    own = limits_of(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
+    known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
+    limits = _hull(own, known.limits)
+    presence = None
+    if result.accumulates:
+        squares = known_of(replace(seen, drifting=False), stage.theta, result.fit, case.noise, case.seed)
+        presence = _hull(own, squares.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
     fit = known.fit if EXPLAINED * after < before else result.fit
-    return replace(stage, result=replace(result, fit=fit, limits=limits))
+    return replace(stage, result=replace(result, fit=fit, limits=limits, presence=presence))
+
+
+def _hull(one: Array, other: Array) -> Array:
+    """The intervals (k, 2) that contain those of both."""
+    return np.column_stack([np.minimum(one[:, 0], other[:, 0]), np.maximum(one[:, 1], other[:, 1])])
 
 
 def _spread_of_parts(seen: Data, theta: Array, fitted: StageFit) -> Array | None:
