@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from plant_data import dataset_of, nominal
 
+from sysid.datasets.recording import Dataset
 from sysid.gap.candidates import candidates_at
 from sysid.gap.case import Stage
 from sysid.gap.cross_validation import cross_validated_error, gain_of_recordings
@@ -25,13 +26,18 @@ PLANT, TRUE = nominal(), 1.04
 def study() -> tuple[Stage, Fit]:
     """The drive of a boom whose gain is 4 % larger, and its fit with that gain; two fitted recordings of three."""
     dataset = dataset_of(PLANT.with_effect(KnownEffect("gain_error", "boom", {"ratio": TRUE})))
+    return drive(dataset, "gain_error", TRUE, accumulates=False)
+
+
+def drive(dataset: Dataset, name: str, value: float, accumulates: bool) -> tuple[Stage, Fit]:
+    """The drive of the boom in a dataset, and its fit with the effect ``name`` of one parameter."""
     model, split = compile_plant(PLANT), split_of(dataset)
     problem = next(p for p in problems_of(model, dataset) if p.stage == "command" and p.target == "boom")
     sigma = np.array([dataset.machine.noise[signal] for signal in problem.signals])
-    gain = next(c for c in candidates_at(PLANT, model.theta, "command", ("boom",)) if c.effect.name == "gain_error")
-    result: Any = SimpleNamespace(accumulates=False)
+    effect = next(c for c in candidates_at(PLANT, model.theta, "command", ("boom",)) if c.effect.name == name)
+    result: Any = SimpleNamespace(accumulates=accumulates)
     stage = Stage(problem, split, sigma, model.theta, result=result)
-    return stage, Fit((gain,), gain.unknowns, np.array([TRUE]), placed(stage, gain.unknowns, TRUE), (), 0.0)
+    return stage, Fit((effect,), effect.unknowns, np.array([value]), placed(stage, effect.unknowns, value), (), 0.0)
 
 
 def placed(stage: Stage, unknowns: tuple, value: float) -> np.ndarray:
@@ -72,14 +78,7 @@ def leaking(rate: float) -> tuple[Stage, Fit]:
         recordings.append(
             replace(recording, table=recording.table.assign(**{"boom.cylinder": recording.values("boom.cylinder") - slow}))
         )
-    dataset = replace(dataset, recordings=tuple(recordings))
-    model, split = compile_plant(PLANT), split_of(dataset)
-    problem = next(p for p in problems_of(model, dataset) if p.stage == "command" and p.target == "boom")
-    sigma = np.array([dataset.machine.noise[signal] for signal in problem.signals])
-    leak = next(c for c in candidates_at(PLANT, model.theta, "command", ("boom",)) if c.effect.name == "internal_leakage")
-    result: Any = SimpleNamespace(accumulates=True)
-    stage = Stage(problem, split, sigma, model.theta, result=result)
-    return stage, Fit((leak,), leak.unknowns, np.array([rate]), placed(stage, leak.unknowns, rate), (), 0.0)
+    return drive(replace(dataset, recordings=tuple(recordings)), "internal_leakage", rate, accumulates=True)
 
 
 def test_where_errors_accumulate_values_are_those_of_least_squares() -> None:
