@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from unittest import mock
 
@@ -13,6 +14,9 @@ from sysid.runner.cycle import Cycle
 from sysid.runner.flight_log import FlightLog
 from sysid.runner.transport import MachineInputs, Measurement
 
+#: Most cycles in a piece of the log.
+PIECE = 100
+
 
 def fly(folder: Path, band: float, seed: int) -> Path:
     """Write one flight log below ``folder``/flights; returns its file."""
@@ -22,10 +26,12 @@ def fly(folder: Path, band: float, seed: int) -> Path:
         machine.write_text(MACHINE)
     table = recorded(band, seed)
     log = FlightLog(folder / "flights", machine, ("boom",), ("boom.joint",), {}, clock_ns=0)
-    # The loop is much faster than a real one: as many pieces as if it were not.
+    # The loop is much faster than a real one: as many pieces as if it were not, on a busy computer too.
     with mock.patch.object(flight_log, "SYNC_EVERY", 0.01), log:
         for number, (command, joint) in enumerate(zip(table["boom.command"], table["boom.joint [rad]"], strict=True)):
             log.record(cycle(number, float(command), float(joint)))
+            while number % PIECE == PIECE - 1 and log.written <= number and not log.fault:
+                time.sleep(0.002)
     return log.path
 
 
