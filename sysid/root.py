@@ -15,8 +15,8 @@ import shutil
 import stat
 import time
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -62,7 +62,7 @@ class Root:
         """
         try:
             with self._opened(self._parts(folder)) as descriptor, os.scandir(descriptor) as found:
-                kinds = {entry.name: _kind(entry.stat(follow_symlinks=False).st_mode) for entry in found}
+                kinds = dict(_kinds_of(found))
             return dict(sorted(kinds.items()))
         except (FileNotFoundError, NotADirectoryError):
             return {}
@@ -282,6 +282,13 @@ def _length(name: str) -> int:
         return len(os.fsencode(name))
     except UnicodeEncodeError:
         return MAX_BYTES + 1
+
+
+def _kinds_of(entries: Iterable[os.DirEntry[str]]) -> Iterator[tuple[str, Kind]]:
+    """Name and kind of each entry; one that another process removes meanwhile (a temporary file) is left out."""
+    for entry in entries:
+        with suppress(FileNotFoundError):
+            yield entry.name, _kind(entry.stat(follow_symlinks=False).st_mode)
 
 
 def _kind(mode: int) -> Kind:

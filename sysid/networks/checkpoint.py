@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid.errors import StoreError
+from sysid.errors import StorageError, StoreError
 from sysid.files import write_durably
 from sysid.networks.batch import Floats
 
 #: Format of the files, part of their names.
 FORMAT = 1
+#: Attempts to write a checkpoint while other trainings remove their empty folder.
+TRIES = 5
 REMEDY = "Make room; training goes on from the last checkpoint that was written."
 _ARRAYS = ("row", "first", "second", "best")
 _NUMBERS = ("step", "loss", "seen", "best_epoch", "best_loss", "finished", "epochs", "fit", "validation")
@@ -79,7 +82,13 @@ class Checkpoints:
 
         header = json.dumps({key: getattr(state, key) for key in _NUMBERS})
         content = save({key: getattr(state, key) for key in _ARRAYS}, {"format": str(FORMAT), "state": header})
-        write_durably(self.path(name), content, "checkpoint", REMEDY)
+        for tries_left in range(TRIES - 1, -1, -1):
+            try:
+                write_durably(self.path(name), content, "checkpoint", REMEDY)
+                return
+            except StorageError as error:  # another training removes the folder when it is empty
+                if not tries_left or not isinstance(error.__cause__, FileNotFoundError):
+                    raise
 
     def load(self, name: str, size: int) -> State | None:
         """The checkpoint ``name``, or None.
@@ -109,7 +118,7 @@ class Checkpoints:
         for pattern in (f"{name}.safetensors", f".{name}.safetensors.*"):  # also temporary files of a crash
             for path in self.folder.glob(pattern):
                 path.unlink(missing_ok=True)
-        if self.folder.is_dir() and not any(self.folder.iterdir()):
+        with suppress(OSError):  # not empty, or removed by another training
             self.folder.rmdir()
 
     def path(self, name: str) -> Path:

@@ -16,6 +16,7 @@ from one_axis_logs import MACHINE, record
 from sysid.datasets import Store, append, frame_of, ingest, load
 from sysid.datasets.channels import read_channels
 from sysid.errors import InputError, SettingsError, StoreError
+from sysid.root import Root
 
 AUTOLOG = Path(__file__).parents[2] / "datasets/autolog"
 
@@ -237,3 +238,25 @@ def test_devices_are_known_from_the_version_before(tmp_path: Path) -> None:
     assert np.nanmean(recording.values("boom.joint")[parked]) == pytest.approx(0.5, abs=2e-3)
     assert half < 8.0
     assert [clock for clock in dataset.clocks if clock.recording != "manual-03"] == list(base.clocks)
+
+
+def test_files_that_vanish_do_not_empty_a_listing(tmp_path: Path) -> None:
+    """Temporary files of another process come and go while a folder is listed."""
+    (tmp_path / "kept.json").write_text("{}")
+    stopped = threading.Event()
+
+    def busy() -> None:
+        while not stopped.is_set():
+            for k in range(20):
+                (tmp_path / f".half{k}").touch()
+            for k in range(20):
+                (tmp_path / f".half{k}").unlink()
+
+    with ThreadPoolExecutor(2) as pool:
+        running = [pool.submit(busy)]
+        try:
+            listings = [Root(tmp_path).entries("") for _ in range(2000)]
+        finally:
+            stopped.set()
+        assert all(each.result() is None for each in running)
+    assert all("kept.json" in listing for listing in listings)

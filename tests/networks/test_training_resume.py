@@ -21,12 +21,14 @@ from sysid.networks import (
     EnsembleMember,
     TrainedMember,
     TrainingSettings,
+    checkpoint,
     fit_actuator,
     fit_forward,
     parse_recipe,
     to_files,
     train,
 )
+from sysid.networks.checkpoint import State
 
 SETTINGS = TrainingSettings(learning_rate=3e-3, batch=16, epochs=30, patience=30, check_every=3, schedule="cosine", threads=2)
 HIDDEN = (24, 10)
@@ -180,3 +182,28 @@ def test_a_fit_of_networks_goes_on_to_the_same_files(tmp_path: Path) -> None:
         assert list((tmp_path / "training").glob("*.safetensors"))
         assert to_files(fit(data, recipe, None, Checkpoints(tmp_path / "training"))) == to_files(fit(data, recipe))
         assert not (tmp_path / "training").exists()
+
+
+def test_a_checkpoint_is_written_where_another_training_removes_the_empty_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoints, other = Checkpoints(tmp_path / "training"), Checkpoints(tmp_path / "training")
+    real, raced = checkpoint.write_durably, []
+
+    def removed_once(path: Path, content: bytes, what: str, remedy: str) -> None:
+        if not raced:
+            raced.append(path)
+            path.parent.mkdir()
+            other.remove("other")
+            raise StorageError("checkpoint", "No such file or directory", "room", remedy) from FileNotFoundError()
+        real(path, content, what, remedy)
+
+    monkeypatch.setattr(checkpoint, "write_durably", removed_once)
+    state = State.at_start(np.ones(3, dtype=np.float32))
+    checkpoints.save("one", state)
+    found = checkpoints.load("one", 3)
+    assert raced
+    assert found is not None
+    np.testing.assert_array_equal(found.row, state.row)
+    other.remove("other")
+    assert checkpoints.path("one").exists()
