@@ -81,7 +81,7 @@ def _agree(stages: Sequence[Stage], label: str) -> bool:
     """Whether the 95 % intervals of an effect's values at several drives share a value."""
     ends = []
     for stage in stages:
-        limits = stage.found.limits if stage.found.presence is None else stage.found.presence
+        limits = stage.found.deciding
         assert limits is not None
         candidate = next(kept.candidate for kept in stage.found.named if kept.candidate.label == label)
         ends.append(limits[stage.found.fit.rows_of(candidate)])

@@ -54,6 +54,11 @@ class StageResult:
     presence: npt.NDArray[np.float64] | None = None
 
     @property
+    def deciding(self) -> npt.NDArray[np.float64] | None:
+        """The intervals that decide whether an effect may be absent: ``presence``, elsewhere ``limits``."""
+        return self.limits if self.presence is None else self.presence
+
+    @property
     def accumulates(self) -> bool:
         """Whether the formulas of the stage are wrong and their errors accumulate."""
         return self.stage_fit is not None and self.stage_fit.decision.accumulates
