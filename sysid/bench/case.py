@@ -194,6 +194,9 @@ def describe(
         return {"name": effect.name, "target": "machine", "parameters": {"limit": repaired.pump}, "exact": False}
     row = repaired.rows[AXES.index(effect.target)]
     values = {key[1]: float(row[k]) for k, key in enumerate(KEYS) if key[0] == effect.name}
+    if effect.name == "stiction":  # the chain is fitted with seals that stick; of the spool the number is known
+        valve = real.axis(effect.target).valve
+        values["spool_breakaway"] = valve.silt - min(valve.deadband_positive, valve.deadband_negative)
     return {"name": effect.name, "target": effect.target, "parameters": values, "exact": False}
 
 

@@ -64,7 +64,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Form:
-    """One parametrisation of an effect; the first form of an effect is its simplest."""
+    """One parametrisation of an effect; the first form of an effect is its simplest. A name means the same in all forms."""
 
     parameters: tuple[Parameter, ...]
 
@@ -108,7 +108,7 @@ class Effect:
         stage: its place in the chain.
         target: kind of target of an instance.
         slots: numbers read by the compiled step, with neutral values.
-        forms: parametrisations of the slots, simplest first.
+        forms: parametrisations of the slots, simplest first; forms with as many values are alternatives to each other.
         equation: in one line.
         source: paper, book or data sheet.
         excited_by: motion that excites it.

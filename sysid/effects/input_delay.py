@@ -61,10 +61,10 @@ def put(u, s, j, size, back):
 
 
 @inlined
-def step(u, p, i, s, j, size, dt):
-    """Ring buffer at ``s[j+3 : j+size]``, its head in ``s[j]``, whole steps of the delay and the rest in the two after it.
+def ends(u, p, i, s, j, size, dt):
+    """The two held inputs that act in this step, the later first, and the share of the step in which the earlier one acts.
 
-    Linear interpolation is exact for the integral of a held command over the step, so that the delay is a smooth parameter.
+    Ring buffer at ``s[j+3 : j+size]``, its head in ``s[j]``, whole steps of the delay and the rest in the two after it.
     """
     ring = size - 3
     first = j + 3
@@ -72,17 +72,21 @@ def step(u, p, i, s, j, size, dt):
         fill(u, p, i, s, j, size, dt)
     head = int(s[j])
     s[first + head] = u
-    whole = int(s[j + 1])
-    part = s[j + 2]
-    near = head - whole
+    near = head - int(s[j + 1])
     if near < 0:
         near += ring
     far = near - 1
     if far < 0:
         far += ring
-    y = (1.0 - part) * s[first + near] + part * s[first + far]
     head += 1
     if head == ring:
         head = 0
     s[j] = head
-    return y
+    return s[first + near], s[first + far], s[j + 2]
+
+
+@inlined
+def step(u, p, i, s, j, size, dt):
+    """Linear interpolation is exact for the integral of a held command over the step, so the delay is a smooth parameter."""
+    later, earlier, part = ends(u, p, i, s, j, size, dt)
+    return (1.0 - part) * later + part * earlier

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from sysid.effects import Effect, effect_named, stiction
 from sysid.effects.base_misalignment import EFFECT as BASE
 from sysid.machine.kinematics import rotation_about
-from sysid.plant import Model, Plant, compile_plant
+from sysid.plant import Model, Plant, chain, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH, neutral_vector, signal_place, signals_of, slot_indices
 from sysid.plant.machine_arrays import (
     AXIS,
@@ -43,6 +44,8 @@ VELOCITY_ORDER = (
     "first_order_lag", "gain_error", "asymmetric_gain", "temperature_drift", "load_dependent_flow", "nominal_gain",
     "internal_leakage", "stiction", "oil_compressibility",
 )  # fmt: skip
+#: Those that act on a spool; one part where it sticks at its centre.
+SPOOL = ("input_delay", "command_rate_limit", "first_order_lag")
 #: The same of a position axis, whose parts give the value at the end of a step; a ramp begins with its step.
 POSITION_ORDER = ("command_rate_limit", "input_delay", "first_order_lag", "second_order_lag")
 FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smooth_coulomb_friction")
@@ -113,6 +116,8 @@ def _command(plant: Plant, name: str) -> list[Part]:
     for part in order:
         if part == "nominal_gain":
             parts.append((part, {"gain": axis.gain}))
+        elif part in SPOOL and (sticking := _sticking_spool(plant, name)):
+            parts += [("sticking_spool", sticking)] if part == SPOOL[-1] else []
         elif values := effect_slots(plant, part, name):
             extra: dict[str, Any] = {}
             if axis.actuation == "position" and part == "first_order_lag":
@@ -121,11 +126,29 @@ def _command(plant: Plant, name: str) -> list[Part]:
                 lag, spring = (effect_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
                 extra = {"at_end": True, "lag": lag} if lag >= 1e-6 or spring < 1e-6 else {}
             if part == "stiction":
+                if values["spool_breakaway"] > 0.0:
+                    continue
+                values = {key: values[key] for key in ("breakaway", "release")}
                 extra = {"gain": axis.gain, "least": stiction.REST}
             if part == "second_order_lag" and values["time_constant"] < 1e-6:
                 continue
             parts.append((part, values | extra))
     return parts
+
+
+def _sticking_spool(plant: Plant, name: str) -> dict[str, Any]:
+    """Parameters of the part that stands for :data:`SPOOL` where the spool sticks at its centre; empty where it does not."""
+    sticks = effect_slots(plant, "stiction", name)
+    if not sticks or sticks["spool_breakaway"] == 0.0:
+        return {}
+    delay, rate, lag = (next(iter(effect_slots(plant, each, name).values()), None) for each in SPOOL)
+    overlap, theta = effect_slots(plant, "valve_deadband", name), plant.vector()
+    frees = sticks["spool_breakaway"] + min(overlap.values(), default=0.0)
+    edge = functools.partial(chain.edge, p=theta, b=plant.machine.axis_names.index(name) * AXIS_WIDTH)
+    return {
+        "delay": delay or 0.0, "rate": rate, "time_constant": lag or 0.0, "positive": edge(frees), "negative": -edge(-frees),
+        "release": max(sticks["spool_release"], stiction.REST),
+    }  # fmt: skip
 
 
 def _kinematics(model: Model) -> dict[str, Any] | None:

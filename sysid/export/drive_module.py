@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+from sysid.export.drive_data import SPOOL
 from sysid.export.standalone import assembly, command_parts, force_parts, joint_parts, model, oscillator
 from sysid.files import json_text
 
@@ -20,6 +21,7 @@ PARTS: Mapping[str, Any] = {
     "input_delay": command_parts.InputDelay,
     "command_rate_limit": command_parts.CommandRateLimit,
     "first_order_lag": command_parts.FirstOrderLag,
+    "sticking_spool": command_parts.StickingSpool,
     "gain_error": command_parts.GainError,
     "asymmetric_gain": command_parts.AsymmetricGain,
     "temperature_drift": command_parts.TemperatureDrift,
@@ -116,6 +118,7 @@ def _absent(data: Mapping[str, Any]) -> set[Any]:
 def used_parts(data: Mapping[str, Any]) -> set[str]:
     """Names of the parts of the data."""
     used = {name for axis in data["axes"] for name, _ in axis["command"]}
+    used |= set(SPOOL) if "sticking_spool" in used else set()
     for axis in data["axes"]:
         if axis["actuation"] == "force":
             used |= {axis["rotor"], *(name for name, _ in axis["frictions"])}

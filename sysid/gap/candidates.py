@@ -146,10 +146,12 @@ def candidates_at(
 
 
 def _forms(plant: Plant, effect: Effect, target: str, side: str | None) -> list[Form]:
-    """The forms of an effect; one that the plant has already keeps all its slots."""
-    if plant.effect(effect.name, target, side) is None:
+    """The forms of an effect; one that the plant has already keeps all slots that it has."""
+    present = plant.effect(effect.name, target, side)
+    if present is None:
         return list(effect.forms)
-    return [form for form in effect.forms if len(form.slots) == len(effect.slots)]
+    complete = [form for form in effect.forms if len(form.slots) == len(effect.slots)]
+    return complete or [form for form in effect.forms if set(form.names) == set(present.parameters)]
 
 
 def adjusted_link(plant: Plant, theta: Array, axis: str) -> Candidate:

@@ -112,7 +112,7 @@ class Proposals:
                 lost = best.evidence - smaller.evidence
                 for promise in self.promises(smaller)[:SWAPPED]:
                     # A candidate whose expected gain is far below the loss cannot replace the effect.
-                    if promise.candidate.key != candidate.key and promise.gain > 0.3 * lost - MAX_LOSS:
+                    if _may_replace(promise.candidate, candidate) and promise.gain > 0.3 * lost - MAX_LOSS:
                         self._added(smaller, promise)
                 self._with_simpler_forms(best, candidate)
             for promise in self.promises(best)[:SWAPPED]:
@@ -128,7 +128,7 @@ class Proposals:
         rest = [c for c in model.candidates if c is not candidate]
         known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
         for form in self.candidates:
-            if form.key == candidate.key and len(form.unknowns) < len(candidate.unknowns):
+            if _is_richer(candidate, form):
                 means = np.array([float(np.mean(model.theta[list(u.places)])) for u in form.unknowns])
                 self.fit((*rest, form), np.concatenate([known, means])[None])
 
@@ -170,14 +170,22 @@ class Proposals:
         found = []
         for candidate in self.candidates:
             present = used.get(candidate.key)
-            first = candidate.form is candidate.effect.forms[0]
+            simple = candidate.known or not any(_is_richer(candidate, other) for other in self.candidates)
             if any(other.contains(candidate) for other in model.candidates):
                 continue
-            if (present is None and (first or candidate.known)) or (
-                present is not None and len(candidate.unknowns) > len(present.unknowns)
-            ):
+            if simple if present is None else _is_richer(candidate, present):
                 found.append(candidate)
         return found
+
+
+def _is_richer(one: Candidate, other: Candidate) -> bool:
+    """Whether ``one`` is a form of the same effect with more values."""
+    return one.key == other.key and len(one.unknowns) > len(other.unknowns)
+
+
+def _may_replace(new: Candidate, old: Candidate) -> bool:
+    """Whether ``new`` is another effect than ``old``, or another form of it with as many values."""
+    return new.key != old.key or (new.label != old.label and len(new.unknowns) == len(old.unknowns))
 
 
 def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[Candidate]) -> list[ExpectedGain]:

@@ -42,10 +42,29 @@ from sysid.plant.machine_arrays import GAIN, HIGH, KIND, LOW, POSITION, SENSE, V
 @inlined
 def opening(u, p, b, s, m):
     """Command → demanded opening of the valve, before everything that takes time."""
-    u = valve_hysteresis.step(u, p, b + AT.valve_hysteresis, s, m + STATE.valve_hysteresis)
+    return edge(valve_hysteresis.step(u, p, b + AT.valve_hysteresis, s, m + STATE.valve_hysteresis), p, b)
+
+
+@inlined
+def edge(u, p, b):
+    """Position of the spool [command] → opening of its metering edge."""
     u = valve_deadband.step(u, p, b + AT.valve_deadband)
     u = gain_curve.step(u, p, b + AT.gain_curve)
     return flow_saturation.step(u, p, b + AT.flow_saturation)
+
+
+@inlined
+def late_opening(u, p, b, s, m, size, dt):
+    """Demanded opening → the same behind the dead time and the friction of the spool at its centre, mean over the step.
+
+    The spool stands in front of its edges: the command that frees it is one for both sides, whatever their overlap.
+    """
+    later, earlier, part = input_delay.ends(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
+    if stiction.sticks(p, b + AT.stiction, s[m + STATE.first_order_lag]):
+        frees = stiction.frees_at(p, b + AT.stiction, b + AT.valve_deadband)
+        positive, negative = edge(frees, p, b), -edge(-frees, p, b)
+        later, earlier = stiction.freed(later, positive, negative), stiction.freed(earlier, positive, negative)
+    return (1.0 - part) * later + part * earlier
 
 
 @inlined
@@ -55,8 +74,7 @@ def command_stage(u, p, b, s, m, size, gain, load, dt):
     The dead time comes first in the machine. Static curves commute with it, and a fraction of a step is interpolated exactly
     only behind their kinks.
     """
-    u = opening(u, p, b, s, m)
-    u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
+    u = late_opening(opening(u, p, b, s, m), p, b, s, m, size, dt)
     u = command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
     x = first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
     x = gain_error.step(x, p, b + AT.gain_error)

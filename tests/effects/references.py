@@ -19,11 +19,18 @@ GRAVITY = 9.80665
 
 
 def velocity_axis(
-    command: Array, dt: float, gain: float, begin: float, load: Array | None = None, **effects: Sequence[float]
+    command: Array,
+    dt: float,
+    gain: float,
+    begin: float,
+    load: Array | None = None,
+    sticking_spool: tuple[float, float] = (0.0, 0.0),
+    **effects: Sequence[float],
 ) -> Array:
     """Position of a velocity axis at the samples; effects by name with their parameters in the contract's order.
 
-    ``load`` (n,) is the gravity moment at the samples, held over each step.
+    ``load`` (n,) is the gravity moment at the samples, held over each step. ``sticking_spool``: command beyond the smaller
+    overlap that frees the spool, and the opening below which it sticks.
     """
     h = dt / PARTS
     delay = effects.get("input_delay", (0.0,))[0]
@@ -51,6 +58,8 @@ def velocity_axis(
         for part in range(PARTS):
             t = k * dt + (part + 0.5) * h - delay
             u = float(command[min(max(math.floor(t / dt), 0), len(command) - 1)])
+            if abs(slow) < sticking_spool[1] and abs(u) < sticking_spool[0] + min(dead):
+                u = 0.0
             if u - spool > play / 2:
                 spool = u - play / 2
             elif spool - u > play / 2:

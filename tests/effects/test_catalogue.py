@@ -108,7 +108,7 @@ def with_parameter(effect: Effect, **changes: object) -> Effect:
         (replace(LAG, confused_with={"first_order_lag": "one"}), "confused_with names 'first_order_lag'"),
         (replace(LAG, actuations=()), "an axis effect names no kind of actuation"),
         (replace(LAG, forms=()), "1 slots and 0 forms"),
-        (replace(LAG, slots=(Slot("time_constant"), Slot("spare"))), "writes the slots ['time_constant'], expected each of"),
+        (replace(LAG, slots=(Slot("time_constant"), Slot("spare"))), "no form writes the slots ['spare']"),
         (with_parameter(LAG, unit="ms"), "time_constant: unit 'ms' is not one of"),
         (with_parameter(LAG, bounds=(2.0, 0.0)), "time_constant: bounds [2.0, 0.0]"),
         (with_parameter(LAG, bounds=(0.0, 0.05)), "starts [0.1, 0.3] lie outside of the bounds [0.0, 0.05]"),

@@ -73,6 +73,37 @@ def test_velocity_axis(effect: str, values: dict[str, float]) -> None:
     assert np.abs((out - out[0]) - expected).max() < 2e-4 * np.ptp(expected)
 
 
+@pytest.mark.parametrize("delay", [0.03, 0.0234])
+@pytest.mark.parametrize("overlaps", [(0.15, 0.07), (0.05, 0.2)])
+def test_a_spool_that_sticks_at_its_centre(overlaps: tuple[float, float], delay: float) -> None:
+    """It is freed by one command on both sides, although its overlaps differ; the lag decides when it rests again."""
+    values: dict[str, dict[str, float]] = {
+        "input_delay": {"delay": delay},
+        "valve_deadband": dict(zip(("positive", "negative"), overlaps, strict=True)),
+        "first_order_lag": {"time_constant": 0.03},
+    }
+    spool = {"spool_breakaway": 0.4, "spool_release": 0.05}
+    command = RECORDING.values("slew.command")
+    known = {name: tuple(each.values()) for name, each in values.items()}
+
+    def moved(*more: KnownEffect) -> Array:
+        plant = nominal_plant(probe_machine())
+        for name, parameters in values.items():
+            plant = plant.with_effect(KnownEffect(name, "slew", dict(parameters)))
+        for item in more:
+            plant = plant.with_effect(item)
+        model = compile_plant(plant)
+        begun = RECORDING.table.assign(**{"slew.joint": np.where(np.arange(400) < 1, 0.0, np.nan)})
+        out = model.drive(model.theta[None], replace(RECORDING, table=begun), "slew")[0]
+        return np.asarray(out - out[0])
+
+    free = references.velocity_axis(command, DT, 0.5, 0.0, **known)
+    expected = references.velocity_axis(command, DT, 0.5, 0.0, sticking_spool=tuple(spool.values()), **known)
+    assert np.abs(expected - free).max() > 0.02 * np.ptp(free), "it sticks"
+    assert np.abs(moved() - free).max() < 1e-3 * np.ptp(free)
+    assert np.abs(moved(KnownEffect("stiction", "slew", dict(spool))) - expected).max() < 2e-3 * np.ptp(free)
+
+
 @functools.cache
 def loaded() -> tuple[Recording, Array]:
     """The recording with the boom's joint where its linkage has it, and the moment of a kilogram at the tip about the boom."""

@@ -107,6 +107,28 @@ def test_a_ramp_of_a_servo_before_its_dead_time_and_lag(lag: str, rate: float, t
     assert_same(plant, shipped(plant, tmp_path))
 
 
+SPOOL = KnownEffect("stiction", "boom", {"spool_breakaway": 0.12, "spool_release": 0.01})
+#: Alone, and with all that acts on the spool.
+STICKING: tuple[tuple[KnownEffect, ...], ...] = (
+    (SPOOL,),
+    (
+        SPOOL,
+        KnownEffect("valve_deadband", "boom", {"positive": 0.15, "negative": 0.06}),
+        KnownEffect("gain_curve", "boom", {"exponent": 1.2}),
+        KnownEffect("flow_saturation", "boom", {"limit": 0.5}),
+        KnownEffect("input_delay", "boom", {"delay": 0.034}),
+        KnownEffect("command_rate_limit", "boom", {"rate": 4.0}),
+        KnownEffect("first_order_lag", "boom", {"time_constant": 0.04}),
+    ),
+)
+
+
+@pytest.mark.parametrize("beside", STICKING, ids=len)
+def test_a_spool_that_sticks_at_its_centre(beside: tuple[KnownEffect, ...], tmp_path: Path) -> None:
+    plant = probe_plant(*beside)
+    assert_same(plant, shipped(plant, tmp_path))
+
+
 #: Every effect that the model has at once, small enough that all of them act.
 TOGETHER = {
     "gain_curve": {"exponent": 1.2},

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from test_drive_model import TOGETHER, name_of, placed, probe_plant, shipped, true_value
+from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, shipped, true_value
 
 from sysid.effects import effect_named
 from sysid.export.drive_data import drive_data
@@ -107,6 +107,13 @@ def test_a_ramp_of_a_servo_before_its_dead_time_and_lag(lag: str) -> None:
     assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0)
 
 
+@pytest.mark.parametrize("beside", STICKING, ids=len)
+def test_a_spool_that_sticks_at_its_centre(beside: tuple[KnownEffect, ...]) -> None:
+    plant = probe_plant(*beside)
+    module = script_of(plant, RATE_HZ)
+    assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0)
+
+
 def test_each_machine_has_its_own_parameters() -> None:
     """Rows of the parameters, a longer dead time among them, move as the plants with these values do."""
     delays, widths = (0.03, 0.055), (0.01, 0.02)
@@ -157,7 +164,7 @@ def test_the_ring_of_a_delay_contains_its_draws() -> None:
 
 
 def test_every_part_of_the_drive_model_is_scripted() -> None:
-    one_by_one = {"input_delay", "first_order_lag", "command_rate_limit", "nominal_gain", "stiction"}
+    one_by_one = {"input_delay", "first_order_lag", "command_rate_limit", "nominal_gain", "stiction", "sticking_spool"}
     assert set(PARTS) == one_by_one | set(_COMMAND) | set(_FRICTION) | {"rigid_drive", "flexible_drive"}
     slots = {name: [slot.name for slot in effect_named(name).slots] for name in (*_COMMAND, *_FRICTION)}
     for name, part in (_COMMAND | _FRICTION).items():

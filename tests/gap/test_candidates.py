@@ -8,6 +8,7 @@ from plant_data import CAPTURE, dataset_of, loaded_arm, nominal
 
 from sysid.gap.candidates import Scales, candidates_at
 from sysid.gap.case import open_case, stage_candidates
+from sysid.machine import KnownEffect
 from sysid.plant import Plant
 
 
@@ -39,6 +40,15 @@ def test_effects_of_the_weight_are_offered_where_there_is_weight() -> None:
     assert "load_dependent_flow(boom)" in names_at(nominal(machine=loaded_arm()), "command", "boom")
     plant = nominal()
     assert not [c for c in candidates_at(plant, plant.vector(), "command", ("boom",)) if c.effect.name == "load_dependent_flow"]
+
+
+@pytest.mark.parametrize("values", [{"breakaway": 0.2, "release": 0.1}, {"spool_breakaway": 0.2, "spool_release": 0.01}])
+def test_an_effect_of_the_plant_is_offered_in_its_form(values: dict[str, float | list[float]]) -> None:
+    plant = nominal(KnownEffect("stiction", "boom", values))
+    found = [c for c in candidates_at(plant, plant.vector(), "command", ("boom",)) if c.effect.name == "stiction"]
+    assert [c.form.names for c in found] == [tuple(values)]
+    free = nominal()
+    assert len([c for c in candidates_at(free, free.vector(), "command", ("boom",)) if c.effect.name == "stiction"]) == 2
 
 
 def test_starts_of_weight_effects_are_shares_of_the_load() -> None:

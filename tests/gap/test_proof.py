@@ -136,6 +136,28 @@ def test_a_release_that_no_recording_shows_is_not_given() -> None:
     assert low <= 0.02 <= high
 
 
+@pytest.mark.parametrize(
+    ("hidden", "key"),
+    [
+        ({"breakaway": 0.15, "release": 0.05}, "breakaway"),
+        ({"spool_breakaway": 0.15, "spool_release": 0.01}, "spool_breakaway"),
+    ],
+    ids=["seals", "spool"],
+)
+def test_seals_and_a_spool_that_stick_are_distinguished(hidden: dict[str, float | list[float]], key: str) -> None:
+    """Seals stick behind the lag, a spool in front of it and of its overlaps, which differ."""
+    known = [
+        KnownEffect("valve_deadband", "boom", {"positive": 0.25, "negative": 0.05}),
+        KnownEffect("first_order_lag", "boom", {"time_constant": 0.08}),
+    ]
+    found = find_gap(dataset_of(nominal(*known, KnownEffect("stiction", "boom", hidden)), 40.0, seed=5), nominal(*known))
+    (effect,) = found.effects
+    assert (effect.name, effect.target) == ("stiction", "boom")
+    assert set(effect.parameters) == set(hidden)
+    assert effect.parameters[key] == pytest.approx(0.15, abs=0.02)
+    assert holds(found, key, 0.15)
+
+
 @pytest.mark.slow
 def test_the_damping_of_a_swing_is_given() -> None:
     """A secondary parameter that is known to a quarter, below a wrist that does not throw the tool."""

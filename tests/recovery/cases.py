@@ -52,6 +52,7 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("asymmetric_gain", "boom", {"ratio": 1.3}),
     KnownEffect("internal_leakage", "boom", {"rate": 2e-4}),
     KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.1}),
+    KnownEffect("stiction", "boom", {"spool_breakaway": 0.2, "spool_release": 0.02}),
     KnownEffect("temperature_drift", "slew", {"fraction": 0.2, "time_constant": 8.0}),
     KnownEffect("load_dependent_flow", "boom", {"coefficient": 0.004}),
     KnownEffect("oil_compressibility", "boom", {"frequency": 5.0, "damping_ratio": 0.1}),

@@ -18,7 +18,10 @@ from sysid.plant import Plant
 
 #: Share by which a parameter may miss the truth. Stiction is known to the nearest command that was given: ramps pass its
 #: thresholds between two samples, so nothing pulls a fit to the exact value.
-TOLERANCE = {"gripper_sway": {"damping_ratio": 0.05}, "stiction": {"breakaway": 0.05, "release": 0.05}}
+TOLERANCE = {
+    "gripper_sway": {"damping_ratio": 0.05},
+    "stiction": {"breakaway": 0.05, "release": 0.05, "spool_breakaway": 0.05, "spool_release": 0.5},
+}
 
 
 def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:

@@ -86,10 +86,15 @@ class InputDelay(Part):
         self.past: deque[float] = deque(maxlen=self.whole + 2)
 
     def step(self, u: float, load: float) -> float:
+        later, earlier = self.ends(u)
+        return (1.0 - self.rest) * later + self.rest * earlier
+
+    def ends(self, u: float) -> tuple[float, float]:
+        """The later and the earlier of the two inputs that act in this step; the earlier one in the share ``rest`` of it."""
         if not self.past:
             self.past.extend([u] * (self.whole + 2))
         self.past.append(u)
-        return (1.0 - self.rest) * self.past[-1 - self.whole] + self.rest * self.past[-2 - self.whole]
+        return self.past[-1 - self.whole], self.past[-2 - self.whole]
 
 
 class CommandRateLimit(Part):
@@ -142,6 +147,43 @@ class FirstOrderLag(Part):
         away = 0.0 if math.isnan(self.x) else self.x - u
         self.x = u + away * self.decay
         return self.x if self.at_end else u + away * self.mean_decay
+
+
+class StickingSpool(Part):
+    """Dead time, ramp and lag of a spool that sticks at its centre.
+
+    It sticks while its opening is below ``release`` and the demanded one is between −``negative`` and ``positive``. ``delay``
+    and ``time_constant`` in seconds, zero without; ``rate`` in 1/s, None without a ramp.
+    """
+
+    def __init__(
+        self,
+        dt: float,
+        delay: float,
+        rate: float | None,
+        time_constant: float,
+        positive: float,
+        negative: float,
+        release: float,
+    ) -> None:
+        self.delay, self.lag = InputDelay(dt, delay), FirstOrderLag(dt, time_constant)
+        self.ramp = None if rate is None else CommandRateLimit(dt, rate)
+        self.positive, self.negative, self.release = positive, negative, release
+
+    def reset(self) -> None:
+        for part in (self.delay, self.ramp, self.lag):
+            if part is not None:
+                part.reset()
+
+    def step(self, u: float, load: float) -> float:
+        later, earlier = self.delay.ends(u)
+        if abs(self.lag.x) < self.release:
+            later, earlier = self._freed(later), self._freed(earlier)
+        u = (1.0 - self.delay.rest) * later + self.delay.rest * earlier
+        return self.lag.step(u if self.ramp is None else self.ramp.step(u, load), load)
+
+    def _freed(self, u: float) -> float:
+        return 0.0 if -self.negative < u < self.positive else u
 
 
 class GainError(Part):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import effect_named
+from sysid.effects import effect_named, stiction
 from sysid.export.drive_data import WITHOUT_PART, drive_data
 from sysid.export.standalone.joint_parts import GRAVITY
 from sysid.export.torchscript import axes, command_parts, force_parts, joint_parts
@@ -33,6 +33,9 @@ _COMMAND: dict[str, Any] = {
     "oil_compressibility": command_parts.OilCompressibility,
     "second_order_lag": command_parts.SecondOrderLag,
 }
+#: Static parts behind the place of a spool, and the place of the spool's parameters among those of ``stiction``.
+EDGE = ("valve_deadband", "gain_curve", "flow_saturation")
+SPOOL_SLOT = [slot.name for slot in stiction.EFFECT.slots].index("spool_breakaway")
 _FRICTION: dict[str, Any] = {
     "viscous_friction": force_parts.ViscousFriction,
     "coulomb_friction": force_parts.CoulombFriction,
@@ -107,12 +110,13 @@ class _Assembly:
 
     def part(self, part: str, values: dict[str, Any], axis: dict[str, Any]) -> command_parts.Part:
         name = axis["name"]
-        at = self.at(part, name) if part != "nominal_gain" else -1
         if part == "nominal_gain":
             return command_parts.NominalGain(self.dt, values["gain"])
+        if part == "sticking_spool":
+            return self.sticking_spool(values, axis)
+        at = self.at(part, name)
         if part == "input_delay":
-            width = math.floor(self.longest[f"input_delay.{name}.delay"] / self.dt + 1e-9) + 2
-            return command_parts.InputDelay(self.dt, at, width)
+            return self.delay(name)
         if part == "first_order_lag":
             return command_parts.FirstOrderLag(self.dt, at, bool(values.get("at_end", False)))
         if part == "command_rate_limit":
@@ -122,6 +126,24 @@ class _Assembly:
             return command_parts.Stiction(self.dt, at, values["least"], values["gain"])
         made: command_parts.Part = _COMMAND[part](self.dt, at)
         return made
+
+    def delay(self, name: str) -> command_parts.InputDelay:
+        longest = self.longest.get(f"input_delay.{name}.delay", 0.0)
+        return command_parts.InputDelay(self.dt, self.at("input_delay", name), math.floor(longest / self.dt + 1e-9) + 2)
+
+    def sticking_spool(self, values: dict[str, Any], axis: dict[str, Any]) -> command_parts.StickingSpool:
+        name = axis["name"]
+        edges = [self.part(part, has, axis) for part, has in axis["command"] if part in EDGE]
+        return command_parts.StickingSpool(
+            self.dt,
+            self.at("stiction", name) + SPOOL_SLOT,
+            self.at("valve_deadband", name),
+            stiction.REST,
+            self.delay(name),
+            command_parts.CommandRateLimit(self.dt, self.at("command_rate_limit", name)),
+            command_parts.FirstOrderLag(self.dt, self.at("first_order_lag", name)),
+            edges,
+        )
 
     def rotor(self, axis: dict[str, Any]) -> force_parts.RigidDrive:
         name = axis["name"]

@@ -60,13 +60,17 @@ class InputDelay(Part):
     """delay; ``width``: samples that the longest delay needs, newest first"""
 
     def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
-        samples = torch.clamp(theta[:, self.at] / self.dt, 0.0, float(self.width - 1))
+        recent, older, part, past = self.ends(u, state, theta)
+        return (1.0 - part) * recent + part * older, past
+
+    def ends(self, u: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The two inputs that act in this step, the share of it in which the older one acts, and the state."""
+        samples = torch.clamp(parameter(theta, self.at, 0.0) / self.dt, 0.0, float(self.width - 1))
         whole = torch.clamp(torch.floor(samples), max=float(self.width - 2))
         past = torch.where(torch.isnan(state), u[:, None], state)
         past = torch.cat([u[:, None], past[:, : self.width - 1]], dim=1)
         index = whole.to(torch.int64)[:, None]
-        recent, older = past.gather(1, index)[:, 0], past.gather(1, index + 1)[:, 0]
-        return (1.0 - (samples - whole)) * recent + (samples - whole) * older, past
+        return past.gather(1, index)[:, 0], past.gather(1, index + 1)[:, 0], samples - whole, past
 
 
 class CommandRateLimit(Part):
@@ -77,7 +81,7 @@ class CommandRateLimit(Part):
         self.at_end, self.lag_at = at_end, lag_at
 
     def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
-        rate = theta[:, self.at]
+        rate = parameter(theta, self.at, float("inf"))
         reach = rate * self.dt
         before = torch.where(torch.isnan(state[:, 0]), u, state[:, 0])
         change = torch.maximum(torch.minimum(u - before, reach), -reach)
@@ -108,13 +112,61 @@ class FirstOrderLag(Part):
         self.at_end = at_end
 
     def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
-        slow = theta[:, self.at] >= 1e-6
-        lag = torch.where(slow, theta[:, self.at], torch.ones_like(u))
+        constant = parameter(theta, self.at, 0.0)
+        slow = constant >= 1e-6
+        lag = torch.where(slow, constant, torch.ones_like(u))
         decay = torch.where(slow, torch.exp(-self.dt / lag), torch.zeros_like(u))
         away = torch.where(torch.isnan(state[:, 0]), torch.zeros_like(u), state[:, 0] - u)
         x = u + away * decay
         mean = torch.where(slow, u + away * (1.0 - decay) * lag / self.dt, u)
         return x if self.at_end else mean, x[:, None]
+
+
+class StickingSpool(Part):
+    """spool_breakaway, spool_release
+
+    Args:
+        at: column of the first of these two. overlap_at: column of the first overlap, −1 for none.
+        least: the least ``spool_release``.
+        edges: static parts that open with the spool.
+    """
+
+    def __init__(
+        self,
+        dt: float,
+        at: int,
+        overlap_at: int,
+        least: float,
+        delay: InputDelay,
+        ramp: CommandRateLimit,
+        lag: FirstOrderLag,
+        edges: list[Part],
+    ) -> None:
+        super().__init__(dt, at, 2 + delay.width)
+        self.overlap_at, self.least = overlap_at, least
+        self.delay, self.ramp, self.lag = delay, ramp, lag
+        self.edges: Any = nn.ModuleList(edges)
+
+    def forward(self, u: Tensor, load: Tensor, state: Tensor, theta: Tensor, hold: bool) -> Step:
+        later, earlier, part, past = self.delay.ends(u, state[:, 2:], theta)
+        overlap = parameter(theta, self.overlap_at, 0.0)
+        if self.overlap_at >= 0:
+            overlap = torch.minimum(overlap, theta[:, self.overlap_at + 1])
+        frees = theta[:, self.at] + overlap
+        positive, negative = self.opening(frees, load, state, theta), -self.opening(-frees, load, state, theta)
+        rests = torch.abs(state[:, 1]) < torch.clamp(theta[:, self.at + 1], min=self.least)
+        later = torch.where(rests & (later < positive) & (later > -negative), torch.zeros_like(u), later)
+        earlier = torch.where(rests & (earlier < positive) & (earlier > -negative), torch.zeros_like(u), earlier)
+        u = (1.0 - part) * later + part * earlier
+        u, ramp = self.ramp(u, load, state[:, :1], theta, hold)
+        u, lag = self.lag(u, load, state[:, 1:2], theta, hold)
+        return u, torch.cat([ramp, lag, past], dim=1)
+
+    def opening(self, x: Tensor, load: Tensor, state: Tensor, theta: Tensor) -> Tensor:
+        """Opening at a place of the spool."""
+        for edge in self.edges:
+            x, _ = edge(x, load, state[:, :0], theta, False)
+        return x
 
 
 class GainError(Part):
