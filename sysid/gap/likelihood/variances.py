@@ -191,8 +191,7 @@ def _disturbances(
     z = np.log(first)
     for k in range(signals):  # each signal of a stage has its own filters
         rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
-        tables = {j: table.of(s) for j, s in enumerate(rows.series) if s.signal == k}
-        one = _Signal(rows, tables, scale, rest, variances.weights, extra, np.log(centre[k]))
+        one = _Signal(rows, k, table, scale, rest, variances.weights, extra, np.log(centre[k]))
         low, high = np.log(centre[k]) - MAX_DISTANCE, np.log(centre[k]) + MAX_DISTANCE
         bounds = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         # Disturbances at rest and in motion are separate local optima: descend from the two best start values.
@@ -212,7 +211,7 @@ def _descents(one: _Signal, begins: Sequence[Array], bounds: list[tuple[float, f
         )
         found[k] = float(best.fun), best.x.tolist()
 
-    in_parallel(descend, len(begins), sum(table.size for table in one.tables.values()))
+    in_parallel(descend, len(begins), one.columns.count * sum(len(one.rows.series[k].step) for k in one.series))
     return found
 
 
@@ -221,18 +220,24 @@ class _Signal:
     """Negative log evidence as a function of the logarithms of one signal's disturbance, (6,).
 
     Args:
-        tables: columns of each series of the signal, by its index.
+        columns: made for each series when it is whitened; together they would be a table of all rows.
         rest: products of the columns whitened for the other signals.
         centre: of the prior, (6,).
     """
 
     rows: StageRows
-    tables: Mapping[int, Array]
+    signal: int
+    columns: _Columns
     scale: Array
     rest: Array
     weights: Array
     extra: Sequence[Array]
     centre: Array
+
+    @property
+    def series(self) -> list[int]:
+        """Indices of the series of the signal."""
+        return [k for k, s in enumerate(self.rows.series) if s.signal == self.signal]
 
     def cost(self, z: Array) -> float:
         return self._cost(z, self._filters_at(z))[0]
@@ -241,8 +246,9 @@ class _Signal:
         filters = self._filters_at(z)
         cost, by_column = self._cost(z, filters)
         slope = (z - self.centre) / SPREAD**2
-        for k, columns in self.tables.items():  # whitened again: kept, they would be a table of all rows
-            by_innovation = (self._whitened(k, filters[k]) @ by_column) * self._weights(k)
+        for k in filters:  # whitened again: kept, they would be a table of all rows
+            columns = self.columns.of(self.rows.series[k])
+            by_innovation = (self._whitened(k, columns, filters[k]) @ by_column) * self._weights(k)
             slope += gradient_of(columns, by_innovation, filters[k], self._filters(k), z)
         return cost, slope
 
@@ -250,17 +256,17 @@ class _Signal:
         """The cost, and the matrix that maps whitened columns to its derivatives by them."""
         gram, log_scale = self.rest.copy(), 0.0
         for k, whitener in filters.items():
-            out = self._whitened(k, whitener)
+            out = self._whitened(k, self.columns.of(self.rows.series[k]), whitener)
             gram += out.T @ out
             log_scale += whitener.log_scale
         value, by_column = evidence_and_slope(gram, self.scale)
         prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
         return float(log_scale - value + prior), by_column
 
-    def _whitened(self, k: int, whitener: Filter) -> Array:
-        """The weighted innovations of the columns of a series, (n, m)."""
-        out = np.empty(self.tables[k].shape)
-        whitener.whiten(self.tables[k], out)
+    def _whitened(self, k: int, columns: Array, whitener: Filter) -> Array:
+        """The weighted innovations of the columns (n, m) of a series."""
+        out = np.empty(columns.shape)
+        whitener.whiten(columns, out)
         out *= self._weights(k)
         return out
 
@@ -268,7 +274,7 @@ class _Signal:
         return self.weights[self.rows.series[k].rows, None]
 
     def _filters_at(self, z: Array) -> dict[int, Filter]:
-        return {k: self._filters(k)(z) for k in self.tables}
+        return {k: self._filters(k)(z) for k in self.series}
 
     def _filters(self, k: int) -> Callable[[Array], Filter]:
         return lambda z: whitening_of(self.rows, k, Disturbance(*map(float, np.exp(z))), self.extra[k])
