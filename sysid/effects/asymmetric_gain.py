@@ -20,6 +20,7 @@ EFFECT = Effect(
     confused_with={
         "valve_deadband": "a ratio of speeds grows with the command; unequal dead-bands shift by a constant",
         "gain_error": "an unequal gain changes one direction alone, a gain error both alike",
+        "temperature_drift": "an unequal gain is there from the start, warm-up grows with time: compare early and late motion",
     },
     need=Need("motion_both_ways", 3, "Record {axis} at 30, 60 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),

@@ -73,6 +73,12 @@ class Candidate:
         form = "" if self.form is self.effect.forms[0] else f" [{', '.join(self.form.names)}]"
         return f"{self.effect.name}({self.target}{side}){form}"
 
+    @property
+    def absent(self) -> list[float]:
+        """Value of each unknown at which the effect is absent."""
+        neutral = {slot.name: slot.neutral for slot in self.effect.slots}
+        return [neutral[slots[0]] for parameter in self.form.parameters for slots in parameter.components]
+
     def contains(self, other: Candidate) -> bool:
         """Whether ``other`` is a special case of this one."""
         same = other.effect.name in self.effect.generalises and other.target == self.target

@@ -276,7 +276,9 @@ def _likely(
     stay = [f for f in survivors if not replaced(f, survivors, own_evidence)]
     minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
-    return [chosen, *(f for f in minimal if f is not chosen and _is_alternative(f, chosen, rope))]
+    here = {c.key for c in chosen.candidates}
+    others = [f for f in minimal if {c.key for c in f.candidates} != here]  # not the same effects in other forms
+    return [chosen, *(f for f in others if _is_alternative(f, chosen, rope))]
 
 
 def _without_filters(

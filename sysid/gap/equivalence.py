@@ -24,9 +24,11 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
 def near_known(candidate: Candidate, model: ModelFit) -> bool:
     """Whether the plant has the effect already, and the intervals of all its values reach within a tenth of the known ones.
 
-    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions.
+    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions. Of a ratio it is
+    a tenth of its distance from one, where the effect is absent.
     """
-    tenth = np.array([(EXPLAINED - 1.0) * abs(u.nominal) for u in candidate.unknowns])
+    nominal, absent = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.absent)
+    tenth = (EXPLAINED - 1.0) * np.minimum(np.abs(nominal), np.abs(nominal - absent))
     return candidate.known and reaches(candidate, model, tenth)
 
 

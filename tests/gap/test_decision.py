@@ -257,6 +257,24 @@ def test_a_known_value_within_a_tenth_has_no_name_where_formulas_are_wrong(known
     assert decide([nothing, there], ALL, needed=right).named == (band,), "formulas right"
 
 
+@pytest.mark.parametrize(("value", "named"), [(0.962, False), (0.95, True), (1.01, True)])
+def test_a_known_ratio_changes_by_its_distance_from_one(value: float, named: bool) -> None:
+    """Of 0.96 a tenth of the value would be more than the whole effect."""
+    unknowns = tuple(replace(u, nominal=0.96) for u in GAIN.unknowns)
+    gain = replace(GAIN, known=True, unknowns=unknowns)
+    there = replace(model(gain, left=2.0, deviation=0.001), unknowns=unknowns, values=np.array([value]))
+    assert (decide([model(worse=9.0, left=30.0), there], ALL).named == (gain,)) is named
+
+
+def test_two_forms_of_an_effect_are_one_hypothesis() -> None:
+    """Whichever of them the recordings do not distinguish, the effect is in both; the likelier one has the values."""
+    spool, seals = OFFERED["stiction(boom) [spool_breakaway, spool_release]"], OFFERED["stiction(boom)"]
+    models = [NOTHING, model(spool, evidence=-1.0), replace(model(seals, evidence=-2.0), values=np.array([0.0, 0.0]))]
+    found = decide(models, ALL, needed=right)
+    assert (found.named, found.tied) == ((spool,), ())
+    assert len(found.acceptable) == 1
+
+
 # -- what else explains it -------------------------------------------------------------------------------------------------
 
 
