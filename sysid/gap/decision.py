@@ -16,8 +16,8 @@ Given models of one stage (sets of effects) under shared variances:
    acceptable. The price of each effect is that the variance above the noise floor falls to a fifth (it moves the output by
    ``STANDARD_ERRORS`` times what remains). Of equally large sets within this price, those are acceptable that leave no more
    than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is likelier by more than twice
-   ``BLOCK_NATS`` at their values of least error. The set that is chosen has to be worth its own price for a name. The plant
-   gets its values, unless a survivor with further effects leaves less.
+   ``BLOCK_NATS`` and by a fifth of what a discrepancy gains beside it, at their values of least error. The set that is chosen
+   has to be worth its own price for a name. The plant gets its values, unless a survivor with further effects leaves less.
    *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
    effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
@@ -50,7 +50,7 @@ from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
 from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.price import pays, smallest_sets
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, STANDARD_ERRORS
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
 from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
@@ -200,7 +200,7 @@ def decide(
         acceptable, filters = _without_filters(acceptable, nameable, rope, without)
         model = acceptable[0]
     else:
-        acceptable, filters = _nearest(models, unsure, free, own_evidence), []
+        acceptable, filters = _nearest(models, unsure, free, own_evidence, needed), []
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
@@ -371,18 +371,29 @@ def _exact(
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
 
 
-def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Callable[[ModelFit], float]) -> bool:
+def _likelier(
+    better: ModelFit,
+    other: ModelFit,
+    free: FreeRun,
+    own_evidence: Callable[[ModelFit], float],
+    needed: Callable[[ModelFit], float],
+) -> bool:
     """Whether a set is clearly likelier than another of its size, each with its values of least squares.
 
     Its likeliest values may explain fast errors alone. Where formulas are wrong, very strong evidence of one block is not
-    enough.
+    enough, nor is less than a fifth of what the formulas lack beside the set.
     """
     evidence = [own_evidence(f.with_values(free.least_squares(f))) for f in (better, other)]
-    return evidence[0] > evidence[1] + 2.0 * BLOCK_NATS
+    gained = evidence[0] - evidence[1]
+    return gained > 2.0 * BLOCK_NATS and gained > needed(better) / PRICE
 
 
 def _nearest(
-    models: Sequence[ModelFit], unsure: set[str], free: FreeRun, own_evidence: Callable[[ModelFit], float]
+    models: Sequence[ModelFit],
+    unsure: set[str],
+    free: FreeRun,
+    own_evidence: Callable[[ModelFit], float],
+    needed: Callable[[ModelFit], float],
 ) -> list[ModelFit]:
     """The smallest sets of effects that explain the output and to which no other is preferred; least remaining error first."""
     close = smallest_sets(models, free.left)
@@ -391,7 +402,7 @@ def _nearest(
         """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
         edges = [any(at_bound(c, each) for c in each.candidates) for each in (f, g)]
-        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence)) and not more
+        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence, needed)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
     chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))
