@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any
 
@@ -44,6 +43,8 @@ VELOCITY_ORDER = (
     "first_order_lag", "gain_error", "asymmetric_gain", "temperature_drift", "load_dependent_flow", "nominal_gain",
     "internal_leakage", "stiction", "oil_compressibility",
 )  # fmt: skip
+#: Static parts behind the place of a spool.
+EDGE = ("valve_deadband", "gain_curve", "flow_saturation")
 #: Those that act on a spool; one part where it sticks at its centre.
 SPOOL = ("input_delay", "command_rate_limit", "first_order_lag")
 #: The same of a position axis, whose parts give the value at the end of a step; a ramp begins with its step.
@@ -112,11 +113,12 @@ def _axis(plant: Plant, model: Model, i: int) -> dict[str, Any]:
 
 def _command(plant: Plant, name: str) -> list[Part]:
     axis, parts = plant.machine.axis(name), []
+    sticking = _sticking_spool(plant, name)
     order = {"velocity": VELOCITY_ORDER, "position": POSITION_ORDER, "force": ()}[axis.actuation]
     for part in order:
         if part == "nominal_gain":
             parts.append((part, {"gain": axis.gain}))
-        elif part in SPOOL and (sticking := _sticking_spool(plant, name)):
+        elif sticking and part in (*SPOOL, "stiction"):
             parts += [("sticking_spool", sticking)] if part == SPOOL[-1] else []
         elif values := effect_slots(plant, part, name):
             extra: dict[str, Any] = {}
@@ -126,8 +128,6 @@ def _command(plant: Plant, name: str) -> list[Part]:
                 lag, spring = (effect_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
                 extra = {"at_end": True, "lag": lag} if lag >= 1e-6 or spring < 1e-6 else {}
             if part == "stiction":
-                if values["spool_breakaway"] > 0.0:
-                    continue
                 values = {key: values[key] for key in ("breakaway", "release")}
                 extra = {"gain": axis.gain, "least": stiction.REST}
             if part == "second_order_lag" and values["time_constant"] < 1e-6:
@@ -142,11 +142,11 @@ def _sticking_spool(plant: Plant, name: str) -> dict[str, Any]:
     if not sticks or sticks["spool_breakaway"] == 0.0:
         return {}
     delay, rate, lag = (next(iter(effect_slots(plant, each, name).values()), None) for each in SPOOL)
-    overlap, theta = effect_slots(plant, "valve_deadband", name), plant.vector()
-    frees = sticks["spool_breakaway"] + min(overlap.values(), default=0.0)
-    edge = functools.partial(chain.edge, p=theta, b=plant.machine.axis_names.index(name) * AXIS_WIDTH)
+    theta, b = plant.vector(), plant.machine.axis_names.index(name) * AXIS_WIDTH
+    frees = stiction.frees_at(theta, b + AT.stiction, b + AT.valve_deadband)
+    positive, negative = chain.edge(frees, theta, b), -chain.edge(-frees, theta, b)
     return {
-        "delay": delay or 0.0, "rate": rate, "time_constant": lag or 0.0, "positive": edge(frees), "negative": -edge(-frees),
+        "delay": delay or 0.0, "rate": rate, "time_constant": lag or 0.0, "positive": positive, "negative": negative,
         "release": max(sticks["spool_release"], stiction.REST),
     }  # fmt: skip
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_data import drive_data
+from sysid.export.drive_data import EDGE, drive_data
 from sysid.export.drive_module import PARTS
 from sysid.export.shipped_run import DriveModelSimulation
 from sysid.export.standalone.assembly import assemble
@@ -23,8 +23,7 @@ from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
-#: Static curves before and behind the dynamics of a valve.
-OPENING = ("valve_deadband", "gain_curve", "flow_saturation")
+#: Static curves behind the dynamics of a valve; those before them are ``EDGE``.
 SPEED = ("gain_error", "asymmetric_gain", "nominal_gain", "internal_leakage")
 #: Effects that are numbers of a standard block.
 BLOCKS = {
@@ -56,7 +55,7 @@ class LutTarget:
     )
 
     def support(self, effect: Effect) -> Support:
-        if effect.name in OPENING:
+        if effect.name in EDGE:
             return Support("native", "`<axis>_opening.csv`")
         if effect.name in SPEED:
             return Support("native", "`<axis>_speed.csv`")
@@ -143,7 +142,7 @@ class Table(Part):
 def tables(axis: dict[str, Any], dt: float) -> tuple[Array, Array]:
     """Points (n, 2) of command → opening and opening → speed of a velocity axis."""
     grid = np.linspace(-1.0, 1.0, 2 * POINTS + 1)
-    return _curve(axis, OPENING, dt, grid), _curve(axis, SPEED, dt, np.array([-1.0, 0.0, 1.0]))
+    return _curve(axis, EDGE, dt, grid), _curve(axis, SPEED, dt, np.array([-1.0, 0.0, 1.0]))
 
 
 def _curve(axis: dict[str, Any], names: Sequence[str], dt: float, grid: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import effect_named, stiction
-from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.drive_data import EDGE, WITHOUT_PART, drive_data
 from sysid.export.standalone.joint_parts import GRAVITY
 from sysid.export.torchscript import axes, command_parts, force_parts, joint_parts
 from sysid.export.torchscript.files import scripted
@@ -33,8 +33,7 @@ _COMMAND: dict[str, Any] = {
     "oil_compressibility": command_parts.OilCompressibility,
     "second_order_lag": command_parts.SecondOrderLag,
 }
-#: Static parts behind the place of a spool, and the place of the spool's parameters among those of ``stiction``.
-EDGE = ("valve_deadband", "gain_curve", "flow_saturation")
+#: The place of a spool's parameters among those of ``stiction``.
 SPOOL_SLOT = [slot.name for slot in stiction.EFFECT.slots].index("spool_breakaway")
 _FRICTION: dict[str, Any] = {
     "viscous_friction": force_parts.ViscousFriction,
