@@ -276,9 +276,13 @@ def _likely(
     stay = [f for f in survivors if not replaced(f, survivors, own_evidence)]
     minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
+    return [chosen, *(f for f in _with_other_effects(minimal, chosen) if _is_alternative(f, chosen, rope))]
+
+
+def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[ModelFit]:
+    """The models without those that have the effects of ``chosen``, in whatever form."""
     here = {c.key for c in chosen.candidates}
-    others = [f for f in minimal if {c.key for c in f.candidates} != here]  # not the same effects in other forms
-    return [chosen, *(f for f in others if _is_alternative(f, chosen, rope))]
+    return [f for f in models if {c.key for c in f.candidates} != here]
 
 
 def _without_filters(
@@ -406,8 +410,7 @@ def _nearest(
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
     chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))
-    here = {c.key for c in chosen.candidates}
-    return [chosen, *(f for f in found if {c.key for c in f.candidates} != here)]
+    return [chosen, *_with_other_effects(found, chosen)]
 
 
 def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) -> ModelFit:
