@@ -135,6 +135,10 @@ class FreeRun:
     def left(self, model: ModelFit) -> float:
         return self.nearest(model).left
 
+    def priced(self, model: ModelFit) -> float:
+        """Remaining error that has to be worth the price: that where the effects act."""
+        return self.left(model)
+
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """Difference in remaining error between ``model`` and ``other``, in standard errors."""
         return 0.0
@@ -231,7 +235,7 @@ def decide(
     reference, apart = (beside, first) if paid else (nothing, frozenset())
     certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
     if accumulates:
-        worth = pays(nothing, free.left(acceptable[0]), len(acceptable[0].candidates))
+        worth = pays(nothing, free.priced(acceptable[0]), len(acceptable[0].candidates))
     else:
         worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
     partial = [c for c in acceptable[0].candidates if accumulates and _contradicted(c, acceptable[0], free)]
@@ -400,7 +404,7 @@ def _nearest(
     needed: Callable[[ModelFit], float],
 ) -> list[ModelFit]:
     """The smallest sets of effects that explain the output and to which no other is preferred; least remaining error first."""
-    close = smallest_sets(models, free.left)
+    close = smallest_sets(models, free.priced)
 
     def preferred(f: ModelFit, g: ModelFit) -> bool:
         """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""

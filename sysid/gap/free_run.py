@@ -19,6 +19,7 @@ from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
+from sysid.gap.price import left_where_acting
 from sysid.gap.proposals import Proposals
 from sysid.gap.speed_classes import speed_classes
 from sysid.gap.thresholds import EXPLAINED
@@ -54,6 +55,14 @@ class LeastSquares(FreeRun):
         """
         found = self.proposals.warm(model.candidates, model)
         return found if found.left <= SAME * model.left else self.proposals.fit(model.candidates, model.values[None])
+
+    def priced(self, model: ModelFit) -> float:
+        rows, fitted = self.proposals.likelihood.rows, self.nearest(model)
+        thetas = np.array([self.proposals.fit(()).theta, fitted.theta])
+        errors = rows.scaled(rows.residuals(thetas).T)
+        before, after, moved = (self._of_recordings(each**2) for each in (*errors.T, errors[:, 1] - errors[:, 0]))
+        count = self._of_recordings(np.concatenate([s.present for s in rows.series]).astype(float))
+        return min(fitted.left, left_where_acting(before, after, moved, count, rows.averaged_out))
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """Difference in error between two sets over blocks, in standard errors; positive where ``model`` leaves more."""
@@ -96,6 +105,12 @@ class LeastSquares(FreeRun):
         for other in repairs:
             fitted = self.proposals.without(fitted, other)
         return speed_classes(self.proposals.likelihood, fitted, candidate).absent
+
+    def _of_recordings(self, values: Array) -> Array:
+        """Sums of values (rows,) over each recording, (recordings,)."""
+        rows = self.proposals.likelihood.rows
+        recording = rows.recording_of_block[rows.block]
+        return np.asarray(np.bincount(recording, values, minlength=len(rows.recordings)), dtype=np.float64)
 
     def _squares(self, model: ModelFit) -> Array:
         """Sum of the squared errors of each block, in noise floors, (blocks,)."""

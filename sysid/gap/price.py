@@ -6,9 +6,12 @@ import statistics
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.thresholds import EXPLAINED, PRICE
+
+Array = npt.NDArray[np.float64]
 
 
 def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float]) -> list[ModelFit]:
@@ -47,6 +50,29 @@ def pays_beside(before: float, after: float, alike: float) -> bool:
 def divides(before: float, after: float, effects: int = 1) -> bool:
     """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
     return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
+
+
+def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, averaged_out: float = 0.0) -> float:
+    """Remaining error, as if effects reduced that of all recordings as they do that of the recordings which they move.
+
+    An effect pays where it acts. Recordings that it cannot move (where no command reaches a limit, for instance) say nothing
+    about it, and their number does not change the answer, if the others contain most of the error without effects.
+
+    Args:
+        before, after, moved: sums of squares of each recording, in noise floors, (recordings,): of the error without and with
+            the effects, and of the change of the prediction, which is none up to the region of practical equivalence.
+        rows: number of rows of each recording, (recordings,).
+        averaged_out: variance that averages out of a row, in noise floors.
+
+    Returns:
+        RMS error with the effects, in noise floors.
+    """
+    noise = (1.0 - averaged_out) * rows
+    variance, acts = float((after - noise).sum()), moved > (EXPLAINED**2 - 1.0) * rows
+    there = float((before - noise)[acts].sum())
+    if there > 0.0 and before[acts].sum() > before[~acts].sum():
+        variance = float((before - noise).sum() * (after - noise)[acts].sum()) / there
+    return float(np.sqrt(max(1.0 + variance / rows.sum(), 0.0)))
 
 
 def typical_errors(errors: Sequence[float]) -> list[float]:

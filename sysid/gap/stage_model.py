@@ -102,7 +102,7 @@ def fit_stage(
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
     free = free_run_of(rows, _discrepancy(model, rows, theta, sample).absent, excited)
-    sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
+    sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
     taus = (FREE_RUN_TAU,) if problem.integrates else FIRST_TAUS
     known = dict(free.proposals.fits)
     found = [_converged(model, rows, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]

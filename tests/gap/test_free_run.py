@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from regression_stage import candidate, likelihood, rows_of
+from regression_stage import NOISE, SIGNAL, candidate, likelihood, problem, recordings, rows_of
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.free_run import LeastSquares, free_run_of
+from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, fit_model
+from sysid.gap.price import pays
 
 F, G, TWIN = candidate(0), candidate(1), candidate(2)
 
@@ -86,3 +90,20 @@ def test_the_error_of_neighbouring_blocks_counts_together() -> None:
     spread[::4], together[:4] = 1.0, 1.0
     assert spread.sum() == together.sum()
     assert free.standard_errors(spread) > 1.3 * free.standard_errors(together)
+
+
+def test_an_effect_pays_where_it_acts() -> None:
+    """F is zero in half of the recordings, where the formulas lack something else: what remains there is not its price."""
+    found = []
+    for k, take in enumerate(recordings((0.6, 0.0, 0.0))):
+        table, acts = take.table.copy(), k < 2
+        lacking = 0.2 * np.sin(0.11 * table["time"])
+        table["clock"] = table["clock"] if acts else 0.0
+        table[SIGNAL] = (table[SIGNAL] if acts else NOISE * np.random.default_rng(k).standard_normal(len(table))) + lacking
+        found.append(replace(take, table=table))
+    rows = StageRows(problem(), found, np.zeros(3), np.array([NOISE]))
+    free = free_run_of(rows, likelihood(rows).discrepancy, (F, G, TWIN))
+    one, nothing = free.proposals.fit((F,)), free.proposals.fit(())
+    assert not pays(nothing.left, free.left(one))
+    assert pays(nothing.left, free.priced(one))
+    assert free.priced(nothing) == pytest.approx(free.left(nothing))
