@@ -20,8 +20,13 @@ def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
 
 def survives(model: ModelFit, best: ModelFit) -> bool:
     """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
-    total, error = difference(best, model)
-    return total < max(STANDARD_ERRORS * error, LEAST) or model.evidence > best.evidence - LEAST
+    return not clearly_worse(model, best) or model.evidence > best.evidence - LEAST
+
+
+def clearly_worse(model: ModelFit, other: ModelFit) -> bool:
+    """Whether a model predicts the blocks significantly worse than another."""
+    total, error = difference(other, model)
+    return total >= max(STANDARD_ERRORS * error, LEAST)
 
 
 def simpler(one: ModelFit, other: ModelFit) -> bool:

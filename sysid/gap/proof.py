@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
 
 from sysid.effects import flexible_drive
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
+from sysid.gap.comparison import clearly_worse
 from sysid.gap.cross_validation import gain_of_recordings
 from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.floor import problem_floor
@@ -25,7 +25,7 @@ from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, STANDARD_ERRORS, Z
+from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
 from sysid.gap.unnamed.position_instead import without_names_of_position
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
@@ -256,8 +256,9 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
         return UNCERTAIN
     if result.problem.integrates:
         return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
-    worse = kept.evidence.nats < -LEAST and kept.evidence.p_value > norm.cdf(STANDARD_ERRORS)
-    return PREDICTED_WITHOUT if worse else ""
+    assert result.stage_fit is not None
+    less = result.stage_fit.dropped[kept.candidate.label]
+    return "" if clearly_worse(less, result.stage_fit.decision.model) else PREDICTED_WITHOUT
 
 
 def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:

@@ -162,7 +162,8 @@ def fit_stage(
     fitted = _fitted(proposals, decision, free)
     if not decision.named or len(decision.named) == len(decision.model.candidates):
         return fitted
-    alone = replace(decision, model=_valued(proposals.warm(decision.named, decision.model), decision, free), tied=())
+    names = _valued(proposals.warm(decision.named, decision.model), decision, free)
+    alone = replace(decision, model=names, acceptable=(names,), tied=())
     return replace(fitted, names_alone=_fitted(proposals, alone, free))
 
 

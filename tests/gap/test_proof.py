@@ -351,24 +351,39 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 
 
 @pytest.mark.parametrize(
-    ("share", "absent", "nats", "p_value", "integrates", "refused"),
+    ("share", "absent", "nats", "refused"),
     [
-        (0.5, False, 3.1, 0.5, True, ""),
-        (0.5, False, 2.9, 0.3, True, PREDICTED_WITHOUT),  # odds of 20 to 1
-        (0.5, False, 2.9, 0.3, False, ""),  # the discrepancy replaces friction, whose values it does not take
-        (0.5, False, -9.0, 0.97, False, ""),
-        (0.5, False, -9.0, 0.98, False, PREDICTED_WITHOUT),  # two standard errors
-        (0.5, False, -0.8, 0.996, False, ""),  # significant, and of no size
-        (0.5, True, 50.0, 0.0, True, UNCERTAIN),
-        (0.005, False, 50.0, 0.0, True, "it closes 0.5% of the gap on held-out recordings"),
+        (0.5, False, 3.1, ""),
+        (0.5, False, 2.9, PREDICTED_WITHOUT),  # odds of 20 to 1
+        (0.5, True, 50.0, UNCERTAIN),
+        (0.005, False, 50.0, "it closes 0.5% of the gap on held-out recordings"),
     ],
 )
-def test_what_refuses_a_name(
-    share: float, absent: bool, nats: float, p_value: float, integrates: bool, refused: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    assert proof._refusal(_stage(integrates), _kept(nats, p_value), np.empty(0), share) == refused
+    assert proof._refusal(_stage(True), _kept(nats, 0.5), np.empty(0), share) == refused
+
+
+@pytest.mark.parametrize(
+    ("gains", "refused"),
+    [
+        ([2.0, 1.9], ""),
+        ([5.0, 4.9, -5.0, 4.8, -4.9, 0.4], PREDICTED_WITHOUT),  # 5.2 ± 10: two biases that cancel
+        ([5.0, 5.0, 5.0, -1.0, 4.0, 2.0], ""),  # 20 ± 5
+        ([0.1, 0.1], PREDICTED_WITHOUT),  # significant, and of no size
+        ([-4.0, -5.0], PREDICTED_WITHOUT),
+    ],
+)
+def test_blocks_have_to_be_predicted_clearly_better_with_an_effect_of_a_stage_whose_errors_do_not_accumulate(
+    gains: list[float], refused: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proof, "may_be_absent", lambda *_: False)
+    monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
+    whole, less = (SimpleNamespace(predictive=np.array(each)) for each in (gains, [0.0] * len(gains)))
+    stage = _stage(False)
+    stage.found.stage_fit = SimpleNamespace(decision=SimpleNamespace(model=whole), dropped={"leak": less})
+    assert proof._refusal(stage, _kept(0.0, 0.5), np.empty(0), 0.5) == refused
 
 
 def _stage(integrates: bool, accumulates: bool = False) -> Any:
