@@ -78,7 +78,7 @@ def limit_of(kind: Kind, direction: int, visible: Tables, error: Callable[[Table
 
 
 def overlaid_lists(below: Tables, above: Tables) -> Tables:
-    """Tables of ``above`` over those of ``below``; numbers as keys change entries of a list, sensors are joined."""
+    """Tables of ``above`` over those of ``below``; numbers as keys change entries of a list, sensors are joined by signal."""
     merged = dict(below)
     for key, value in above.items():
         under = merged.get(key)
@@ -87,7 +87,9 @@ def overlaid_lists(below: Tables, above: Tables) -> Tables:
         elif isinstance(value, dict) and isinstance(under, dict):
             merged[key] = overlaid_lists(under, value)
         elif key == "sensors" and isinstance(under, list):
-            merged[key] = [*under, *value]
+            by_signal = {entry["signal"]: entry for entry in under}
+            added = {entry["signal"]: {**by_signal.get(entry["signal"], {}), **entry} for entry in value}
+            merged[key] = list({**by_signal, **added}.values())
         else:
             merged[key] = value
     return merged

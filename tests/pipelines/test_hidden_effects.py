@@ -168,6 +168,18 @@ def test_tables_are_overlaid_inside_lists_too(hidden: dict[str, ModuleType]) -> 
     }  # fmt: skip
 
 
+def test_two_errors_of_one_sensor_are_both_in_the_machine(hidden: dict[str, ModuleType]) -> None:
+    kinds, machines, overlaid = hidden["kinds"].BY_KEY, hidden["machines"], hidden["limits"].overlaid_lists
+    real = machines.recorded(machines.visible_tables("valve_crane", 0), "rich", 1.0, 0.0, 5)
+    for effect in ("sensor_quantisation", "sensor_scale", "sensor_bias"):
+        kind = kinds[f"valve_crane:{effect}(boom.cylinder)"]
+        real = overlaid(real, kind.change(real, 0.1 * kind.most, 1))
+    sensor = hidden["limits"].parsed(real, "crane").sensor("boom.cylinder")
+    assert sensor.quantum > 0.0
+    assert sensor.scale != 1.0
+    assert sensor.bias != 0.0
+
+
 def test_site_holds_nothing_of_what_is_sealed(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
     """A servo arm with play: three times as large as what just shows, described nowhere but in the sealed file."""
     cases = hidden["cases"]
