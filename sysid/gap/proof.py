@@ -37,6 +37,8 @@ Array = npt.NDArray[np.float64]
 
 #: Sensor steps are named if they account for this share of the error of the stage above its noise.
 MIN_SHARE_OF_STEPS = 0.5
+#: Stages whose output is a force.
+FORCES = ("force", "links")
 #: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
 DETERMINED = 0.25
 
@@ -257,8 +259,11 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
     if result.problem.integrates:
         return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
     assert result.stage_fit is not None
-    less = result.stage_fit.dropped[kept.candidate.label]
-    return "" if clearly_worse(less, result.stage_fit.decision.model) else PREDICTED_WITHOUT
+    model, less = result.stage_fit.decision.model, result.stage_fit.dropped[kept.candidate.label]
+    # Friction and payloads are smooth functions of speed and posture: the discrepancy replaces them, without their values.
+    replaced = result.problem.stage in FORCES
+    refused = clearly_worse(model, less) if replaced else not clearly_worse(less, model)
+    return PREDICTED_WITHOUT if refused else ""
 
 
 def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:
