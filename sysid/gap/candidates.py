@@ -84,6 +84,10 @@ class Candidate:
         same = other.effect.name in self.effect.generalises and other.target == self.target
         return same or (other.effect.name, other.target) in self.special
 
+    def extends(self, other: Candidate) -> bool:
+        """Whether ``other`` is a form of the same effect with fewer values."""
+        return self.key == other.key and len(self.unknowns) > len(other.unknowns)
+
     def instance(self, values: Array) -> KnownEffect:
         """The effect with these values, for a plant."""
         parameters: dict[str, float | list[float]] = {}

@@ -128,7 +128,7 @@ class Proposals:
         rest = [c for c in model.candidates if c is not candidate]
         known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
         for form in self.candidates:
-            if _is_richer(candidate, form):
+            if candidate.extends(form):
                 means = np.array([float(np.mean(model.theta[list(u.places)])) for u in form.unknowns])
                 self.fit((*rest, form), np.concatenate([known, means])[None])
 
@@ -170,17 +170,12 @@ class Proposals:
         found = []
         for candidate in self.candidates:
             present = used.get(candidate.key)
-            simple = candidate.known or not any(_is_richer(candidate, other) for other in self.candidates)
+            simple = candidate.known or not any(candidate.extends(other) for other in self.candidates)
             if any(other.contains(candidate) for other in model.candidates):
                 continue
-            if simple if present is None else _is_richer(candidate, present):
+            if simple if present is None else candidate.extends(present):
                 found.append(candidate)
         return found
-
-
-def _is_richer(one: Candidate, other: Candidate) -> bool:
-    """Whether ``one`` is a form of the same effect with more values."""
-    return one.key == other.key and len(one.unknowns) > len(other.unknowns)
 
 
 def _may_replace(new: Candidate, old: Candidate) -> bool:

@@ -147,7 +147,7 @@ def _within(one: PlausibleModel, other: PlausibleModel) -> bool:
     a, b = one.candidate, other.candidate
     assert a is not None
     assert b is not None
-    return b.contains(a) or (a.key == b.key and len(one.unknowns) < len(other.unknowns))
+    return b.contains(a) or b.extends(a)
 
 
 def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[DriftStrength]) -> PlausibleModel:
