@@ -64,9 +64,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Form:
-    """One parametrisation of an effect; the first form of an effect is its simplest. A name means the same in all forms."""
+    """One parametrisation of an effect; the first form of an effect is its simplest. A name means the same in all forms.
+
+    Args:
+        part: its place on the machine, where that of the effect does not fit.
+    """
 
     parameters: tuple[Parameter, ...]
+    part: Part | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,3 +171,8 @@ class Effect:
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""
         return next((form for form in self.forms if frozenset(form.names) == names), None)
+
+    def part_of(self, names: frozenset[str]) -> Part:
+        """The place on the machine of the effect with the parameters ``names``."""
+        form = self.form_of(names)
+        return self.part if form is None or form.part is None else form.part

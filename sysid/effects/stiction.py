@@ -72,7 +72,8 @@ EFFECT = Effect(
                     stepwise=True,
                     secondary=True,
                 ),
-            )
+            ),
+            part="valve",
         ),
     ),
     equation=f"at rest until |x| > breakaway, then y = x until |x| < release ({REST:g} at the least)",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sysid.effects import BY_NAME
@@ -32,9 +32,13 @@ class Mark:
     sure: bool = True
 
 
-def part_of(effect: str, target: str, machine: Machine) -> str:
-    """The part of the machine that has an effect; without hydraulics a drive instead of valve and cylinder."""
-    part: str = BY_NAME[effect].part if effect in BY_NAME else "valve"
+def part_of(effect: str, target: str, machine: Machine, parameters: Collection[str] = ()) -> str:
+    """The part of the machine that has an effect; without hydraulics a drive instead of valve and cylinder.
+
+    Args:
+        parameters: names of its parameters, since forms of an effect may have different places.
+    """
+    part: str = BY_NAME[effect].part_of(frozenset(parameters)) if effect in BY_NAME else "valve"
     if part in ("valve", "cylinder") and target in machine.axis_names:
         axis = machine.axis(target)
         if not has_valve(axis, machine) or (part == "cylinder" and axis.drives == "joint"):
@@ -62,7 +66,7 @@ def place_text(part: str, target: str) -> str:
 
 def marks_of(gap: GapResult, machine: Machine) -> tuple[Mark, ...]:
     """Marks of the effects, then of ambiguous sets (one number per set), then of unnamed errors."""
-    marks = [Mark(k, part_of(e.name, e.target, machine), e.target) for k, e in enumerate(gap.effects, 1)]
+    marks = [Mark(k, part_of(e.name, e.target, machine, e.parameters), e.target) for k, e in enumerate(gap.effects, 1)]
     number = len(marks)
     for tie in gap.ambiguous:
         number += 1

@@ -82,6 +82,8 @@ def test_places_in_words(crane_machine: Machine) -> None:
     assert part_of("valve_deadband", "boom", crane_machine) == "valve"
     assert part_of("internal_leakage", "boom", crane_machine) == "cylinder"
     assert part_of("stiction", "slew", crane_machine) == "drive", "the slew has no cylinder"
+    assert part_of("stiction", "boom", crane_machine, ("breakaway", "release")) == "cylinder", "seals"
+    assert part_of("stiction", "boom", crane_machine, ("spool_breakaway", "spool_release")) == "valve"
     assert place_text("valve", "boom") == "valve of the boom"
     assert place_text("sensor", "boom.cylinder") == "sensor boom cylinder"
     assert place_text("link", "ee") == "links up to the tip"

@@ -176,7 +176,7 @@ def _card(number: int, title: str, target: str, sentence: str, quiet: list[str],
 
 def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, units: Mapping[str, str]) -> dict[str, Any]:
     shown = shown_parameters(effect.name, effect.target, effect.given, machine, units)
-    where = place_text(part_of(effect.name, effect.target, machine), effect.target)
+    where = place_text(part_of(effect.name, effect.target, machine, effect.parameters), effect.target)
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
     quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the error of its stage."]
