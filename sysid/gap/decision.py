@@ -17,8 +17,8 @@ Given models of one stage (sets of effects) under shared variances:
    ``STANDARD_ERRORS`` times what remains), in the recordings that the set moves if these contain most of the error. Of equally
    large sets within this price, those are acceptable that leave no more than another by ``STANDARD_ERRORS`` of the difference
    between blocks, and of which no other is likelier by more than twice ``BLOCK_NATS`` and by a fifth of what a discrepancy
-   gains beside it, at their values of least error. The set that is chosen
-   has to be worth its own price for a name. The plant gets its values, unless a survivor with further effects leaves less.
+   gains beside it, at their values of least error. The set that is chosen has to be worth its own price for a name. The plant
+   gets its values, unless a survivor with further effects leaves less.
    *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
    effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
