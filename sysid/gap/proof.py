@@ -37,7 +37,8 @@ Array = npt.NDArray[np.float64]
 
 #: Sensor steps are named if they account for this share of the error of the stage above its noise.
 MIN_SHARE_OF_STEPS = 0.5
-#: Stages whose output is a force.
+#: Stages whose output is a force: friction and payloads are smooth functions of speed and posture, which the discrepancy
+#: replaces in the prediction of blocks, without their values.
 FORCES = ("force", "links")
 #: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
 DETERMINED = 0.25
@@ -258,12 +259,11 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
         return UNCERTAIN
     if result.problem.integrates:
         return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
+    if result.problem.stage in FORCES:
+        return ""
     assert result.stage_fit is not None
-    model, less = result.stage_fit.decision.model, result.stage_fit.dropped[kept.candidate.label]
-    # Friction and payloads are smooth functions of speed and posture: the discrepancy replaces them, without their values.
-    replaced = result.problem.stage in FORCES
-    refused = clearly_worse(model, less) if replaced else not clearly_worse(less, model)
-    return PREDICTED_WITHOUT if refused else ""
+    less = result.stage_fit.dropped[kept.candidate.label]
+    return "" if clearly_worse(less, result.stage_fit.decision.model) else PREDICTED_WITHOUT
 
 
 def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:
