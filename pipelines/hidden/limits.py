@@ -87,9 +87,8 @@ def overlaid_lists(below: Tables, above: Tables) -> Tables:
         elif isinstance(value, dict) and isinstance(under, dict):
             merged[key] = overlaid_lists(under, value)
         elif key == "sensors" and isinstance(under, list):
-            by_signal = {entry["signal"]: entry for entry in under}
-            added = {entry["signal"]: {**by_signal.get(entry["signal"], {}), **entry} for entry in value}
-            merged[key] = list({**by_signal, **added}.values())
+            by_signal = ({entry["signal"]: entry for entry in entries} for entries in (under, value))
+            merged[key] = list(overlaid_lists(*by_signal).values())
         else:
             merged[key] = value
     return merged

@@ -58,10 +58,9 @@ class LeastSquares(FreeRun):
 
     def priced(self, model: ModelFit) -> float:
         rows, fitted = self.proposals.likelihood.rows, self.nearest(model)
-        thetas = np.array([self.proposals.fit(()).theta, fitted.theta])
-        errors = rows.scaled(rows.residuals(thetas).T)
+        errors = rows.scaled(np.column_stack([rows.nominal, rows.residuals(fitted.theta[None])[0]]))
         before, after, moved = (self._of_recordings(each**2) for each in (*errors.T, errors[:, 1] - errors[:, 0]))
-        count = self._of_recordings(np.concatenate([s.present for s in rows.series]).astype(float))
+        count = self._of_recordings(rows.present.astype(float))
         return min(fitted.left, left_where_acting(before, after, moved, count, rows.averaged_out))
 
     def further(self, model: ModelFit, other: ModelFit) -> float:

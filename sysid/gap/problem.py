@@ -28,6 +28,8 @@ from sysid.signals import axis_signal, point_signals, split_signal
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
+#: Stages whose output is a force: of an axis, or of the links of an arm.
+FORCES = ("force", "links")
 #: Length of the short runs from which a drive fit takes its starting values [s].
 SHORT_RUN = 5.0
 

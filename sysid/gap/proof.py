@@ -20,6 +20,7 @@ from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_e
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
+from sysid.gap.problem import FORCES
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
@@ -37,9 +38,6 @@ Array = npt.NDArray[np.float64]
 
 #: Sensor steps are named if they account for this share of the error of the stage above its noise.
 MIN_SHARE_OF_STEPS = 0.5
-#: Stages whose output is a force: friction and payloads are smooth functions of speed and posture, which the discrepancy
-#: replaces in the prediction of blocks, without their values.
-FORCES = ("force", "links")
 #: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
 DETERMINED = 0.25
 
@@ -259,6 +257,7 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
         return UNCERTAIN
     if result.problem.integrates:
         return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
+    # Friction and payloads are smooth functions of speed and posture: the discrepancy replaces them, without their values.
     if result.problem.stage in FORCES:
         return ""
     assert result.stage_fit is not None

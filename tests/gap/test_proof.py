@@ -362,7 +362,7 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    assert proof._refusal(_stage(True), _kept(nats, 0.5), np.empty(0), share) == refused
+    assert proof._refusal(_stage(True), _kept(nats), np.empty(0), share) == refused
 
 
 @pytest.mark.parametrize(
@@ -386,7 +386,7 @@ def test_blocks_have_to_be_predicted_clearly_better_with_an_effect_where_errors_
         stage = _stage(False)
         stage.found.problem.stage = name
         stage.found.stage_fit = SimpleNamespace(decision=SimpleNamespace(model=whole), dropped={"leak": less})
-        assert proof._refusal(stage, _kept(0.0, 0.5), np.empty(0), 0.5) == expected
+        assert proof._refusal(stage, _kept(0.0), np.empty(0), 0.5) == expected
 
 
 def _stage(integrates: bool, accumulates: bool = False) -> Any:
@@ -394,8 +394,8 @@ def _stage(integrates: bool, accumulates: bool = False) -> Any:
     return SimpleNamespace(found=result)
 
 
-def _kept(nats: float, p_value: float) -> Any:
-    return SimpleNamespace(candidate=SimpleNamespace(label="leak"), evidence=SimpleNamespace(nats=nats, p_value=p_value))
+def _kept(nats: float) -> Any:
+    return SimpleNamespace(candidate=SimpleNamespace(label="leak"), evidence=SimpleNamespace(nats=nats))
 
 
 @pytest.mark.parametrize("uncertain", [True, False])
@@ -445,7 +445,7 @@ def test_whole_recordings_keep_a_name_that_blocks_are_too_short_for(
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
     monkeypatch.setattr(proof, "comparisons_without", lambda *_: [(gain, gain) for gain in gains])
     monkeypatch.setattr(proof, "gain_of_recordings", lambda stage, without, model: model)
-    assert proof._refusal(_stage(True, accumulates), _kept(0.4, 0.5), np.empty(0), 0.5) == refused
+    assert proof._refusal(_stage(True, accumulates), _kept(0.4), np.empty(0), 0.5) == refused
 
 
 @pytest.mark.parametrize(("accumulates", "nats"), [(True, 40.0), (False, 1.0)])

@@ -17,6 +17,7 @@ from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
 from sysid.gap.fit import Fit, fit_candidates, starting_values
+from sysid.gap.problem import FORCES
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.thresholds import EXPLAINED
 from sysid.plant import compile_plant
@@ -66,7 +67,7 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) 
     model = compile_plant(outcome.repaired)
     base = model.theta
     if model.rigid is not None:  # motions are planned for one axis; the forces of an arm depend on all of them
-        stages = [stage for stage in stages if stage.problem.stage not in ("links", "force")]
+        stages = [stage for stage in stages if stage.problem.stage not in FORCES]
     found = []
     for stage in stages:
         if stage.result is None:

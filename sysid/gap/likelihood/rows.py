@@ -61,6 +61,8 @@ class StageRows:
         theta: vector of the plant under test: a row counts if it has a prediction.
         floor: noise floor of each output, (d,).
         averaged_out: variance of the outputs that averaging removes, in noise floors.
+
+    ``present`` (rows,): rows with a measurement and a prediction; ``nominal`` (rows,): residual of ``theta``, zero elsewhere.
     """
 
     def __init__(
@@ -104,9 +106,9 @@ class StageRows:
         for s in self.series:
             self.recording_of_block[self.block[s.rows]] = s.recording
         self.theta = theta
-        self._present = np.concatenate([s.present for s in self.series])
-        self._nominal = np.zeros(begin)
-        self._nominal = self.residuals(theta[None])[0]
+        self.present = np.concatenate([s.present for s in self.series])
+        self.nominal = np.zeros(begin)
+        self.nominal = self.residuals(theta[None])[0]
 
     @property
     def measured_rows(self) -> int:
@@ -132,7 +134,7 @@ class StageRows:
             measured = np.ascontiguousarray(self.problem.measured(recording))
             predicted = np.ascontiguousarray(self.problem.predict(thetas, recording))
             out = np.empty((len(thetas), here.stop - here.start))
-            _residuals(measured, predicted, series[0].width, self._present[here], self._nominal[here], out)
+            _residuals(measured, predicted, series[0].width, self.present[here], self.nominal[here], out)
             yield here, out
 
     def scaled(self, columns: Array) -> Array:
