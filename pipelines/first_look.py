@@ -74,10 +74,10 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         "files": {"report": page, "rerun": film},
     }
     write_json(folder / "result.json", result)
-    view = f"{film}   (view: {rerun_command(film)})" if film is not None else f"left out: {install_command('view')}"
+    view = f"{film}   (view: {rerun_command(film)})" if film is not None else f"left out: {install_command('rerun')}"
     out.block(f"\nReport   {page}\nRerun    {view}\nFigures  {folder / 'result.json'}")
     if not networks:
-        out.line(f"Networks were left out: {install_command('networks')}")
+        out.line(f"Networks were left out: {install_command('torch')}")
     return folder / "result.json"
 
 

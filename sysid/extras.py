@@ -41,9 +41,22 @@ def extra_of(error: ModuleNotFoundError) -> str:
     return EXTRAS.get((error.name or "").partition(".")[0], "")
 
 
-def install_command(extra: str) -> str:
-    """The command that installs an extra."""
-    return f"pip install '{DISTRIBUTION}[{extra}]'"
+def install_command(module: str) -> str:
+    """The command that installs the extra of an imported module.
+
+    Raises:
+        KeyError: no extra installs it.
+    """
+    return f"pip install '{DISTRIBUTION}[{EXTRAS[module.partition('.')[0]]}]'"
+
+
+def install_remedy(module: str) -> str:
+    """The remedy in every message about a module that is not installed: the command of its extra.
+
+    Raises:
+        KeyError: no extra installs it.
+    """
+    return f"{install_command(module)} installs it."
 
 
 def versions_of(names: Iterable[str]) -> dict[str, str]:

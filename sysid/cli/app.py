@@ -14,7 +14,7 @@ import click
 
 from sysid.children import safe_children
 from sysid.errors import StorageError, SysidError, nearest
-from sysid.extras import extra_of, install_command
+from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
 from sysid.release import __version__
 
@@ -125,12 +125,9 @@ def run_command(argv: list[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except ModuleNotFoundError as error:
-        extra = extra_of(error)
-        if not extra:
+        if not error.name or not extra_of(error):
             raise  # not a package of an extra: a bug, which needs its traceback
-        return _complain(
-            f"this needs the package {error.name}, which is not installed. {install_command(extra)} installs it.", 2
-        )
+        return _complain(f"this needs the package {error.name}, which is not installed. {install_remedy(error.name)}", 2)
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise  # not about a file: a bug, which needs its traceback

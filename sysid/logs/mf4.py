@@ -1,6 +1,6 @@
 """ASAM MDF 4 (``.mf4``): every channel group is a stream of its numeric channels; logged CAN frames are decoded like a CAN log.
 
-The library that reads the format is an extra (``pip install sysid[mf4]``), because nothing else needs its compiled packages.
+The library that reads the format is an extra (``mf4``), because nothing else needs its compiled packages.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
+from sysid.extras import install_remedy
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import Budget
@@ -59,7 +60,7 @@ def _open(path: Path, file: Any) -> Any:
         from asammdf import MDF
     except ImportError:
         raise InputError(
-            path, "asammdf is not installed", "the extra that reads MDF files", "pip install 'sysid[mf4]'"
+            path, "asammdf is not installed", "the extra that reads MDF files", install_remedy("asammdf")
         ) from None
     try:
         return MDF(file)

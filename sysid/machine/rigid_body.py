@@ -18,16 +18,16 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
+from sysid.extras import install_remedy
 from sysid.machine.description import Machine
 from sysid.machine.kinematics import Kinematics
 from sysid.machine.moved_bodies import GRAVITY, has_masses
-from sysid.machine.urdf_tree import urdf_tree
+from sysid.machine.urdf_tree import MOMENTS, urdf_tree
 
 Array = npt.NDArray[np.float64]
 
 #: Inertial parameters of a body.
 PARAMETERS = 10
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: Rows whose regressors are in memory at a time.
 CHUNK = 4096
 
@@ -67,10 +67,11 @@ class RigidBody:
 
     def __init__(self, kinematics: Kinematics, urdf: str) -> None:
         pin = _pinocchio()
-        self._model = pin.buildModelFromXML(_bare(urdf))
+        text, links, joints = _bare(urdf)
+        self._model = pin.buildModelFromXML(text)
         self._model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
         self._data = self._model.createData()
-        self.names: tuple[str, ...] = tuple(self._model.names)[1:]
+        self.names: tuple[str, ...] = tuple(joints[int(name.removeprefix("joint_"))] for name in list(self._model.names)[1:])
         self.body_of = np.array([self.names.index(name) for name in kinematics.actuated])
         self.nominal: Array = np.array([self._model.inertias[k + 1].toDynamicParameters() for k in range(len(self.names))])
         # Value of each joint of the library: gain · axis + offset; joints that no axis moves rest at zero.
@@ -78,7 +79,7 @@ class RigidBody:
         for name, drive in kinematics.drives.items():
             row = self.names.index(name)
             self._gain[row, drive.column], self._offset[row] = drive.ratio, drive.offset
-        frame = self._model.frames[self._model.getFrameId(kinematics.tip)]
+        frame = self._model.frames[self._model.getFrameId(f"link_{links.index(kinematics.tip)}")]
         self.tip = Tip(int(frame.parentJoint) - 1, np.array(frame.placement.rotation), np.array(frame.placement.translation))
 
     @property
@@ -137,28 +138,34 @@ def _known(joints: tuple[str, ...], tip: str, urdf: str) -> RigidBody:
     return RigidBody(Kinematics.from_urdf(urdf, joints, tip), urdf)
 
 
-def _bare(urdf: str) -> str:
-    """Links with their inertias and joints without limits, shapes and passive coupling, which the library need not read.
+def _bare(urdf: str) -> tuple[str, list[str], list[str]]:
+    """(URDF, links, joints): links with their inertias and joints without limits, shapes and passive coupling.
 
-    A continuous joint is written as a revolute one, which has one coordinate in the library instead of two.
+    Names become numbers, since the library has reserved ones and one table for links and joints. A continuous joint is written
+    as a revolute one, which has one coordinate in the library instead of two, and what no axis can move as fixed.
     """
     root, bare = urdf_tree(urdf), Element("robot", {"name": "bare"})
-    for link in root.findall("link"):
-        own = SubElement(bare, "link", {"name": link.get("name", "")})
+    links = [link.get("name", "") for link in root.findall("link")]
+    joints = [joint.get("name", "") for joint in root.findall("joint")]
+    number = {name: f"link_{k}" for k, name in enumerate(links)}
+    for name, link in zip(links, root.findall("link"), strict=True):
+        own = SubElement(bare, "link", {"name": number[name]})
         if link.find("inertial/mass") is not None:
             inertial = SubElement(own, "inertial")
-            for key, default in (("origin", {}), ("mass", {}), ("inertia", dict.fromkeys(_MOMENTS, "0"))):
+            for key, default in (("origin", {}), ("mass", {"value": "0"}), ("inertia", dict.fromkeys(MOMENTS, "0"))):
                 found = link.find(f"inertial/{key}")
                 SubElement(inertial, key, default | (dict(found.attrib) if found is not None else {}))
-    for joint in root.findall("joint"):
-        kind = joint.get("type", "")
-        own = SubElement(bare, "joint", {"name": joint.get("name", ""), "type": "revolute" if kind == "continuous" else kind})
-        for key in ("parent", "child", "origin", "axis"):
+    for k, joint in enumerate(root.findall("joint")):
+        kind = {"continuous": "revolute", "revolute": "revolute", "prismatic": "prismatic"}.get(joint.get("type", ""), "fixed")
+        own = SubElement(bare, "joint", {"name": f"joint_{k:04d}", "type": kind})
+        for key in ("parent", "child"):
+            SubElement(own, key, {"link": number[str(joint.find(key).get("link"))]})  # type: ignore[union-attr]
+        for key in ("origin", "axis"):
             for part in joint.findall(key):
                 SubElement(own, key, dict(part.attrib))
         if kind != "fixed":
             SubElement(own, "limit", dict.fromkeys(("upper", "velocity", "effort"), "1e9") | {"lower": "-1e9"})
-    return tostring(bare, encoding="unicode")
+    return tostring(bare, encoding="unicode"), links, joints
 
 
 def _pinocchio() -> Any:
@@ -166,6 +173,6 @@ def _pinocchio() -> Any:
         import pinocchio
     except ImportError:
         raise SettingsError(
-            "inverse dynamics of the links", "Pinocchio is not installed", "the extra", "Type: pip install 'sysid[dynamics]'"
+            "inverse dynamics of the links", "Pinocchio is not installed", "the extra", install_remedy("pinocchio")
         ) from None
     return pinocchio

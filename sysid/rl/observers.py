@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from sysid.errors import SettingsError
+from sysid.extras import install_remedy
 from sysid.names import dotted
 from sysid.rl.ddpg import Trainer
 from sysid.root import Root
@@ -65,7 +66,7 @@ class TensorBoard:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
-            found, remedy = "tensorboard is not installed", "Type: pip install 'sysid[tensorboard]'"
+            found, remedy = "tensorboard is not installed", install_remedy("tensorboard")
             raise SettingsError("sysid train --tensorboard", found, "the extra", remedy) from None
         step = trainer.step_count * trainer.environment.size
         self._writer = SummaryWriter(str(Root(self.folder).make(folder.name)), purge_step=step + 1 if step else None)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError, StorageError, StoreError
+from sysid.extras import install_remedy
 from sysid.files import json_text
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.actuator import DIRECTIONS
@@ -107,7 +108,7 @@ def _runtime() -> Any:
         import onnxruntime
     except ImportError as error:
         raise SettingsError(
-            "sysid models export", f"{error.name} is not installed", "the extra", "Type: pip install 'sysid[onnx]'"
+            "sysid models export", f"{error.name} is not installed", "the extra", install_remedy("onnx")
         ) from None
     return onnxruntime
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sysid.errors import SettingsError
+from sysid.extras import install_remedy
 
 
 def pybullet() -> Any:
@@ -25,7 +26,10 @@ def pybullet() -> Any:
             return importlib.import_module("pybullet")
     except ImportError:
         version = ".".join(str(n) for n in sys.version_info[:2])
-        remedy = "It has no builds for Python 3.12 and later: use Python 3.11, or step the compiled plant without a world."
+        remedy = (
+            f"With Python 3.11, {install_remedy('pybullet')} "
+            "It has no builds for later ones: step the compiled plant without a world there."
+        )
         raise SettingsError(
             "PyBullet world", f"pybullet is not installed (Python {version})", "pybullet 3.2.7", remedy
         ) from None

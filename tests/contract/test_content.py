@@ -8,10 +8,11 @@ import re
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import TypeGuard
 
 import pytest
 
-from sysid.extras import DISTRIBUTION, EXTRAS
+from sysid.extras import DISTRIBUTION, EXTRAS, install_command
 
 ROOT = Path(__file__).parents[2]
 CONTENT = ("datasets", "pipelines", "rl", "reports")
@@ -129,6 +130,51 @@ def test_every_package_of_an_extra_is_known_to_the_message_about_it() -> None:
     assert used == set(EXTRAS.values())
     for name in used:
         assert {normal(re.split(r"[^A-Za-z0-9._-]", text)[0]) for text in extras[name]} <= known
+
+
+#: Where a remedy is written: sources, docs, recipes of training, the README.
+WRITTEN = {".py", ".md", ".ipynb", ".toml", ".html"}
+INSTALLS = re.compile(r"pip install\s+['\"]?sysid(?P<rest>-toolkit)?\[(?P<extras>[^\]]*)\]")
+
+
+def test_every_written_command_installs_extras_of_this_distribution() -> None:
+    """``sysid`` is another project on the package index; an extra that pyproject.toml lacks installs nothing."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    found = {
+        (str(path.relative_to(ROOT)), match)
+        for path in tracked()
+        if path.suffix in WRITTEN and path != Path(__file__)
+        for match in INSTALLS.finditer(path.read_text("utf-8"))
+    }
+    assert found
+    wrong = {place for place, match in found if match["rest"] is None}
+    assert not wrong, f"install another project: {sorted(wrong)}"
+    for place, match in found:
+        assert {name.strip() for name in match["extras"].split(",")} <= extras.keys(), f"{place}: {match[0]}"
+
+
+def test_a_refusal_about_a_missing_package_names_its_extra() -> None:
+    """Each ``except ImportError`` that refuses takes its remedy from :mod:`sysid.extras`, for the module that it imports."""
+    refusals = 0
+    for path in sorted((ROOT / "sysid").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if not isinstance(node, ast.Try):
+                continue
+            for handler in node.handlers:
+                caught = {name.id for name in ast.walk(handler.type or handler) if isinstance(name, ast.Name)}
+                raised = [name for name in ast.walk(handler) if isinstance(name, ast.Raise) and name.exc is not None]
+                if not caught & {"ImportError", "ModuleNotFoundError"} or not raised:
+                    continue
+                refusals += 1
+                modules = {ast.literal_eval(call.args[0]) for call in ast.walk(handler) if _is_remedy(call)}
+                place = f"{path.relative_to(ROOT)}:{handler.lineno}"
+                assert len(modules) == 1, f"{place}: one install_remedy"
+                assert install_command(modules.pop()).startswith(f"pip install '{DISTRIBUTION}["), place
+    assert refusals >= 5
+
+
+def _is_remedy(node: ast.AST) -> TypeGuard[ast.Call]:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "install_remedy"
 
 
 def normal(name: str) -> str:

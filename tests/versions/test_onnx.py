@@ -125,6 +125,7 @@ def test_a_full_disk_leaves_the_export_of_before(tmp_path: Path, monkeypatch: py
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
     with pytest.raises(
-        SettingsError, match=r"onnxruntime is not installed; expected the extra. Type: pip install 'sysid\[onnx\]'"
+        SettingsError,
+        match=r"onnxruntime is not installed; expected the extra\. pip install 'sysid-toolkit\[onnx\]' installs it",
     ):
         export_onnx(actuator(), tmp_path / "out")
