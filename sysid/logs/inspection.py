@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from sysid.confined import confined
 from sysid.errors import InputError
-from sysid.logs.confined import confined
 from sysid.logs.csv import CsvReader
 from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions
@@ -128,7 +128,7 @@ def inspect_file(
     size = path.stat().st_size
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
-        return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget, _SUMMARIES)
+        return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget.limits, _SUMMARIES)
     except InputError as error:
         return FileSummary(path, chosen.name, size, refusal=str(error))
     except PermissionError:

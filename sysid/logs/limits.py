@@ -10,6 +10,7 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.confined import Limits
 from sysid.errors import InputError
 
 #: Memory for a small file; for a larger one a multiple of its size, up to the memory of the machine.
@@ -107,11 +108,10 @@ class Budget:
             return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {self.chunk / 2**20:.0f} MiB"
         return ""
 
-    def exceeded(self, where: object, seconds: bool) -> InputError:
-        """The error of a reader that exceeded its memory, or its ``seconds``."""
-        found = f"takes more than {self.seconds:.0f} s" if seconds else f"takes more than {self.memory / 2**20:.0f} MiB to read"
-        expected = "what a log of its size takes"
-        return InputError(where, found, expected, "The file is damaged or malicious; if it is neither, export it in parts.")
+    @property
+    def limits(self) -> Limits:
+        """Of the process that reads the file."""
+        return Limits(self.memory, self.seconds)
 
     @staticmethod
     def _check(where: object, count: int, limit: int, what: str, remedy: str) -> None:

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "sysid"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("release", "errors", "foreign", "parse", "children", "lazy", "extras"),
     ("units", "signals", "progress", "scratch", "files", "compiled", "cores", "pictures", "names", "numbers", "display"),
-    ("config", "root", "location", "execution"),
+    ("config", "root", "location", "execution", "confined"),
     ("logs", "machine"),
     ("effects",),
     ("datasets",),

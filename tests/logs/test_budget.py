@@ -17,10 +17,10 @@ import pytest
 import zstandard
 from small_logs import write_log
 
+from sysid.confined import confined
 from sysid.datasets.discover import discover
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, reader_for, reader_named
-from sysid.logs.confined import confined
 from sysid.logs.inspection import inspect_file
 from sysid.logs.limits import Budget
 
@@ -49,7 +49,7 @@ def refusal(path: Path, reader: str | None, options: ReadOptions) -> tuple[str, 
             return str(error), resident("VmHWM") - before
         return "", resident("VmHWM") - before
 
-    return confined(work, path, LOOSE, ())
+    return confined(work, path, LOOSE.limits, ())
 
 
 def generated_column(path: Path) -> None:

@@ -15,16 +15,17 @@ import numpy as np
 import pytest
 from small_logs import LOGS, STATED, write_log
 
+from sysid.confined import confined
 from sysid.errors import InputError, SettingsError
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
-from sysid.logs.confined import confined, read_confined
+from sysid.logs.confined import read_confined
 from sysid.logs.limits import Budget
 
 SMALL = replace(Budget.of(1), memory=64 * 2**20, seconds=30.0)
 
 
 def run(work: Callable[[], Any], budget: Budget = SMALL, kinds: tuple[type, ...] = ()) -> Any:
-    return confined(lambda report: work(), "log.csv", budget, kinds)
+    return confined(lambda report: work(), "log.csv", budget.limits, kinds)
 
 
 @pytest.mark.parametrize("name", LOGS)
@@ -115,7 +116,7 @@ def test_a_listener_that_raises_ends_the_reading(tmp_path: Path) -> None:
 
     before = children()
     with pytest.raises(KeyboardInterrupt):
-        confined(work, "log.csv", SMALL, (), listen)
+        confined(work, "log.csv", SMALL.limits, (), listen)
     assert children() <= before
 
 

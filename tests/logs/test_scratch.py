@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from sysid import scratch
+from sysid.confined import confined
 from sysid.errors import InputError, StorageError
 from sysid.logs import ReadOptions, reader_for
-from sysid.logs.confined import confined, read_confined
+from sysid.logs.confined import read_confined
 from sysid.logs.limits import Budget
 from sysid.scratch import Scratch
 
@@ -112,9 +113,9 @@ def test_a_process_has_no_arrays_of_the_one_that_reads(small: Scratch) -> None:
 
     budget = Budget.of(1)
     with pytest.raises(InputError, match="crashed"):
-        confined(lambda report: work(), "log.csv", budget, ())
+        confined(lambda report: work(), "log.csv", budget.limits, ())
     assert values.sum() == 3.0 * ROWS
-    assert confined(lambda report: scratch.filled(ROWS, 2.0), "log.csv", budget, ()).sum() == 2.0 * ROWS
+    assert confined(lambda report: scratch.filled(ROWS, 2.0), "log.csv", budget.limits, ()).sum() == 2.0 * ROWS
 
 
 def test_more_than_the_budget_is_an_error_of_the_file(small: Scratch) -> None:
@@ -123,7 +124,7 @@ def test_more_than_the_budget_is_an_error_of_the_file(small: Scratch) -> None:
         raise AssertionError(len(held))
 
     with pytest.raises(InputError, match=r"log\.csv: takes more than 512 MiB to read"):
-        confined(lambda report: work(), "log.csv", Budget.of(1), ())
+        confined(lambda report: work(), "log.csv", Budget.of(1).limits, ())
 
 
 def no_room(*_: object) -> None:
