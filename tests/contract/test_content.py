@@ -150,6 +150,8 @@ def test_every_written_command_installs_extras_of_this_distribution() -> None:
     wrong = {place for place, match in found if match["rest"] is None}
     assert not wrong, f"install another project: {sorted(wrong)}"
     for place, match in found:
+        if "{" in match["extras"]:  # of a format string
+            continue
         assert {name.strip() for name in match["extras"].split(",")} <= extras.keys(), f"{place}: {match[0]}"
 
 
