@@ -45,14 +45,15 @@ _FRAME = (
     model.ForceDrive, model.Axis, model.DriveModel, assembly.assemble, assembly._axis, assembly._drive,
 )  # fmt: skip
 
-_HEAD = '''"""Drive model of {machine} ({plant}): commands → drives, joints, end effector and tool. Needs NumPy alone.
+#: Names of the machine, its plant and its axes are in the data alone: no text of a file becomes source code.
+_HEAD = '''"""Drive model of the machine of {data}: commands → drives, joints, end effector and tool. Needs NumPy alone.
 
 >>> model = load("{data}")
 >>> state = model.reset(joints)          # joints at the sensors, (A,) [rad or m]
->>> state = model.step(commands)         # every {dt:g} s; commands (A,) as in machine.toml
+>>> state = model.step(commands)         # every {dt!r} s; commands (A,) as in machine.toml
 >>> model.readings(state)                # signals as the sensors read them
 
-Axes: {axes}. SI units; the base frame of the URDF, gravity along −z.
+Axes are in the order of ``model.names``. SI units; the base frame of the URDF, gravity along −z.
 """
 
 from __future__ import annotations
@@ -90,10 +91,7 @@ def module_text(data: Mapping[str, Any]) -> str:
     classes: list[Any] = [oscillator.oscillation, command_parts.Part, force_parts.Friction, force_parts.RigidDrive]
     classes += [PARTS[name] for name in PARTS if name in used and PARTS[name] not in classes]
     absent = _absent(data)
-    head = _HEAD.format(
-        machine=data["machine"], plant=data["plant"] or "not registered", data=DATA, dt=data["dt"], gravity=joint_parts.GRAVITY,
-        axes=", ".join(f"{axis['name']} ({axis['actuation']})" for axis in data["axes"]),
-    )  # fmt: skip
+    head = _HEAD.format(data=DATA, dt=float(data["dt"]), gravity=joint_parts.GRAVITY)
     tail = _TAIL.format(parts="\n".join(f'    "{name}": {PARTS[name].__name__},' for name in PARTS if name in used), data=DATA)
     sources = (inspect.getsource(entry) for entry in [*classes, *_FRAME] if entry not in absent)
     return "\n\n".join([head, *sources, tail])

@@ -6,13 +6,14 @@ import json
 import shutil
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.force_replay import force_replay
+from sysid.export.names import Renamed
 from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
 from sysid.export.replay import Replay, replay
@@ -36,6 +37,7 @@ class Export:
         files: names in ``folder``, the main one first.
         replay: None where the simulator does not run here.
         lacking: effects that the target cannot represent.
+        renamed: parts of the machine that have other names in the files.
     """
 
     plant: str
@@ -44,6 +46,7 @@ class Export:
     files: tuple[str, ...]
     replay: Replay | None
     lacking: tuple[str, ...]
+    renamed: tuple[Renamed, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -53,6 +56,7 @@ class Export:
             "folder": str(self.folder),
             "files": list(self.files),
             "not_representable": list(self.lacking),
+            "renamed": [asdict(part) for part in self.renamed],
             "replay": None if self.replay is None else self.replay.to_json(),
         }
 
@@ -120,20 +124,21 @@ def _write(
     rate = dataset.machine.rate_hz
     files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half))
     simulation = target.simulation(plant, half)
-    found = None if simulation is None else _replayed(plant, simulation, dataset)
+    found = None if simulation is None else _replayed(plant, simulation, dataset, target.resolution)
     names = (*files, REPLAY, PAGE)
-    made = Export(plant.reference or plant.machine.name, target.name, folder, names, found, tuple(lacking(plant, target)))
+    reference, renamed = plant.reference or plant.machine.name, target.names(plant).changed
+    made = Export(reference, target.name, folder, names, found, tuple(lacking(plant, target)), renamed)
     (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": dataset.reference}, indent=1), "utf-8")
     (half / PAGE).write_text(export_page(plant, target, rate, names, found, dataset.units), "utf-8")
     shutil.rmtree(half / "__pycache__", ignore_errors=True)
     return made
 
 
-def _replayed(plant: Plant, simulation: Simulation | ForceSimulation, dataset: Dataset) -> Replay:
+def _replayed(plant: Plant, simulation: Simulation | ForceSimulation, dataset: Dataset, resolution: float) -> Replay:
     recordings, noise = held_out(dataset), noise_levels(dataset)
     if moves_masses(plant.machine):
         return force_replay(plant, cast("ForceSimulation", simulation), recordings, noise)
-    return replay(plant, cast("Simulation", simulation), recordings, noise)
+    return replay(plant, cast("Simulation", simulation), recordings, noise, resolution)
 
 
 def held_out(dataset: Dataset) -> Sequence[Recording]:

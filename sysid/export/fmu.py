@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
+from sysid.export.names import MachineNames, axis_names
 from sysid.export.shipped_run import write_drive_model
 from sysid.export.target import Simulation, Start, Support
 from sysid.plant import Plant
@@ -30,11 +31,14 @@ class FmuTarget:
     name = "fmu"
     title = "FMI 2.0 (co-simulation)"
     modules: tuple[str, ...] = ("pythonfmu", "fmpy")
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
         "The FMU needs a Python with NumPy on the machine that runs it (PythonFMU embeds the interpreter that it finds).",
         "A communication step is a whole number of samples. Outputs are the readings of the sensors.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        return axis_names(plant.machine.name, plant.machine.axis_names)
 
     def support(self, effect: Effect) -> Support:
         if effect.name in WITHOUT_PART:

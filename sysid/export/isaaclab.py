@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.names import MachineNames, Names, identifier
 from sysid.export.posterior import posterior
 from sysid.export.target import Simulation, Support
 from sysid.export.urdf import COMPOSED, UrdfSimulation
-from sysid.export.urdf_text import urdf_of
+from sysid.export.urdf_text import FIXED_WORLD, urdf_names, urdf_of, xml_text
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 
@@ -29,13 +30,17 @@ class IsaacLabTarget:
     name = "isaaclab"
     title = "TorchScript for Isaac Lab"
     modules: tuple[str, ...] = ("torch", "mujoco")
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
         f"Isaac Lab was not run here. `{FILE}` follows the documentation of Isaac Lab 2.x (actuators, events, URDF assets).",
         f"For the replay `{MODEL}` is loaded and moves the joints, and MuJoCo reads `{URDF}` and computes the end effector.",
         "The module is batched: its state and its parameters, a row for each environment, are inputs. It computes in float64.",
         "Events draw whole rows of `posterior_samples.csv`. The geometry of the asset is the same in every environment.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        """Those of USD, into which Isaac Lab converts the URDF."""
+        return urdf_names(plant, Names([FIXED_WORLD], identifier), Names(form=identifier))
 
     def support(self, effect: Effect) -> Support:
         if effect.name in COMPOSED:
@@ -48,7 +53,8 @@ class IsaacLabTarget:
         from sysid.export.torchscript.assembly import parameter_columns, script_of
         from sysid.export.torchscript.files import save_script
 
-        data, names = drive_data(plant, rate_hz), list(parameter_columns(plant))
+        data, written = drive_data(plant, rate_hz), self.names(plant)
+        names = list(parameter_columns(plant))
         save_script(script_of(plant, rate_hz, reachable(plant)), folder / MODEL)
         about = {
             "plant": plant.reference,
@@ -56,7 +62,7 @@ class IsaacLabTarget:
             "axes": [
                 {
                     "axis": axis.name,
-                    "joint": axis.joint or axis.name,
+                    "joint": written.joint(axis.name),
                     "actuation": axis.actuation,
                     "offset": values["offset"],
                     "offset_column": names.index(name) if (name := f"joint_offset.{axis.name}.offset") in names else -1,
@@ -67,14 +73,15 @@ class IsaacLabTarget:
             "posterior_columns": posterior_columns(plant, parameter_columns(plant)),
         }
         (folder / ABOUT).write_text(json.dumps(about, indent=1), "utf-8")
-        (folder / URDF).write_text(urdf_of(plant), "utf-8")
+        (folder / URDF).write_text(xml_text(urdf_of(plant, written)), "utf-8")
         source = Path(__file__).parent / "standalone" / FILE
         (folder / FILE).write_text(source.read_text("utf-8"), "utf-8")
         return FILE, ABOUT, MODEL, URDF
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         offsets = [axis["offset"] for axis in json.loads((folder / ABOUT).read_text("utf-8"))["axes"]]
-        return UrdfSimulation(plant, TorchModel(folder / MODEL, offsets), (folder / URDF).read_text("utf-8"))
+        model = TorchModel(folder / MODEL, offsets)
+        return UrdfSimulation(plant, model, (folder / URDF).read_text("utf-8"), self.names(plant))
 
 
 def posterior_columns(plant: Plant, columns: dict[str, int]) -> dict[str, list[int]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from sysid.effects import Effect, effect_named
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE
+from sysid.export.names import MachineNames, axis_names
 from sysid.export.shipped_run import DriveModelSimulation, load_module, write_drive_model
 from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
@@ -22,8 +23,11 @@ class JsonTarget:
     name = "json"
     title = "JSON and a Python module"
     modules: tuple[str, ...] = ()
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = ()
+
+    def names(self, plant: Plant) -> MachineNames:
+        return axis_names(plant.machine.name, plant.machine.axis_names)
 
     def support(self, effect: Effect) -> Support:
         if effect.name in WITHOUT_PART:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import EDGE, drive_data
 from sysid.export.drive_module import PARTS
+from sysid.export.names import MachineNames, Names, axis_names, same_file
 from sysid.export.shipped_run import DriveModelSimulation
 from sysid.export.standalone.assembly import assemble
 from sysid.export.standalone.command_parts import Part
@@ -40,6 +41,8 @@ BLOCKS = {
 #: Points on each side of zero.
 POINTS = 1000
 NUMBERS = "numbers.csv"
+#: Longest name of an axis in that of a file [bytes]: file systems hold 255 with what follows it.
+LONGEST = 200
 
 
 class LutTarget:
@@ -48,11 +51,15 @@ class LutTarget:
     name = "lut"
     title = "lookup tables (CSV)"
     modules: tuple[str, ...] = ()
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
         "Order of a velocity axis: opening table, dead time, ramp, lag, speed table, oscillation of the oil, integration "
         "between the end stops, linkage table. Tables are linear between their points and beyond them.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        """The beginnings of the names of the files of an axis."""
+        return axis_names(plant.machine.name, plant.machine.axis_names, Names(fold=same_file, longest=LONGEST))
 
     def support(self, effect: Effect) -> Support:
         if effect.name in EDGE:
@@ -67,26 +74,28 @@ class LutTarget:
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         data, files, numbers = drive_data(plant, rate_hz), [NUMBERS], []
+        stems = self.names(plant).axes
         for axis in data["axes"]:
-            name, unit = axis["name"], "m" if axis["drives"] == "cylinder" else "rad or m"
+            name, stem, unit = axis["name"], stems[axis["name"]], "m" if axis["drives"] == "cylinder" else "rad or m"
             numbers += [(name, *row) for row in numbers_of(axis)]
             if axis["actuation"] == "velocity":
                 opening, speed = tables(axis, 1.0 / rate_hz)
-                files += [_write(folder / f"{name}_opening.csv", ("command [1]", "opening [1]"), opening)]
-                files += [_write(folder / f"{name}_speed.csv", ("opening [1]", f"speed [{unit} per s]"), speed)]
+                files += [_write(folder / f"{stem}_opening.csv", ("command [1]", "opening [1]"), opening)]
+                files += [_write(folder / f"{stem}_speed.csv", ("opening [1]", f"speed [{unit} per s]"), speed)]
             if axis["linkage"] is not None:
                 link = axis["linkage"]
                 places = link["low"] + link["step"] * np.arange(len(link["joints"]))
                 header = ("cylinder [m]", "joint [rad or m]")
-                files += [_write(folder / f"{name}_linkage.csv", header, zip(places, link["joints"], strict=True))]
+                files += [_write(folder / f"{stem}_linkage.csv", header, zip(places, link["joints"], strict=True))]
         _write(folder / NUMBERS, ("axis", "block", "quantity", "value"), numbers)
         return tuple(files)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         """The written tables between the standard blocks."""
+        stems = self.names(plant).axes
 
         def read(axis: str) -> tuple[Array, Array]:
-            return _read(folder / f"{axis}_opening.csv"), _read(folder / f"{axis}_speed.csv")
+            return _read(folder / f"{stems[axis]}_opening.csv"), _read(folder / f"{stems[axis]}_speed.csv")
 
         return simulation_of_tables(plant, read)
 

@@ -15,9 +15,10 @@ from sysid.effects import Effect
 from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
-from sysid.export.mjcf_bodies import add_bodies, passive_joints
+from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import add_drive, drive_entry
 from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
+from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, write_drive_model
 from sysid.export.standalone import mujoco_robot
 from sysid.export.target import ForceSimulation, Simulation, Start, Support
@@ -69,12 +70,15 @@ class MjcfTarget:
     name = "mjcf"
     title = "MuJoCo"
     modules: tuple[str, ...] = ("mujoco",)
-    arms = True
+    resolution, arms = 0.0, True
     notes: tuple[str, ...] = (
         "`robot.json` states the mode of each axis. `native`: its actuator takes the command. `command`: it takes what the "
         "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model. "
         "`friction` (of an arm): `mujoco_arm.py` sets the friction of its joint before each step.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        return model_names(plant).machine
 
     def support(self, effect: Effect) -> Support:
         if effect.name in _ELEMENTS:
@@ -119,17 +123,20 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) 
     spec.compiler.degree = False
     spec.option.timestep = step = data["dt"] / substeps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    bodies = add_bodies(spec, plant)
+    names, posed = model_names(plant), plant.machine.kinematics() is not None
+    add_bodies(spec, plant, names.machine)
     axes = []
-    for axis, name in zip(data["axes"], bodies.joints, strict=True):
+    for axis in data["axes"]:
+        name = names.machine.joint(axis["name"])
         entry, joint = drive_entry(plant, axis, data["pump_limit"] is not None, composed), spec.joint(name)
-        moved = moved_by(spec, entry, axis, joint, step)
+        moved = moved_by(spec, names, entry, axis, joint, step)
         add_drive(spec, axis, moved, entry, step)
         if entry.backlash is not None:
             heavier_drive(moved, spec.actuator(axis["name"]))
         about = {"axis": axis["name"], "mode": entry.mode, "reason": entry.reason, "prefix": entry.prefix, "joint": name}
-        sensed = f"{name}_drive" if entry.backlash is not None and entry.backlash[1] == "structure" else name
-        about |= {"drive_joint": f"{name}_drive" if entry.backlash is not None else name, "sensed_joint": sensed}
+        driver = moved.joint if entry.backlash is not None else name
+        sensed = driver if entry.backlash is not None and entry.backlash[1] == "structure" else name
+        about |= {"drive_joint": driver, "sensed_joint": sensed}
         about |= {"offset": axis["offset"], "zero": moved.zero, "driven": f"{axis['name']}.{axis['drives']}"}
         # A servo without a lag reaches a set-point at once: it is led there over the sample, as the plant moves.
         led = axis["actuation"] == "position" and not {name for name, _ in axis["command"]} & {
@@ -137,12 +144,13 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) 
             "second_order_lag",
         }
         axes.append(about | {"actuation": axis["actuation"], "led": led})
-    swings = composed and data["sway"] is not None and bodies.posed and plant.effect("base_misalignment", "base") is None
+    swings = composed and data["sway"] is not None and posed and plant.effect("base_misalignment", "base") is None
+    gimbal = None
     if swings:
-        tip = spec.body(plant.machine.tip)
-        add_tool(tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
-    found = {"plant": plant.reference, "substeps": substeps, "posed": bodies.posed, "swings": swings}
-    return spec, {**found, "axes": axes, "passive": passive_joints(plant)}
+        tip = spec.body(names.machine.links[str(plant.machine.tip)])
+        gimbal = add_tool(names, tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
+    found = {"plant": plant.reference, "substeps": substeps, "posed": posed, "swings": swings, "gimbal": gimbal}
+    return spec, {**found, "axes": axes, "passive": passive_joints(plant, names.machine)}
 
 
 class MujocoSimulation:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
-from sysid.export.mjcf_bodies import TINY_INERTIA, Bodies, add_bodies, passive_joints
+from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import HARD, dry_friction, limit
 from sysid.export.shipped_run import load_module
 from sysid.export.standalone import mujoco_arm
@@ -123,25 +123,26 @@ def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     links = {kinematics.joints[joint].child: own for joint, own in found.bodies.items() if own.mass > 0.0}
     inertias = {link: (np.array([own.mass]), own.centre, own.moments) for link, own in links.items()}
-    bodies = add_bodies(spec, plant, inertias)
+    names = model_names(plant).machine
+    add_bodies(spec, plant, names, inertias)
     if found.payload is not None:
         mass, centre = found.payload
-        load = spec.body(kinematics.tip).add_body(name="payload", pos=centre)
+        load = spec.body(names.links[kinematics.tip]).add_body(name=names.added[PAYLOAD], pos=centre)
         load.explicitinertial, load.mass, load.ipos = True, mass, np.zeros(3)
         load.fullinertia = [*[TINY_INERTIA] * 3, 0.0, 0.0, 0.0]
     for equality in spec.equalities:
         equality.solref, equality.solimp = [2.0 * step, 1.0], HARD
-    axes = [_axis(spec, plant, i, found, bodies, step) for i in range(len(plant.machine.axes))]
+    axes = [_axis(spec, plant, i, found, names.joint(plant.machine.axes[i].name), step) for i in range(len(plant.machine.axes))]
     sensors = sensor_readings(compile_plant(plant))
-    return spec, {"substeps": substeps, "axes": axes, "passive": passive_joints(plant), "sensors": sensors}
+    return spec, {"substeps": substeps, "axes": axes, "passive": passive_joints(plant, names), "sensors": sensors}
 
 
-def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, bodies: Bodies, step: float) -> dict[str, Any]:
+def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: float) -> dict[str, Any]:
     """Complete the joint of an axis and add its actuator; returns its row of the table."""
     import mujoco
 
     axis, scale = plant.machine.axes[i], float(found.scales[i])
-    joint, offset = spec.joint(bodies.joints[i]), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
+    joint, offset = spec.joint(name), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
     laws = [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, axis.name))]
     share = effect_slots(plant, "load_dependent_friction", axis.name).get("coefficient", 0.0)
     even = {"viscous_friction", "coulomb_friction"}

@@ -14,13 +14,15 @@ import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, stretched, tip_offset
 from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, LinkInertias, link_inertias
+from sysid.export.names import MachineNames, Names
+from sysid.export.urdf_text import APART, machine_names
 from sysid.machine.kinematics import Joint, Kinematics
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
-#: Distance between the bodies of axes without a URDF [m].
-APART = 0.5
+#: Body that is added for the payload of an arm.
+PAYLOAD = "payload"
 #: Radius of the line drawn along a link [m]; it neither collides nor has mass.
 DRAWN = 0.01
 #: Mass [kg] and inertia [kg·m²] of a body without them beside links whose torques count: MuJoCo accepts no less than 10⁻¹⁵.
@@ -28,95 +30,106 @@ TINY_MASS, TINY_INERTIA = 1e-12, 1e-13
 
 
 @dataclass(frozen=True)
-class Bodies:
-    """Names in the model: joint of each axis; body that carries it and body that it moves; whether there is a site ``ee``."""
+class ModelNames:
+    """Names in a model of MuJoCo: of the machine, and the namespaces of its bodies and joints for what is added to it."""
 
-    joints: tuple[str, ...]
-    parents: tuple[str, ...]
-    children: tuple[str, ...]
-    posed: bool
+    machine: MachineNames
+    bodies: Names
+    joints: Names
 
 
-def add_bodies(spec: Any, plant: Plant, inertias: LinkInertias | None = None) -> Bodies:
-    """Add the bodies of a plant to an ``MjSpec``.
+def model_names(plant: Plant) -> ModelNames:
+    """Those of a plant."""
+    bodies, joints = Names(["world"]), Names()
+    added = [part for part in (PAYLOAD,) if plant.effect("payload", "tool") is not None]
+    return ModelNames(machine_names(plant, bodies, joints, added), bodies, joints)
+
+
+def add_bodies(spec: Any, plant: Plant, names: MachineNames, inertias: LinkInertias | None = None) -> None:
+    """Add the bodies of a plant to an ``MjSpec``, with a site ``ee`` where it has a URDF.
 
     Args:
         inertias: of the links, instead of those of the URDF; a link without is given none that a torque would notice.
     """
     kinematics = plant.machine.kinematics()
     if kinematics is None or plant.machine.urdf_text is None:
-        return _plain_bodies(spec, plant)
+        _plain_bodies(spec, plant, names)
+        return
     turn, place = base_pose(plant)
-    root = spec.worldbody.add_body(name=kinematics.chain[0].parent, pos=place, quat=quaternion(turn))
+    root = spec.worldbody.add_body(name=names.links[kinematics.chain[0].parent], pos=place, quat=quaternion(turn))
     spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
     least = (SMALL_MASS, SMALL_INERTIA) if inertias is None else (TINY_MASS, TINY_INERTIA)
     known = link_inertias(plant.machine.urdf_text) if inertias is None else inertias
-    _children(spec, root, kinematics.chain[0].parent, plant, kinematics, known, least)
-    joints = tuple(str(axis.joint) for axis in plant.machine.axes)
-    found = [kinematics.joints[name] for name in joints]
-    return Bodies(joints, tuple(j.parent for j in found), tuple(j.child for j in found), True)
+    _Tree(spec, plant, names, kinematics, known, least).add(root, kinematics.chain[0].parent)
 
 
-def _children(
-    spec: Any, body: Any, link: str, plant: Plant, kinematics: Kinematics, inertias: LinkInertias, least: tuple[float, float]
-) -> None:
-    """Add what hangs on a link, with its joints; ``least`` mass [kg] and inertia [kg·m²] of a body."""
-    mass, centre, inertia = inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3))))
-    body.explicitinertial = True
-    body.mass, body.ipos = max(float(mass[0]), least[0]), centre
-    moments = inertia + least[1] * np.eye(3)
-    body.fullinertia = [moments[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    if link == kinematics.tip:
-        site = body.add_site(name="ee")
-        site.pos = tip_offset(plant, kinematics)
-    for joint in kinematics.joints.values():
-        if joint.parent != link:
-            continue
-        child = body.add_body(name=joint.child)
-        child.pos, child.quat = stretched(joint, plant, kinematics), quaternion(joint.origin[:3, :3])
-        length = float(np.linalg.norm(child.pos))
-        if length > DRAWN:
-            body.add_geom(type=_mujoco().mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], size=[DRAWN, 0.0, 0.0],
-                          contype=0, conaffinity=0, group=1, mass=0.0)  # fmt: skip
-        if joint.kind != "fixed" and joint.name in kinematics.drives:
-            _joint(spec, child, joint, kinematics)
-        _children(spec, child, joint.child, plant, kinematics, inertias, least)
+@dataclass(frozen=True)
+class _Tree:
+    """Links of a URDF as bodies; ``least`` mass [kg] and inertia [kg·m²] of a body."""
+
+    spec: Any
+    plant: Plant
+    names: MachineNames
+    kinematics: Kinematics
+    inertias: LinkInertias
+    least: tuple[float, float]
+
+    def add(self, body: Any, link: str) -> None:
+        """Complete the body of a link, with all that hangs on it."""
+        mass, centre, inertia = self.inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3))))
+        body.explicitinertial = True
+        body.mass, body.ipos = max(float(mass[0]), self.least[0]), centre
+        moments = inertia + self.least[1] * np.eye(3)
+        body.fullinertia = [moments[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        if link == self.kinematics.tip:
+            body.add_site(name="ee").pos = tip_offset(self.plant, self.kinematics)
+        for joint in self.kinematics.joints.values():
+            if joint.parent != link:
+                continue
+            child = body.add_body(name=self.names.links[joint.child])
+            child.pos = stretched(joint, self.plant, self.kinematics)
+            child.quat = quaternion(joint.origin[:3, :3])
+            if float(np.linalg.norm(child.pos)) > DRAWN:
+                body.add_geom(
+                    type=_mujoco().mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], size=[DRAWN, 0.0, 0.0],
+                    contype=0, conaffinity=0, group=1, mass=0.0,
+                )  # fmt: skip
+            if joint.name in self.kinematics.drives:
+                self._joint(child, joint)
+            self.add(child, joint.child)
+
+    def _joint(self, child: Any, joint: Joint) -> None:
+        kinds, names = _mujoco().mjtJoint, self.names.joints
+        added = child.add_joint(name=names[joint.name], axis=joint.axis)
+        added.type = kinds.mjJNT_SLIDE if joint.prismatic else kinds.mjJNT_HINGE
+        drive = self.kinematics.drives[joint.name]
+        master = self.kinematics.actuated[drive.column]
+        if joint.name != master:  # a passive joint follows its axis
+            equality = self.spec.add_equality(name=f"{added.name}_follows", name1=added.name, name2=names[master])
+            equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
+            equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
 
 
-def _joint(spec: Any, child: Any, joint: Joint, kinematics: Kinematics) -> None:
-    kinds = _mujoco().mjtJoint
-    added = child.add_joint(name=joint.name, axis=joint.axis)
-    added.type = kinds.mjJNT_SLIDE if joint.prismatic else kinds.mjJNT_HINGE
-    drive = kinematics.drives[joint.name]
-    master = kinematics.actuated[drive.column]
-    if joint.name != master:  # a passive joint follows its axis
-        equality = spec.add_equality(name=f"{joint.name}_follows", name1=joint.name, name2=master)
-        equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
-        equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
-
-
-def _plain_bodies(spec: Any, plant: Plant) -> Bodies:
+def _plain_bodies(spec: Any, plant: Plant, names: MachineNames) -> None:
     """A body for each axis, side by side: hinges about z, slides along x."""
-    mujoco, names = _mujoco(), []
+    kinds = _mujoco().mjtJoint
     for k, axis in enumerate(plant.machine.axes):
-        body = spec.worldbody.add_body(name=f"{axis.name}_body", pos=[0.0, APART * k, 0.0])
+        body = spec.worldbody.add_body(name=names.links[f"{axis.name}_link"], pos=[0.0, APART * k, 0.0])
         body.mass, body.ipos = SMALL_MASS, np.zeros(3)
         body.explicitinertial, body.fullinertia = True, [*[SMALL_INERTIA] * 3, 0.0, 0.0, 0.0]
         slides = axis.joint_type == "prismatic"
-        joint = body.add_joint(name=axis.joint or axis.name, axis=[1.0, 0.0, 0.0] if slides else [0.0, 0.0, 1.0])
-        joint.type = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-        names.append(joint.name)
-    return Bodies(tuple(names), ("world",) * len(names), tuple(f"{a.name}_body" for a in plant.machine.axes), False)
+        joint = body.add_joint(name=names.joint(axis.name), axis=[1.0, 0.0, 0.0] if slides else [0.0, 0.0, 1.0])
+        joint.type = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
 
 
-def passive_joints(plant: Plant) -> list[dict[str, Any]]:
+def passive_joints(plant: Plant, written: MachineNames) -> list[dict[str, Any]]:
     """Passive joints and the axes that they follow."""
     kinematics = plant.machine.kinematics()
     if kinematics is None:
         return []
     names = plant.machine.axis_names
     return [
-        {"joint": joint, "axis": names[drive.column], "ratio": drive.ratio, "offset": drive.offset}
+        {"joint": written.joints[joint], "axis": names[drive.column], "ratio": drive.ratio, "offset": drive.offset}
         for joint, drive in kinematics.drives.items()
         if joint not in kinematics.actuated
     ]

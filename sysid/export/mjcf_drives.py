@@ -90,9 +90,15 @@ def _lacking(axis: dict[str, Any], pump: bool, native: tuple[str, ...]) -> list[
 
 @dataclass(frozen=True)
 class Moved:
-    """The joint or tendon that an actuator moves; ``zero``: its value where the drive's position is zero [rad or m]."""
+    """The joint or tendon that an actuator moves.
+
+    Args:
+        joint: name of the joint, of which a tendon is the cylinder.
+        zero: value of the element where the drive's position is zero [rad or m].
+    """
 
     element: Any
+    joint: str
     tendon: bool
     zero: float
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid.export.mjcf_bodies import ModelNames
 from sysid.export.mjcf_drives import ARMATURE, DriveEntry, Moved, dry_friction, limit
 from sysid.machine.description import Linkage
 from sysid.machine.moved_bodies import GRAVITY
@@ -24,23 +25,24 @@ TOOL_MASS, TOOL_INERTIA = 1e-9, 1e-14
 GIMBAL_INERTIA = 1e-3
 
 
-def moved_by(spec: Any, entry: DriveEntry, axis: dict[str, Any], joint: Any, step: float) -> Moved:
+def moved_by(spec: Any, names: ModelNames, entry: DriveEntry, axis: dict[str, Any], joint: Any, step: float) -> Moved:
     """What the actuator of an axis moves, with the second joint of a backlash and the tendon of a cylinder."""
     driven = joint
     if entry.backlash is not None:
-        driven = _driven_joint(spec, joint, entry.backlash[0], step)
+        driven = _driven_joint(spec, names, joint, entry.backlash[0], step)
     if entry.triangle is None:
-        return Moved(driven, False, axis["offset"])
-    return Moved(_cylinder(spec, axis["name"], driven, entry.triangle, axis["offset"]), True, entry.triangle.retracted)
+        return Moved(driven, driven.name, False, axis["offset"])
+    tendon = _cylinder(spec, axis["name"], driven, entry.triangle, axis["offset"])
+    return Moved(tendon, driven.name, True, entry.triangle.retracted)
 
 
-def _driven_joint(spec: Any, joint: Any, width: float, step: float) -> Any:
+def _driven_joint(spec: Any, names: ModelNames, joint: Any, width: float, step: float) -> Any:
     """A joint beside ``joint`` with the same axis, which moves it when the backlash is crossed."""
     body = joint.parent
-    carrier = body.parent.add_body(name=f"{joint.name}_drive_body", pos=body.pos, quat=body.quat)
+    carrier = body.parent.add_body(name=names.bodies.new(f"{joint.name}_drive_body"), pos=body.pos, quat=body.quat)
     carrier.explicitinertial, carrier.mass, carrier.ipos = True, 1e-9, np.zeros(3)
     carrier.fullinertia = [1e-9, 1e-9, 1e-9, 0.0, 0.0, 0.0]
-    driven = carrier.add_joint(name=f"{joint.name}_drive", axis=joint.axis, type=joint.type)
+    driven = carrier.add_joint(name=names.joints.new(f"{joint.name}_drive"), axis=joint.axis, type=joint.type)
     joint.armature = BEHIND
     dry_friction(joint, BEHIND * FASTEST_SPEED / step, step)
     play = spec.add_tendon(name=f"{joint.name}_backlash")
@@ -76,7 +78,7 @@ def heavier_drive(moved: Moved, actuator: Any) -> None:
     actuator.biasprm[:3] = np.asarray(actuator.biasprm[:3]) * DRIVE_RATIO
 
 
-def add_tool(tip: Any, place: Array, length: float, damping_ratio: float) -> None:
+def add_tool(names: ModelNames, tip: Any, place: Array, length: float, damping_ratio: float) -> str:
     """A point mass on a ball joint below a gimbal: a damped spherical pendulum.
 
     The damping of the plant acts against the motion of the tool relative to the tip, that of a joint against its rotation
@@ -85,15 +87,19 @@ def add_tool(tip: Any, place: Array, length: float, damping_ratio: float) -> Non
 
     Args:
         tip: body that carries the measured point at ``place`` (3,) [m].
+
+    Returns:
+        The name of the joint of the gimbal.
     """
-    gimbal = tip.add_body(name="tool_gimbal", pos=place)
+    gimbal = tip.add_body(name=names.bodies.new("tool_gimbal"), pos=place)
     _light(gimbal, np.zeros(3), GIMBAL_INERTIA)
-    gimbal.add_joint(name="tool_gimbal", type=_mujoco().mjtJoint.mjJNT_BALL)
-    tool = gimbal.add_body(name="hanging_tool")
+    free = gimbal.add_joint(name=names.joints.new("tool_gimbal"), type=_mujoco().mjtJoint.mjJNT_BALL)
+    tool = gimbal.add_body(name=names.bodies.new("hanging_tool"))
     _light(tool, np.array([0.0, 0.0, -length]), TOOL_INERTIA)
-    ball = tool.add_joint(name="tool_swing", type=_mujoco().mjtJoint.mjJNT_BALL)
+    ball = tool.add_joint(name=names.joints.new("tool_swing"), type=_mujoco().mjtJoint.mjJNT_BALL)
     ball.damping = [2.0 * damping_ratio * math.sqrt(GRAVITY / length) * TOOL_MASS * length**2, 0.0, 0.0]
     tool.add_site(name="tool", pos=[0.0, 0.0, -length])
+    return str(free.name)
 
 
 def _light(body: Any, centre: Array, inertia: float) -> None:

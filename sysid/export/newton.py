@@ -14,12 +14,13 @@ from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
+from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
 from sysid.export.support import support_of
 from sysid.export.target import Simulation, Start, Support
 from sysid.export.urdf_text import END_EFFECTOR, joint_values
 from sysid.export.usd_actuators import actuator_path, is_native, write_drive
-from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, write_bodies
+from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, usd_names, write_bodies
 from sysid.plant import Plant
 from sysid.signals import point_signals
 
@@ -48,7 +49,8 @@ class NewtonTarget:
     name = "newton"
     title = "USD for Newton"
     modules: tuple[str, ...] = ("pxr", "newton_usd_schemas")
-    arms = False
+    #: UsdPhysics and the schemas of Newton have numbers of 32 bits.
+    resolution, arms = float(np.finfo(np.float32).eps), False
     notes: tuple[str, ...] = (
         "Newton was not run here. The schemas of its actuators are provisional: newton-usd-schemas 0.6.",
         f"For the replay the stage is opened again: `{MODULE}` moves the joints, native axes with the stage's numbers, "
@@ -57,21 +59,24 @@ class NewtonTarget:
         "the joint's offset. A force axis with a `NewtonActuator` takes its command as feedforward.",
     )
 
+    def names(self, plant: Plant) -> MachineNames:
+        return usd_names(plant)
+
     def support(self, effect: Effect) -> Support:
         return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`, whose joint the drive follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        stage = _stage_in_memory()
+        stage, names = _stage_in_memory(), self.names(plant)
         steps = round(rate_hz * max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9)))
-        joints = write_bodies(stage, plant, steps)
-        for about, axis in zip(plant.machine.axes, drive_data(plant, rate_hz)["axes"], strict=True):
-            write_drive(stage, axis, joints[about.joint or about.name], steps)
+        joints = write_bodies(stage, plant, names, steps)
+        for axis in drive_data(plant, rate_hz)["axes"]:
+            write_drive(stage, axis, names.axes[axis["name"]], joints[names.joint(axis["name"])], steps)
         stage.GetRootLayer().customLayerData = {"plant": plant.reference or plant.machine.name, "sample": 1.0 / rate_hz}
         stage.GetRootLayer().Export(str(folder / FILE))
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
-        return UsdSimulation(plant, load_module(folder / MODULE).load(), folder / FILE)
+        return UsdSimulation(plant, load_module(folder / MODULE).load(), folder / FILE, self.names(plant))
 
 
 def _stage_in_memory() -> Any:
@@ -84,19 +89,18 @@ def _stage_in_memory() -> Any:
 class UsdSimulation:
     """The drive model moves the joints of the stage, with the stage's own numbers of its native axes."""
 
-    def __init__(self, plant: Plant, model: Any, path: Path) -> None:
+    def __init__(self, plant: Plant, model: Any, path: Path, names: MachineNames) -> None:
         import newton_usd_schemas  # noqa: F401 (registers the schemas)
         from pxr import Usd
 
-        self.plant, self.model = plant, model
+        self.plant, self.model, self.names = plant, model, names
         self.stage = Usd.Stage.Open(str(path))
         self.kinematics = plant.machine.kinematics()
-        for axis, about, data in zip(
-            model.axes, plant.machine.axes, drive_data(plant, plant.machine.rate_hz)["axes"], strict=True
-        ):
+        for axis, data in zip(model.axes, drive_data(plant, plant.machine.rate_hz)["axes"], strict=True):
             if is_native(data):
-                self._take(axis.drive, about.name, joint_path(about.joint or about.name))
-        chain = [] if self.kinematics is None else [ANCHOR, *(joint.name for joint in self.kinematics.chain)]
+                self._take(axis.drive, names.axes[data["name"]], joint_path(names.joint(data["name"])))
+        chain = [] if self.kinematics is None else [names.joints[joint.name] for joint in self.kinematics.chain]
+        chain = [names.added[ANCHOR], *chain] if chain else []
         self.frames = [self._frames(name) for name in chain]
 
     def reset(self, start: Start) -> Mapping[str, float]:
@@ -134,11 +138,11 @@ class UsdSimulation:
         if self.kinematics is None:
             return found
         offsets = np.array([axis.offset for axis in self.model.axes])
-        values = joint_values(self.kinematics, state.structure - offsets)
+        values = joint_values(self.kinematics, self.names, state.structure - offsets)
         pose = np.eye(4)
         for name, first, second, slides in self.frames:
             pose = pose @ first @ _motion(values.get(name, 0.0), slides) @ second
-        tip = self.stage.GetPrimAtPath(f"{link_path(self.kinematics.tip)}/{END_EFFECTOR}")
+        tip = self.stage.GetPrimAtPath(f"{link_path(self.names.links[self.kinematics.tip])}/{END_EFFECTOR}")
         place = pose[:3, :3] @ np.array(tip.GetAttribute("xformOp:translate").Get()) + pose[:3, 3]
         tool = place + state.tool - state.ee
         points = dict(zip(point_signals("ee"), place, strict=True)) | dict(zip(point_signals("tool"), tool, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
 from sysid.export.force_replay import RUN
+from sysid.export.names import Renamed
 from sysid.export.posterior import RANGES, SAMPLES, WARNING
 from sysid.export.replay import ROUNDING, SHARE, Replay
 from sysid.export.target import Target
@@ -39,7 +41,7 @@ def export_page(
     reference = plant.reference or plant.machine.name
     parts = [
         f"# {reference} for {target.title}\n",
-        f"Machine `{plant.machine.name}`, written by `sysid export {reference} --to {target.name}`.\n",
+        f"Machine {code(plant.machine.name)}, written by `sysid export {reference} --to {target.name}`.\n",
         *_files(files),
         "## Conventions\n",
         f"- Units are SI: m, rad, s, N, N·m, kg. A sample is {1.0 / rate_hz:g} s.",
@@ -48,6 +50,7 @@ def export_page(
         "- Commands are those of `machine.toml`: " + "; ".join(map(_command, plant.machine.axes)) + ".",
         *(f"- {note}" for note in target.notes),
         "",
+        *_names(target.names(plant).changed),
         "## Effects\n",
         *_effects(plant, target),
         "## Replay\n",
@@ -59,6 +62,20 @@ def export_page(
         "",
     ]
     return "\n".join(parts)
+
+
+def code(text: str) -> str:
+    """Any text as a code span: between more backticks than it has in a row."""
+    ticks = "`" * (1 + max(map(len, re.findall("`+", text)), default=0))
+    blank = " " if text.startswith("`") or text.endswith("`") or not text.strip() else ""
+    return f"{ticks}{blank}{text}{blank}{ticks}"
+
+
+def _names(renamed: Sequence[Renamed]) -> list[str]:
+    if not renamed:
+        return []
+    lines = [f"- {part.kind} {code(part.name)}: {code(part.written)}" for part in renamed]
+    return ["## Names\n", "The format reserves some names, cannot hold others, or has them already:\n", *lines, ""]
 
 
 def _files(files: Sequence[str]) -> list[str]:
@@ -108,8 +125,8 @@ def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> l
     else:
         head = (
             f"Free run of {where} from recorded commands, in {target.title} and by the plant itself; both begin at rest where "
-            f"the recording begins. RMS values. The difference may be {100.0 * SHARE:g} % of the motion, or the noise of the "
-            "sensor."
+            f"the recording begins. RMS values. The difference may be {100.0 * SHARE:g} % of the motion, the noise of the "
+            "sensor, or the rounding of the format."
         )
     rows = [f"| signal | {target.title} | plant | sensor noise | difference | allowed |", "| --- |" + " ---: |" * 5]
     for row in found.rows:

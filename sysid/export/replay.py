@@ -2,11 +2,13 @@
 
 Both begin where the free run of the recording begins, with its first commands held; force axes with their speed there, since a
 recording may begin in motion. An export *agrees* with the plant in a signal if the RMS of their difference is at most the
-larger of two bounds: :data:`SHARE` of the RMS of the plant's motion about its mean, or the noise of the signal's sensor.
+largest of three bounds: :data:`SHARE` of the RMS of the plant's motion about its mean, the noise of the signal's sensor, or
+what the rounding of the format's numbers makes at the size of the machine (:func:`roundings`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -16,6 +18,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
+from sysid.export.geometry import base_pose, tip_offset
 from sysid.export.shipped_run import true_signals
 from sysid.export.target import Simulation, Start
 from sysid.gap.adapters.start import joint_start
@@ -23,6 +26,7 @@ from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import STATE
 from sysid.plant.rollout import run_steps, start_states, true_run
 from sysid.plant.stepper import Stepper, begin_states, held_commands, step_commands
+from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
 
@@ -89,11 +93,18 @@ class Run:
     plant: Mapping[str, Array]
 
 
-def replay(plant: Plant, simulation: Simulation, recordings: Sequence[Recording], noise: Mapping[str, float]) -> Replay:
+def replay(
+    plant: Plant,
+    simulation: Simulation,
+    recordings: Sequence[Recording],
+    noise: Mapping[str, float],
+    resolution: float = 0.0,
+) -> Replay:
     """Run and compare.
 
     Args:
         noise: signal → standard deviation of its sensor, where it is known.
+        resolution: relative rounding of the numbers of the export (:attr:`sysid.export.target.Target.resolution`).
 
     Raises:
         ExcitationError: no recording has commands of all axes together.
@@ -105,8 +116,27 @@ def replay(plant: Plant, simulation: Simulation, recordings: Sequence[Recording]
         raise ExcitationError(f"replay of {plant.reference or plant.machine.name}", found, "a recording to replay")
     signals = [name for name in runs[0].plant if all(name in run.export for run in runs)]
     seconds = sum((run.rows.stop - run.rows.start) / run.recording.rate_hz for run in runs)
-    rows = tuple(_row(model, name, runs, noise.get(name, np.nan)) for name in signals)
+    rounding = roundings(plant, resolution)
+    rows = tuple(_row(model, name, runs, noise.get(name, np.nan), rounding.get(name, ROUNDING)) for name in signals)
     return Replay(tuple(run.recording.name for run in runs), seconds, rows)
+
+
+def roundings(plant: Plant, resolution: float) -> dict[str, float]:
+    """Signal → largest difference that rounded frames of the links make at the end effector and the tool [m].
+
+    A frame is a translation and a unit quaternion, both rounded by r/2 of their length, r the ``resolution``. The second turns
+    all that follows by at most r and stretches it by at most r. A point no farther than L from a frame is therefore moved by
+    at most (½ + 1 + 1)·r·L by each frame; a joint has two, and the base is another joint.
+    """
+    kinematics = plant.machine.kinematics()
+    if kinematics is None:
+        return {}
+    steps = [joint.origin[:3, 3] for joint in kinematics.chain]
+    travel = [max(map(abs, filter(math.isfinite, axis.limits or ())), default=0.0) for axis in plant.machine.axes
+              if axis.joint is not None and kinematics.is_prismatic(axis.joint)]  # fmt: skip
+    size = float(sum(map(np.linalg.norm, [*steps, base_pose(plant)[1], tip_offset(plant, kinematics)])) + sum(travel))
+    bound = max(ROUNDING, 2.5 * resolution * size * 2 * (len(steps) + 1))
+    return {signal: bound for point in ("ee", "tool") for signal in point_signals(point)}
 
 
 def run_both(plant: Plant, model: Model, simulation: Simulation, recording: Recording) -> Run | None:
@@ -149,7 +179,7 @@ def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, Array]:
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def _row(model: Model, signal: str, runs: Sequence[Run], noise: float) -> ReplayRow:
+def _row(model: Model, signal: str, runs: Sequence[Run], noise: float, rounding: float) -> ReplayRow:
     away = np.concatenate([run.export[signal] - run.plant[signal] for run in runs])
     motion = float(np.sqrt(np.mean(np.concatenate([run.plant[signal] - run.plant[signal].mean() for run in runs]) ** 2)))
     errors = []
@@ -160,5 +190,5 @@ def _row(model: Model, signal: str, runs: Sequence[Run], noise: float) -> Replay
             parts.append(read - run.recording.values(signal)[run.rows])
         whole = np.concatenate(parts)
         errors.append(float(np.sqrt(np.nanmean(whole**2))) if not np.isnan(whole).all() else float("nan"))
-    allowed = float(np.nanmax([SHARE * motion, noise, ROUNDING]))
+    allowed = float(np.nanmax([SHARE * motion, noise, rounding]))
     return ReplayRow(signal, errors[0], errors[1], noise, float(np.sqrt(np.mean(away**2))), allowed, motion)

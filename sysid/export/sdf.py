@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import numpy.typing as npt
@@ -13,15 +14,18 @@ from sysid.effects import Effect
 from sysid.errors import SettingsError
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
+from sysid.export.names import MachineNames, Names, scoped
 from sysid.export.shipped_run import write_drive_model
 from sysid.export.support import support_of
 from sysid.export.target import Simulation, Support
-from sysid.export.urdf_text import END_EFFECTOR, WORLD, urdf_of
-from sysid.machine.urdf_tree import urdf_tree
+from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, WORLD, urdf_names, urdf_of, xml_text
+from sysid.foreign import shown
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
 FILE, VERSION = "model.sdf", "1.11"
+#: Joint that is added, from the world to the first link.
+ANCHOR = "world_joint"
 #: Mass [kg] and inertia [kg·m²] of a link whose URDF has none, in place of Gazebo's 1 kg.
 SMALL_MASS, SMALL_INERTIA = "0.001", "1e-06"
 #: Elements of SDFormat that are written → their children (http://sdformat.org/spec?ver=1.11).
@@ -46,13 +50,20 @@ class SdfTarget:
     name = "sdf"
     title = "Gazebo (SDFormat 1.11)"
     modules: tuple[str, ...] = ()
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
         f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
         "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "
         "`effects.csv`. Shapes are not copied.",
         f"`{MODULE}` computes the joints from the commands, for the set-points of a joint position controller.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        """Links, joints and frames of a model share one namespace."""
+        space = Names([FIXED_WORLD], scoped)
+        found = urdf_names(plant, space, space)
+        machine = plant.machine.name, Names([FIXED_WORLD], scoped).new(plant.machine.name)
+        return replace(found, machine=machine, added={**found.added, **space.each([ANCHOR])})
 
     def support(self, effect: Effect) -> Support:
         native = {"viscous_friction": "`<dynamics><damping>`", "coulomb_friction": "`<dynamics><friction>`"}
@@ -65,18 +76,25 @@ class SdfTarget:
         return support_of(effect, native, composed, f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        root = sdf_of(urdf_tree(urdf_of(plant)), plant.machine.name)
+        names = self.names(plant)
+        root = sdf_of(urdf_of(plant, names), names.machine[1], names.added[ANCHOR])
         check_sdf(root)
-        indent(root)
-        (folder / FILE).write_text(tostring(root, encoding="unicode", xml_declaration=True), "utf-8")
+        (folder / FILE).write_text(xml_text(root), "utf-8")
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         return None
 
 
-def sdf_of(urdf: Element, name: str) -> Element:
-    """The SDFormat model of a URDF."""
+def sdf_of(urdf: Element, name: str, anchor: str = ANCHOR) -> Element:
+    """The SDFormat model of a URDF.
+
+    Args:
+        anchor: name of the joint that fixes its root to the world.
+
+    Raises:
+        SettingsError: a planar joint, which SDFormat does not have.
+    """
     root = Element("sdf", {"version": VERSION})
     model = SubElement(root, "model", {"name": name})
     parents = {str(part.get("link")): joint for joint in urdf.findall("joint") for part in joint.findall("child")}
@@ -85,8 +103,8 @@ def sdf_of(urdf: Element, name: str) -> Element:
     for joint in urdf.findall("joint"):
         _joint(model, joint)
     first = next(str(link.get("name")) for link in urdf.findall("link") if str(link.get("name")) not in parents)
-    fixed = SubElement(model, "joint", {"name": "world_joint", "type": "fixed"})
-    _text(fixed, "parent", "world")
+    fixed = SubElement(model, "joint", {"name": anchor, "type": "fixed"})
+    _text(fixed, "parent", FIXED_WORLD)
     _text(fixed, "child", first)
     return root
 
@@ -117,23 +135,32 @@ def _finite(tag: str, words: list[str]) -> None:
 
 def _link(model: Element, link: Element, joint: Element | None) -> None:
     found = SubElement(model, "link", {"name": str(link.get("name"))})
-    if joint is not None:
+    if joint is not None and joint.get("type") != "floating":
         SubElement(found, "pose", {"relative_to": str(joint.get("name"))})
+    elif joint is not None:  # two links without a joint between them
+        SubElement(found, "pose", {"relative_to": _ends(joint)[0]}).text = _pose(joint.find("origin"))
     inertial = SubElement(found, "inertial")
     mass, moments, origin = (link.find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
-    if mass is not None and origin is not None:
+    massive = mass is not None and float(mass.get("value", "0")) > 0.0
+    turning = massive and moments is not None and any(float(moments.get(key, "0")) for key in _MOMENTS)
+    if massive and origin is not None:
         _text(inertial, "pose", _pose(origin))
-    _text(inertial, "mass", SMALL_MASS if mass is None else str(mass.get("value")))
+    _text(inertial, "mass", str(mass.get("value")) if massive and mass is not None else SMALL_MASS)
     inertia = SubElement(inertial, "inertia")
     for key in _MOMENTS:
         diagonal = SMALL_INERTIA if key in ("ixx", "iyy", "izz") else "0"
-        _text(inertia, key, diagonal if moments is None or mass is None else str(moments.get(key, "0")))
+        _text(inertia, key, str(moments.get(key, "0")) if turning and moments is not None else diagonal)
 
 
 def _joint(model: Element, joint: Element) -> None:
     kind = str(joint.get("type"))
+    if kind == "floating":
+        return
+    if kind == "planar":
+        where, remedy = f"sdf: joint {shown(str(joint.get('name')))}", "Change its type to fixed, or remove what hangs on it."
+        raise SettingsError(where, "a planar joint", "a joint of SDFormat: revolute, continuous, prismatic or fixed", remedy)
     found = SubElement(model, "joint", {"name": str(joint.get("name")), "type": "revolute" if kind == "continuous" else kind})
-    parent, child = (str(part.get("link")) for role in ("parent", "child") for part in joint.findall(role))
+    parent, child = _ends(joint)
     origin = joint.find("origin")
     SubElement(found, "pose", {"relative_to": parent}).text = _pose(origin)
     _text(found, "parent", parent)
@@ -159,6 +186,12 @@ def _joint(model: Element, joint: Element) -> None:
         for key, default in (("multiplier", "1"), ("offset", "0")):
             _text(part, key, str(mimic.get(key, default)))
         _text(part, "reference", "0")
+
+
+def _ends(joint: Element) -> tuple[str, str]:
+    """Parent and child of a joint of a URDF."""
+    parent, child = (str(part.get("link")) for role in ("parent", "child") for part in joint.findall(role))
+    return parent, child
 
 
 def _pose(origin: Element | None) -> str:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.lut import LutTarget, numbers_of, simulation_of_tables, tables
+from sysid.export.names import MachineNames, Names, axis_names, word
 from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
@@ -18,6 +19,8 @@ Array = npt.NDArray[np.float64]
 FILE, FUNCTION = "machine.mat", "step_axis.m"
 #: Struct in the file.
 NAME = "machine"
+#: Longest name of an axis in that of its struct: 63 characters (namelengthmax) less those of ``axis_``.
+LONGEST = 58
 
 
 class SimulinkTarget:
@@ -26,14 +29,19 @@ class SimulinkTarget:
     name = "simulink"
     title = "MATLAB and Simulink"
     modules: tuple[str, ...] = ()
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
-        "`load machine.mat` gives the struct `machine`: `sample_time` and one struct for each axis, with `opening` and `speed` "
+        "`load machine.mat` gives the struct `machine`: `sample_time`, the names `axes` and one struct for each axis, "
+        "`axis_<name>`, with its `name`, `opening` and `speed` "
         "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "
         "Rate Limiter, Transfer Fcn, Discrete-Time Integrator with its limits).",
         "`step_axis.m` steps an axis; tests run it in GNU Octave. The replay below interpolates the tables of the file in "
         "Python.",
     )
+
+    def names(self, plant: Plant) -> MachineNames:
+        """Letters, digits and underscores, as fields of a struct have them."""
+        return axis_names(plant.machine.name, plant.machine.axis_names, Names(form=word, longest=LONGEST))
 
     def support(self, effect: Effect) -> Support:
         found = LutTarget().support(effect)
@@ -47,10 +55,11 @@ class SimulinkTarget:
         content: dict[str, Any] = {
             "sample_time": 1.0 / rate_hz,
             "plant": plant.reference,
-            "axes": list(plant.machine.axis_names),
+            "axes": np.array(plant.machine.axis_names, dtype=object),
         }
+        fields = self.names(plant).axes
         for axis in data["axes"]:
-            content[field_name(axis["name"])] = _fields(axis, 1.0 / rate_hz)
+            content[field_name(fields[axis["name"]])] = _fields(axis, 1.0 / rate_hz)
         savemat(folder / FILE, {NAME: content}, oned_as="column", long_field_names=True)
         (folder / FUNCTION).write_text(_FUNCTION, "utf-8")
         return FILE, FUNCTION
@@ -58,22 +67,22 @@ class SimulinkTarget:
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         from scipy.io import loadmat
 
-        stored = loadmat(folder / FILE, simplify_cells=True)[NAME]
+        stored, names = loadmat(folder / FILE, simplify_cells=True)[NAME], self.names(plant).axes
 
         def read(axis: str) -> tuple[Array, Array]:
-            fields = stored[field_name(axis)]
+            fields = stored[field_name(names[axis])]
             return np.asarray(fields["opening"], dtype=np.float64), np.asarray(fields["speed"], dtype=np.float64)
 
         return simulation_of_tables(plant, read)
 
 
-def field_name(axis: str) -> str:
-    """The name of an axis as a field of a struct: a letter first, then letters, digits and underscores."""
-    return "axis_" + "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in axis)
+def field_name(name: str) -> str:
+    """The struct of an axis, by its name in the file."""
+    return f"axis_{name}"
 
 
 def _fields(axis: dict[str, Any], dt: float) -> dict[str, Any]:
-    fields: dict[str, Any] = {"actuation": axis["actuation"], "drives": axis["drives"]}
+    fields: dict[str, Any] = {"name": axis["name"], "actuation": axis["actuation"], "drives": axis["drives"]}
     for block, quantity, value in numbers_of(axis):
         fields.setdefault(block, {})[quantity] = _number(value, quantity)
     if axis["actuation"] == "velocity":

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
+from sysid.export.names import MachineNames
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -85,6 +86,7 @@ class Target(Protocol):
         title: of the simulator, for people.
         modules: that it needs beside the core (:mod:`sysid.extras`).
         notes: on its use, for the page of an export.
+        resolution: relative rounding of its coarsest numbers, zero for those of 64 bits.
         arms: whether it writes force axes that move links with masses; its simulation of them is a :class:`ForceSimulation`.
     """
 
@@ -101,7 +103,14 @@ class Target(Protocol):
     def notes(self) -> tuple[str, ...]: ...
 
     @property
+    def resolution(self) -> float: ...
+
+    @property
     def arms(self) -> bool: ...
+
+    def names(self, plant: Plant) -> MachineNames:
+        """Names of the parts of the machine in its files."""
+        ...
 
     def support(self, effect: Effect) -> Support:
         """How it represents an effect."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import tostring
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,11 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
+from sysid.export.names import MachineNames, Names
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
 from sysid.export.support import support_of
 from sysid.export.target import Simulation, Start, Support
-from sysid.export.urdf_text import END_EFFECTOR, joint_values, urdf_of
+from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, joint_values, urdf_names, urdf_of, xml_text
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 from sysid.signals import point_signals
@@ -37,35 +39,41 @@ class UrdfTarget:
     name = "urdf"
     title = "URDF"
     modules: tuple[str, ...] = ("mujoco",)
-    arms = False
+    resolution, arms = 0.0, False
     notes: tuple[str, ...] = (
         "A URDF has one friction for both directions: the mean of both is written, and both are in `effects.csv`.",
         "Meshes are referred to as in the URDF of the machine, and not copied.",
         "For the replay the drive model moves the joints, and MuJoCo reads the URDF and computes the end effector.",
     )
 
+    def names(self, plant: Plant) -> MachineNames:
+        return urdf_names(plant, Names([FIXED_WORLD]), Names())
+
     def support(self, effect: Effect) -> Support:
         return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        (folder / FILE).write_text(urdf_of(plant), "utf-8")
+        (folder / FILE).write_text(xml_text(urdf_of(plant, self.names(plant))), "utf-8")
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
-        return UrdfSimulation(plant, load_module(folder / MODULE).load(), (folder / FILE).read_text("utf-8"))
+        model = load_module(folder / MODULE).load()
+        return UrdfSimulation(plant, model, (folder / FILE).read_text("utf-8"), self.names(plant))
 
 
 class UrdfSimulation:
     """The drive model moves the joints of the URDF in MuJoCo, which computes the end effector."""
 
-    def __init__(self, plant: Plant, model: Any, urdf: str) -> None:
+    def __init__(self, plant: Plant, model: Any, urdf: str, names: MachineNames) -> None:
         import mujoco
 
-        self.plant, self.model, self.mujoco = plant, model, mujoco
+        self.plant, self.model, self.names, self.mujoco = plant, model, names, mujoco
         self.kinematics = plant.machine.kinematics()
-        spec = mujoco.MjSpec.from_string(without_shapes(urdf))
+        drives = {} if self.kinematics is None else self.kinematics.drives
+        moved = {names.joints[name] for name in drives} | {names.joint(axis) for axis in plant.machine.axis_names}
+        spec = mujoco.MjSpec.from_string(skeleton(urdf, moved))
         spec.compiler.fusestatic = False
-        spec.compiler.boundmass, spec.compiler.boundinertia, spec.compiler.balanceinertia = 1e-9, 1e-9, True
+        spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-9
         self.body = spec.compile()
         self.data = mujoco.MjData(self.body)
 
@@ -80,20 +88,23 @@ class UrdfSimulation:
         if self.kinematics is None:
             return found
         offsets = np.array([axis.offset for axis in self.model.axes])
-        for name, value in joint_values(self.kinematics, state.structure - offsets).items():
+        for name, value in joint_values(self.kinematics, self.names, state.structure - offsets).items():
             self.data.qpos[self.body.joint(name).qposadr[0]] = value
         self.mujoco.mj_kinematics(self.body, self.data)
-        place = self.data.body(END_EFFECTOR).xpos
+        place = self.data.body(self.names.added[END_EFFECTOR]).xpos
         ee, tool = dict(zip(point_signals("ee"), place, strict=True)), place + state.tool - state.ee
         return found | {name: float(x) for name, x in (ee | dict(zip(point_signals("tool"), tool, strict=True))).items()}
 
 
-def without_shapes(urdf: str) -> str:
-    """A URDF without visual and collision shapes, whose meshes need not be there."""
-    from xml.etree.ElementTree import tostring
-
+def skeleton(urdf: str, moved: Collection[str]) -> str:
+    """Frames and moved joints of a URDF alone: without shapes, whose meshes need not be there, and without masses."""
     root = urdf_tree(urdf)
     for link in root.findall("link"):
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shape)
+        for part in list(link):
+            link.remove(part)
+    for joint in root.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+        if joint.get("name") not in moved:
+            joint.set("type", "fixed")
     return tostring(root, encoding="unicode")

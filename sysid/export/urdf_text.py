@@ -6,42 +6,116 @@ Joint values are those of the sensors: an offset of a joint turns (or shifts) it
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, stretched, tip_offset
+from sysid.export.names import MachineNames, Names
 from sysid.machine.kinematics import Kinematics, rotation_about
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
-#: Links that are added: the frame in which the end effector was measured, and the measured point.
+#: Links that are added: the frame in which the end effector was measured, and the measured point; and joints to them.
 WORLD, END_EFFECTOR = "measured_frame", "ee"
+WORLD_JOINT, END_EFFECTOR_JOINT = f"{WORLD}_joint", f"{END_EFFECTOR}_joint"
+#: A link of this name is the fixed world of MuJoCo and Gazebo, which leave out the joint above it.
+FIXED_WORLD = "world"
 #: Distance between the links of axes without a URDF [m].
 APART = 0.5
+#: Where a URDF has the name of a link, and of a joint: path of the elements, attribute.
+_LINKS = (("link", "name"), ("joint/parent", "link"), ("joint/child", "link"))
+_JOINTS = (("joint", "name"), ("joint/mimic", "joint"), ("transmission/joint", "name"), ("ros2_control/joint", "name"))
 
 
-def urdf_of(plant: Plant) -> str:
-    """The URDF as text."""
+def own_urdf(plant: Plant) -> tuple[Element, dict[str, str]]:
+    """The URDF of the machine, or a plain one, without effects; and axis → its joint there."""
+    text = plant.machine.urdf_text
+    if text is None or plant.machine.kinematics() is None:
+        return _plain(plant)
+    root = urdf_tree(text)
+    root.set("name", root.get("name") or plant.machine.name)
+    links, joints = ({str(element.get("name")) for element in root.findall(tag)} for tag in ("link", "joint"))
+    for joint in root.findall("joint"):
+        for part in [*joint.findall("parent"), *joint.findall("child")]:
+            if str(part.get("link")) not in links:
+                SubElement(root, "link", {"name": str(part.get("link"))})
+                links.add(str(part.get("link")))
+        for mimic in joint.findall("mimic"):
+            if mimic.get("joint") not in joints:  # of a joint beside the chain, which rests
+                joint.remove(mimic)
+    return root, {axis.name: str(axis.joint) for axis in plant.machine.axes}
+
+
+def machine_names(
+    plant: Plant, links: Names, joints: Names, added_links: Sequence[str] = (), added_joints: Sequence[str] = ()
+) -> MachineNames:
+    """Names of the machine in a target that describes bodies.
+
+    Args:
+        links, joints: the namespaces of its bodies and of its joints, which may be one.
+        added_links, added_joints: what the target adds to each.
+    """
+    root, driven = own_urdf(plant)
+    found_links, found_joints = (
+        space.each(str(element.get("name", "")) for element in root.findall(tag))
+        for space, tag in ((links, "link"), (joints, "joint"))
+    )
+    added = links.each(added_links) | joints.each(added_joints)
+    name, axes = plant.machine.name, {axis: axis for axis in plant.machine.axis_names}
+    return MachineNames((name, name), axes, found_links, found_joints, driven, added)
+
+
+def urdf_names(plant: Plant, links: Names, joints: Names) -> MachineNames:
+    """Those of a URDF with the added frames; the namespaces are of its readers."""
+    posed = plant.machine.kinematics() is not None
+    frames = ((WORLD, END_EFFECTOR), (WORLD_JOINT, END_EFFECTOR_JOINT)) if posed else ((), ())
+    return machine_names(plant, links, joints, *frames)
+
+
+def urdf_of(plant: Plant, names: MachineNames) -> Element:
+    """The URDF of a plant in the names of a target; with the added frames where it has names for them."""
+    root, driven = own_urdf(plant)
     kinematics = plant.machine.kinematics()
-    if kinematics is None or plant.machine.urdf_text is None:
-        root = _plain(plant)
-    else:
-        root = urdf_tree(plant.machine.urdf_text)
+    if kinematics is not None:
         _set_frames(root, plant, kinematics)
-        _add_frames(root, plant, kinematics)
-    for axis in plant.machine.axes:
-        _set_dynamics(root, plant, axis.name, axis.joint or axis.name)
+    for axis, joint in driven.items():
+        _set_dynamics(root, plant, axis, joint)
+    _rename(root, names)
+    if kinematics is not None and WORLD in names.added:
+        base, tip = names.links[kinematics.chain[0].parent], names.links[kinematics.tip]
+        world, end = names.added[WORLD], names.added[END_EFFECTOR]
+        SubElement(root, "link", {"name": world})
+        _fixed(root, names.added[WORLD_JOINT], (world, base), *base_pose(plant))
+        SubElement(root, "link", {"name": end})
+        _fixed(root, names.added[END_EFFECTOR_JOINT], (tip, end), np.eye(3), tip_offset(plant, kinematics))
+    return root
+
+
+def xml_text(root: Element) -> str:
+    """An element as a document."""
     indent(root)
     return tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def _rename(root: Element, names: MachineNames) -> None:
+    for places, written in ((_LINKS, names.links), (_JOINTS, names.joints)):
+        for path, key in places:
+            for element in root.findall(path):
+                if (name := element.get(key, "")) in written:
+                    element.set(key, written[name])
+    for element in root.findall("gazebo"):
+        if (name := element.get("reference", "")) in names.links or name in names.joints:
+            element.set("reference", {**names.joints, **names.links}[name])
 
 
 def _set_frames(root: Element, plant: Plant, kinematics: Kinematics) -> None:
     """Origins of all joints of the chain, stretched, and turned by the offsets of their sensors."""
     for element in root.findall("joint"):
-        joint = kinematics.joints[str(element.get("name"))]
+        joint = kinematics.joints[element.get("name", "")]
         place, turn = stretched(joint, plant, kinematics), joint.origin[:3, :3]
         drive = kinematics.drives.get(joint.name)
         offset = 0.0
@@ -60,17 +134,10 @@ def _set_frames(root: Element, plant: Plant, kinematics: Kinematics) -> None:
         _set_origin(origin, turn, place)
 
 
-def _add_frames(root: Element, plant: Plant, kinematics: Kinematics) -> None:
-    """The measured frame above the root, and the measured point on the link of the tip."""
-    _fixed(root, WORLD, kinematics.chain[0].parent, *base_pose(plant), new=WORLD)
-    _fixed(root, kinematics.tip, END_EFFECTOR, np.eye(3), tip_offset(plant, kinematics), new=END_EFFECTOR)
-
-
-def _fixed(root: Element, parent: str, child: str, turn: Array, place: Array, new: str) -> None:
-    SubElement(root, "link", {"name": new})
-    joint = SubElement(root, "joint", {"name": f"{new}_joint", "type": "fixed"})
-    SubElement(joint, "parent", {"link": parent})
-    SubElement(joint, "child", {"link": child})
+def _fixed(root: Element, name: str, ends: tuple[str, str], turn: Array, place: Array) -> None:
+    joint = SubElement(root, "joint", {"name": name, "type": "fixed"})
+    for role, link in zip(("parent", "child"), ends, strict=True):
+        SubElement(joint, role, {"link": link})
     _set_origin(SubElement(joint, "origin"), turn, place)
 
 
@@ -89,7 +156,7 @@ def roll_pitch_yaw(turn: Array) -> tuple[float, float, float]:
 
 def _set_dynamics(root: Element, plant: Plant, axis: str, name: str) -> None:
     """Damping and friction of a force axis, the mean of both directions; the rated speed of a velocity axis."""
-    element = next(joint for joint in root.findall("joint") if joint.get("name") == name)
+    element = next(joint for joint in root.findall("joint") if joint.get("name", "") == name)
     about = plant.machine.axis(axis)
     if about.actuation == "velocity" and about.drives == "joint":
         limit = element.find("limit")
@@ -112,24 +179,26 @@ def _set_dynamics(root: Element, plant: Plant, axis: str, name: str) -> None:
             dynamics.set(attribute, value)
 
 
-def _plain(plant: Plant) -> Element:
-    """A link for each axis, side by side: revolute about z, prismatic along x."""
-    root = Element("robot", {"name": plant.machine.name})
+def _plain(plant: Plant) -> tuple[Element, dict[str, str]]:
+    """A link for each axis, side by side: revolute about z, prismatic along x; and axis → joint."""
+    root, joints = Element("robot", {"name": plant.machine.name}), Names()
+    driven = {axis.name: joints.new(axis.joint or axis.name) for axis in plant.machine.axes}
     SubElement(root, "link", {"name": "base"})
     for k, axis in enumerate(plant.machine.axes):
         slides = axis.joint_type == "prismatic"
         link = f"{axis.name}_link"
         SubElement(root, "link", {"name": link})
-        joint = SubElement(root, "joint", {"name": axis.joint or axis.name, "type": "prismatic" if slides else "revolute"})
+        joint = SubElement(root, "joint", {"name": driven[axis.name], "type": "prismatic" if slides else "revolute"})
         SubElement(joint, "parent", {"link": "base"})
         SubElement(joint, "child", {"link": link})
         SubElement(joint, "origin", {"xyz": f"0 {APART * k} 0"})
         SubElement(joint, "axis", {"xyz": "1 0 0" if slides else "0 0 1"})
         low, high = axis.limits or (-1e3, 1e3)
         SubElement(joint, "limit", {"lower": repr(low), "upper": repr(high), "effort": "0", "velocity": "0"})
-    return root
+    return root, driven
 
 
-def joint_values(kinematics: Kinematics, joints: Array) -> dict[str, float]:
-    """Values of all moved joints of a URDF for the axes' joints (A,), passive ones included."""
-    return {name: drive.ratio * float(joints[drive.column]) + drive.offset for name, drive in kinematics.drives.items()}
+def joint_values(kinematics: Kinematics, names: MachineNames, joints: Array) -> dict[str, float]:
+    """Written name → value of all moved joints of a URDF for the axes' joints (A,), passive ones included."""
+    drives = kinematics.drives.items()
+    return {names.joints[name]: drive.ratio * float(joints[drive.column]) + drive.offset for name, drive in drives}

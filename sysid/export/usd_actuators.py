@@ -24,14 +24,14 @@ def is_native(axis: dict[str, Any]) -> bool:
     return all(name in FORCE_NATIVE and values["positive"] == values["negative"] for name, values in axis["frictions"])
 
 
-def write_drive(stage: Any, axis: dict[str, Any], joint: JointEntry, steps_per_second: int) -> None:
-    """Drive of an axis, and the passive dynamics of its joint."""
+def write_drive(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry, steps_per_second: int) -> None:
+    """Drive of an axis, ``name`` in the stage, and the passive dynamics of its joint."""
     if not is_native(axis):
         _follower(stage, joint, steps_per_second)
     elif axis["actuation"] == "force":
-        _force(stage, axis, joint)
+        _force(stage, axis, name, joint)
     else:
-        _delayed(stage, axis, joint, steps_per_second)
+        _delayed(stage, axis, name, joint, steps_per_second)
 
 
 def _follower(stage: Any, joint: JointEntry, steps_per_second: int) -> None:
@@ -46,7 +46,7 @@ def _follower(stage: Any, joint: JointEntry, steps_per_second: int) -> None:
     drive.CreateTargetPositionAttr(0.0)
 
 
-def _force(stage: Any, axis: dict[str, Any], joint: JointEntry) -> None:
+def _force(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry) -> None:
     """Mass, damping and friction of the joint; the force is the feedforward of an actuator with a constant effort."""
     from pxr import Sdf
 
@@ -55,17 +55,17 @@ def _force(stage: Any, axis: dict[str, Any], joint: JointEntry) -> None:
     damping = laws.get("viscous_friction", {"positive": 0.0})["positive"]
     set_value(prim, "newton:damping", kind, per_unit(damping, joint))
     set_value(prim, "newton:friction", kind, laws.get("coulomb_friction", {"positive": 0.0})["positive"])
-    actuator = _actuator(stage, axis, joint)
+    actuator = _actuator(stage, name, joint)
     actuator.ApplyAPI("NewtonPDControlAPI")
     set_value(actuator, "newton:constEffort", kind, -axis["bias"])
 
 
-def _delayed(stage: Any, axis: dict[str, Any], joint: JointEntry, steps_per_second: int) -> None:
+def _delayed(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry, steps_per_second: int) -> None:
     """A servo that reaches its delayed target in two steps of an explicit integrator (kp = m/h², kd = m/h)."""
     from pxr import Sdf
 
     _joint(stage, joint, ARMATURE)
-    actuator = _actuator(stage, axis, joint)
+    actuator = _actuator(stage, name, joint)
     actuator.ApplyAPI("NewtonPDControlAPI")
     set_value(actuator, "newton:kp", Sdf.ValueTypeNames.Float, ARMATURE * steps_per_second**2)
     set_value(actuator, "newton:kd", Sdf.ValueTypeNames.Float, ARMATURE * steps_per_second)
@@ -83,16 +83,14 @@ def _joint(stage: Any, joint: JointEntry, armature: float) -> Any:
     return prim
 
 
-def _actuator(stage: Any, axis: dict[str, Any], joint: JointEntry) -> Any:
-    prim = stage.DefinePrim(actuator_path(axis["name"]), "NewtonActuator")
+def _actuator(stage: Any, name: str, joint: JointEntry) -> Any:
+    prim = stage.DefinePrim(actuator_path(name), "NewtonActuator")
     prim.CreateRelationship("newton:targets").SetTargets([joint.path])
     return prim
 
 
 def actuator_path(axis: str) -> str:
-    from pxr import Tf
-
-    return f"{ROOT}/actuators/{Tf.MakeValidIdentifier(axis)}"
+    return f"{ROOT}/actuators/{axis}"
 
 
 def per_unit(value: float, joint: JointEntry) -> float:

@@ -6,7 +6,7 @@ UsdPhysics measures the angles of joints in degrees, and their gains and damping
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, tip_offset
 from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
-from sysid.export.urdf_text import END_EFFECTOR, WORLD, urdf_of
+from sysid.export.names import MachineNames, Names, identifier
+from sysid.export.urdf_text import END_EFFECTOR, machine_names, urdf_of, xml_text
 from sysid.machine.kinematics import origin_pose
 from sysid.machine.moved_bodies import GRAVITY
-from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -30,13 +30,12 @@ class JointEntry:
     """A joint of the stage.
 
     Args:
-        path: of its prim; ``parent``, ``child``: paths of the bodies, the parent empty for the world.
+        name, parent, child: of its prim and of those of the bodies, the parent empty for the world.
         angular: of a revolute or continuous joint; ``fixed``: without a degree of freedom.
         limits: [rad or m], None for none.
     """
 
     name: str
-    path: str
     parent: str
     child: str
     kind: str
@@ -46,12 +45,22 @@ class JointEntry:
     mimic: tuple[str, float, float] | None
 
     @property
+    def path(self) -> str:
+        return joint_path(self.name)
+
+    @property
     def angular(self) -> bool:
         return self.kind in ("revolute", "continuous")
 
 
-def write_bodies(stage: Any, plant: Plant, steps_per_second: int) -> dict[str, JointEntry]:
-    """Scene, links and joints of a plant; returns the joints by the names of its URDF."""
+def usd_names(plant: Plant) -> MachineNames:
+    """Names of the links, joints and actuators of a plant in a stage."""
+    actuators = Names(form=identifier).each(plant.machine.axis_names)
+    return replace(machine_names(plant, Names(form=identifier), Names(form=identifier), (), [ANCHOR]), axes=actuators)
+
+
+def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second: int) -> dict[str, JointEntry]:
+    """Scene, links and joints of a plant; returns the joints by their names in the stage."""
     from pxr import Gf, Sdf, UsdGeom, UsdPhysics
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -68,35 +77,31 @@ def write_bodies(stage: Any, plant: Plant, steps_per_second: int) -> dict[str, J
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     for group in ("links", "joints", "actuators"):
         UsdGeom.Scope.Define(stage, f"{ROOT}/{group}")
-    urdf = urdf_of(plant)
-    joints = _joints(urdf_tree(urdf))
-    inertias, poses = link_inertias(urdf), _link_poses(joints, turn, place)
+    urdf = urdf_of(plant, names)
+    joints = _joints(urdf)
+    inertias, poses = link_inertias(xml_text(urdf)), _link_poses(joints, turn, place)
     for link, pose in poses.items():
         _link(stage, link, pose, inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3)))))
     base = next(link for link in poses if link not in {joint.child for joint in joints})
     anchor = np.eye(4)
     anchor[:3, :3], anchor[:3, 3] = turn, place
-    for joint in [JointEntry(ANCHOR, "", "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
+    for joint in [JointEntry(names.added[ANCHOR], "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
         _joint(stage, joint)
     _follow(stage, joints)
     kinematics = plant.machine.kinematics()
     if kinematics is not None:
-        point = UsdGeom.Xform.Define(stage, f"{link_path(kinematics.tip)}/{END_EFFECTOR}")
+        point = UsdGeom.Xform.Define(stage, f"{link_path(names.links[kinematics.tip])}/{END_EFFECTOR}")
         point.AddTranslateOp().Set(Gf.Vec3d(*map(float, tip_offset(plant, kinematics))))
         point.GetPrim().ApplyAPI("NewtonSiteAPI")
     return {joint.name: joint for joint in joints}
 
 
 def link_path(link: str) -> str:
-    from pxr import Tf
-
-    return f"{ROOT}/links/{Tf.MakeValidIdentifier(link)}"
+    return f"{ROOT}/links/{link}"
 
 
 def joint_path(joint: str) -> str:
-    from pxr import Tf
-
-    return f"{ROOT}/joints/{Tf.MakeValidIdentifier(joint)}"
+    return f"{ROOT}/joints/{joint}"
 
 
 def set_value(prim: Any, name: str, kind: Any, value: Any) -> None:
@@ -125,12 +130,10 @@ def _is_transform(prop: Any) -> bool:
 
 
 def _joints(root: Element) -> list[JointEntry]:
-    """Joints of a URDF, without the added frames, which the stage has itself."""
+    """Joints of a URDF."""
     found = []
     for joint in root.findall("joint"):
         parent, child = (str(joint.find(side).get("link")) for side in ("parent", "child"))  # type: ignore[union-attr]
-        if WORLD in (parent, child) or END_EFFECTOR in (parent, child):
-            continue
         kind, name = str(joint.get("type")), str(joint.get("name"))
         axis, limit, mimic = joint.find("axis"), joint.find("limit"), joint.find("mimic")
         direction = np.array([float(x) for x in (axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split()])
@@ -140,9 +143,8 @@ def _joints(root: Element) -> list[JointEntry]:
         if mimic is not None:
             leader = str(mimic.get("joint")), float(mimic.get("offset", "0")), float(mimic.get("multiplier", "1"))
         pose = origin_pose(joint.find("origin"))
-        found.append(
-            JointEntry(name, joint_path(name), parent, child, kind, pose, direction / np.linalg.norm(direction), ends, leader)  # type: ignore[arg-type]
-        )
+        along = direction / np.linalg.norm(direction)
+        found.append(JointEntry(name, parent, child, kind, pose, along, ends, leader))  # type: ignore[arg-type]
     return found
 
 
@@ -180,15 +182,18 @@ def _link(stage: Any, link: str, pose: Array, inertia: tuple[Array, ...]) -> Non
 
 
 def _joint(stage: Any, entry: JointEntry) -> None:
-    """A joint whose frame on both bodies has the axis of motion as x."""
+    """A joint whose frame on both bodies has the axis of motion as x, the normal of a planar one; a floating one is none."""
     from pxr import Gf, UsdPhysics
 
+    if entry.kind == "floating":
+        return
     kinds = {
         "revolute": UsdPhysics.RevoluteJoint,
         "continuous": UsdPhysics.RevoluteJoint,
         "prismatic": UsdPhysics.PrismaticJoint,
+        "planar": UsdPhysics.Joint,
     }
-    joint = kinds.get(entry.kind, UsdPhysics.FixedJoint).Define(stage, entry.path or joint_path(entry.name))
+    joint = kinds.get(entry.kind, UsdPhysics.FixedJoint).Define(stage, entry.path)
     if entry.parent:
         joint.CreateBody0Rel().SetTargets([link_path(entry.parent)])
     joint.CreateBody1Rel().SetTargets([link_path(entry.child)])
@@ -197,7 +202,12 @@ def _joint(stage: Any, entry: JointEntry) -> None:
     joint.CreateLocalRot0Attr(Gf.Quatf(_quaternion(entry.pose[:3, :3] @ along)))
     joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     joint.CreateLocalRot1Attr(Gf.Quatf(_quaternion(along)))
-    if entry.kind in kinds:
+    if entry.kind == "planar":
+        for locked in ("transX", "rotY", "rotZ"):
+            limit = UsdPhysics.LimitAPI.Apply(joint.GetPrim(), locked)
+            limit.CreateLowAttr(1.0)  # above the upper end: locked
+            limit.CreateHighAttr(-1.0)
+    elif entry.kind in kinds:
         joint.CreateAxisAttr("X")
         if entry.limits is not None:
             low, high = (math.degrees(x) if entry.angular else x for x in entry.limits)

@@ -70,8 +70,8 @@ class Robot:
                 self._hold(actuator, self.inputs[k])
         if self.about["swings"]:
             mujoco.mj_kinematics(self.model, self.data)
-            place = self.model.joint("tool_gimbal").qposadr[0]
-            parent = self.model.body("tool_gimbal").parentid[0]
+            gimbal = self.model.joint(self.about["gimbal"])
+            place, parent = gimbal.qposadr[0], self.model.body_parentid[gimbal.bodyid[0]]
             mujoco.mju_negQuat(self.data.qpos[place : place + 4], self.data.xquat[parent])
         mujoco.mj_forward(self.model, self.data)
         self.resetting = False
