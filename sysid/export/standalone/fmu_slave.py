@@ -8,7 +8,9 @@ it begins: ``<axis>.start_joint`` at the sensor, or ``<axis>.start_drive`` of th
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,19 @@ class Machine(Fmi2Slave):  # type: ignore[misc, unused-ignore]
             values[k] = value
 
         self.register_variable(Real(name, causality=causality, variability=variability, start=0.0, getter=read, setter=write))
+
+    def to_xml(self, *args: Any) -> Any:
+        """The description, with what PythonFMU leaves out: the outputs are unknown at the start, as all of them are calculated.
+
+        Names of axes that are no identifiers of FMI (``a-b``, ``größe``, ``1``) are those of the ``flat`` convention.
+        """
+        root = super().to_xml(*args)
+        structure = root.find("ModelStructure")
+        structure.append(deepcopy(structure.find("Outputs")))
+        structure[-1].tag = "InitialUnknowns"
+        if any(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) is None for name in self.machine.names):
+            root.set("variableNamingConvention", "flat")
+        return root
 
     def exit_initialization_mode(self) -> None:
         self.outputs, self.done = self._begin(), 0
