@@ -34,6 +34,7 @@ class Channel:
         unit: their SI unit.
         repaired: number of rows that were out of order or duplicate and have been sorted or dropped.
         flags: faults found while reading; their seconds count from the first stamp.
+        modulus: up to multiples of it the values are known, in ``unit``; None: they did not wrap.
     """
 
     signal: str
@@ -47,6 +48,7 @@ class Channel:
     max_gap_s: float | None = None
     repaired: int = 0
     flags: tuple[Flag, ...] = ()
+    modulus: float | None = None
 
     @property
     def clock(self) -> str:
@@ -59,8 +61,8 @@ class Channel:
         return median_step(self.stamps) * 1e-9 if len(self.stamps) > 1 else float("nan")
 
 
-def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> tuple[npt.NDArray[np.float64], str]:
-    """The mapped field of ``stream`` in SI, and the SI unit.
+def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> tuple[npt.NDArray[np.float64], str, float]:
+    """The mapped field of ``stream`` in SI, the SI unit, and the change of the SI value per raw one.
 
     Raises:
         InputError: no such field, the unit of the file contradicts the recipe, a unit of another quantity, or no number.
@@ -87,7 +89,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         values += mapping.offset
         return values
 
-    return computed(len(raw), piece), unit
+    return computed(len(raw), piece), unit, mapping.sign * mapping.scale / mapping.span * factor
 
 
 #: Units of signals of an axis for which the machine description leaves rotation or translation open.

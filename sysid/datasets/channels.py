@@ -21,6 +21,7 @@ from sysid.datasets.frames.marker_sets import with_marker_sets
 from sysid.datasets.frames.mistakes import MissingFrames
 from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose
 from sysid.datasets.recipe import SignalMap, StreamMap
+from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
@@ -107,15 +108,16 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     flags: list[MissingFrames] = []
     shares = _shares(files)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
-        own = part(progress, begin, end)
-        streams = read_streams(path, mapping, progress=own, expected_hz=machine.rate_hz)
-        own(1.0, f"reading {path.name}")
+        done = part(progress, begin, end)
+        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz)
+        done(1.0, f"reading {path.name}")
         lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
         losses[path.name] = tuple(dict.fromkeys(lost))
+        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
+        channels += [channel for channel, _ in own]
+        losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
         if mapping is None:
-            channels += _canonical(path, streams, machine)
             continue
-        channels += _mapped(path, streams, mapping, machine)
         if mapping.bodies or mapping.points:
             captured, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.key), {}))
             channels += captured
@@ -123,7 +125,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         scratch.leave()
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
-    return ReadRecording(tuple(channels), losses, tuple(flags))
+    return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
 
 
 def _captured(
@@ -211,7 +213,8 @@ def read_streams(
     return with_marker_sets(streams, mapping)
 
 
-def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[Channel]:
+def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[tuple[Channel, str]]:
+    """Channels of the mapped fields, with what was undone in each."""
     channels = []
     for signal, entry in mapping.signals.items():
         stream = _stream_of(path, streams, entry, signal)
@@ -234,8 +237,8 @@ def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: 
 
 def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
-) -> Channel:
-    values, unit = convert(stream, entry, signal, machine)
+) -> tuple[Channel, str]:
+    values, unit, per_raw = convert(stream, entry, signal, machine)
     clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
     if clock not in stream.stamps:
         raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
@@ -243,7 +246,7 @@ def _channel(
     if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
         found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
-    return Channel(
+    channel = Channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
@@ -256,10 +259,11 @@ def _channel(
         repaired=repaired,
         flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
     )
+    return continuous(channel, entry, per_raw, machine)
 
 
-def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[Channel]:
-    """Channels of a file whose columns are canonical names, on a clock of its own."""
+def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:
+    """Channels of a file whose columns are canonical names, on a clock of its own, with what was undone in each."""
     channels = []
     for stream in streams:
         for column in stream.columns:

@@ -29,6 +29,8 @@ class SignalMap(Strict):
         zero, span: raw value at zero and raw span of one, for counts and duty cycles.
         scale: further factor, e.g. 35.15 N/V with ``unit = "N"``.
         offset: added at the end, in SI.
+        modulus: period of the raw values where they wrap, e.g. 360, or 65536 for a counter of 16 bits; None: found from their
+            steps; 0: they do not wrap.
         primary: False for a second source, which is used to align clocks and for checks, but is not in the dataset's tables.
     """
 
@@ -40,6 +42,7 @@ class SignalMap(Strict):
     scale: Factor = 1.0
     offset: Finite = 0.0
     sign: Literal[1, -1] = 1
+    modulus: NonNegative | None = None
     primary: bool = True
 
 

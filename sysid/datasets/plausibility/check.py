@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
-from sysid.datasets.plausibility.columns import column_findings
+from sysid.datasets.plausibility.columns import column_findings, wrap_findings
 from sysid.datasets.plausibility.end_stops import end_stop_findings
 from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.plausibility.partial import partial_findings
@@ -52,12 +52,15 @@ def findings_of(
     found, time_scale = time_findings(rates, recordings, machine.rate_hz)
     rate_ratio = float(np.median(list(rates.values()))) / machine.rate_hz if rates and not found else None
     figures = {axis.name: figures_of(recordings, machine, axis, units or {}, rate_ratio, time_scale) for axis in machine.axes}
+    wrapped = wrap_findings(recordings, machine)
+    figures = {name: each for name, each in figures.items() if name not in wrapped}
+    found += wrapped.values()
     swaps, exchanged = swap_findings(recordings, figures, time_scale)
     own = [axis_finding(each) for name, each in figures.items() if name not in exchanged]
     single = [finding for finding in own if finding is not None]
     found += swaps
     found += merged(single)
-    unclear = {*exchanged, *(finding.axis for finding in single)}
+    unclear = {*wrapped, *exchanged, *(finding.axis for finding in single)}
     partial = list(
         partial_findings(
             recordings,

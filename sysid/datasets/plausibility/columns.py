@@ -1,4 +1,4 @@
-"""Columns without information: never measured, constant while the axis is commanded, nothing but noise."""
+"""Single columns: never measured, constant while the axis is commanded, nothing but noise, positions that wrap."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sysid.datasets.plausibility.finding import Evidence, Finding
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
+from sysid.datasets.wrapping import Wraps, is_position, one_turn, wraps_of
 from sysid.machine import Machine
-from sysid.signals import axis_signal
+from sysid.signals import axis_signal, split_signal
 
 #: Least time with a command in which a working sensor shows motion [s], and what counts as a command (share of the largest).
 COMMANDED_S, COMMANDED = 3.0, 0.3
@@ -35,6 +36,37 @@ def column_findings(recordings: Sequence[Recording], machine: Machine) -> Iterat
         for signal in dict.fromkeys((axis.driven, axis_signal(axis.name, "joint"))):
             if signal in present:
                 yield from _still_sensor(motion, signal, commanded)
+
+
+def wrap_findings(recordings: Sequence[Recording], machine: Machine) -> dict[str, Finding]:
+    """Axis → finding, for each axis with a position that wraps: its steps are no motion, so that nothing else is checked."""
+    found = {}
+    for signal in machine.signals:
+        if not is_position(signal, machine):
+            continue
+        wrapped = {r.name: wraps for r in recordings if r.kind == "motion" if (wraps := _wraps(r, signal, machine)) is not None}
+        if wrapped:
+            most = max(wrapped.values(), key=lambda wraps: wraps.count)
+            unit = machine.expected_unit(signal) or "1"
+            evidence = Evidence(f"{signal} {most.text(unit)}", "a position that continues")
+            remedy = "Ingest its logs again: steps of one modulus are undone, unless the recipe says `modulus = 0`"
+            cause = Cause("", (signal,), f"known only up to multiples of {most.modulus:.6g}", remedy=remedy)
+            names = () if len(wrapped) == len(recordings) else tuple(wrapped)
+            found[split_signal(signal)[0]] = Finding((f"{signal}:wrap",), "severe", (evidence,), (cause,), names)
+    return found
+
+
+def _wraps(recording: Recording, signal: str, machine: Machine) -> Wraps | None:
+    """Wraps in a table. Steps against the motion: a row that resampling has put into the middle of one is left out."""
+    values = recording.values(signal)
+    moduli = one_turn(machine.expected_unit(signal) or "1")
+    within = np.zeros(len(values), dtype=bool)
+    if len(values) > 2:
+        before, after = values[1:-1] - values[:-2], values[2:] - values[1:-1]
+        step = np.abs(before + after)
+        within[1:-1] = (before * after > 0.0) & (step > 0.5 * np.nanmax(step, initial=0.0))
+    there = np.where(within, np.nan, values)
+    return wraps_of(recording.values("time"), there, moduli)
 
 
 def _commanded_s(recordings: Sequence[Recording], command: str) -> float:
