@@ -1,6 +1,6 @@
-# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · cluster · object-store · model-server · scale · report · clean.
+# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · robots · cluster · object-store · model-server · scale · report · clean.
 # Each makes .venv by itself when it is missing.
-.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms cluster object-store model-server scale report clean
+.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms robots cluster object-store model-server scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -64,6 +64,12 @@ hidden-effects: $(READY)
 SEEDS ?= 0:1
 arms: $(READY)
 	$(BIN)/python pipelines/electric_arms.py --seeds $(SEEDS) --workers $(WORKERS) --work $(WORKSPACE)/electric_arms
+
+# Robot models of other people, from packages of the index (2 GB in the workspace): read, checked, simulated, exported.
+# ONLY=panda takes those with that in their path.
+ONLY ?=
+robots: $(READY)
+	$(BIN)/python pipelines/robots.py --only '$(ONLY)' --workers $(WORKERS) --work $(WORKSPACE)/robots
 
 # A Dask scheduler on tcp://127.0.0.1:8786 with WORKERS worker processes, until Ctrl-C.
 cluster: $(READY)
