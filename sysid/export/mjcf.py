@@ -16,7 +16,7 @@ from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
-from sysid.export.mjcf_drives import add_drive, drive_entry
+from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
 from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
 from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, write_drive_model
@@ -61,11 +61,12 @@ class MjcfTarget:
     """MuJoCo 4.
 
     Args:
-        composed: cylinders, backlash and the hanging tool as elements of MuJoCo; else by the drive model.
+        most: ``composed``: drives, cylinders, backlash and the hanging tool as elements of MuJoCo; ``native``: drives alone;
+            ``plugin``: none, all joints follow the drive model.
     """
 
-    def __init__(self, composed: bool = True) -> None:
-        self.composed = composed
+    def __init__(self, most: Elements = "composed") -> None:
+        self.most = most
 
     name = "mjcf"
     title = "MuJoCo"
@@ -81,9 +82,9 @@ class MjcfTarget:
         return model_names(plant).machine
 
     def support(self, effect: Effect) -> Support:
-        if effect.name in _ELEMENTS:
+        if effect.name in _ELEMENTS and self.most != "plugin":
             return Support("native", _ELEMENTS[effect.name])
-        if effect.name in _COMPOSED and (self.composed or effect.name not in _BY_DRIVE_MODEL):
+        if effect.name in _COMPOSED and (self.most == "composed" or effect.name not in _BY_DRIVE_MODEL):
             return Support("composed", _COMPOSED[effect.name])
         if effect.name in FRICTION_BY_LOOP:
             return Support("plugin", FRICTION_BY_LOOP[effect.name])
@@ -102,7 +103,7 @@ class MjcfTarget:
             return write_arm(plant, rate_hz, folder)
         data = drive_data(plant, rate_hz)
         substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
-        spec, about = _spec_of(plant, data, substeps, self.composed)
+        spec, about = _spec_of(plant, data, substeps, self.most)
         (folder / FILE).write_text(mjcf_text(spec), "utf-8")
         (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
         (folder / ROBOT).write_text(inspect.getsource(mujoco_robot), "utf-8")
@@ -114,7 +115,7 @@ class MjcfTarget:
         return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
 
 
-def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) -> tuple[Any, dict[str, Any]]:
+def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, most: Elements) -> tuple[Any, dict[str, Any]]:
     """The model, and what the shipped loop has to know of it."""
     import mujoco
 
@@ -128,7 +129,7 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) 
     axes = []
     for axis in data["axes"]:
         name = names.machine.joint(axis["name"])
-        entry, joint = drive_entry(plant, axis, data["pump_limit"] is not None, composed), spec.joint(name)
+        entry, joint = drive_entry(plant, axis, data["pump_limit"] is not None, most), spec.joint(name)
         moved = moved_by(spec, names, entry, axis, joint, step)
         add_drive(spec, axis, moved, entry, step)
         if entry.backlash is not None:
@@ -144,7 +145,7 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, composed: bool) 
             "second_order_lag",
         }
         axes.append(about | {"actuation": axis["actuation"], "led": led})
-    swings = composed and data["sway"] is not None and posed and plant.effect("base_misalignment", "base") is None
+    swings = most == "composed" and data["sway"] is not None and posed and plant.effect("base_misalignment", "base") is None
     gimbal = None
     if swings:
         tip = spec.body(names.machine.links[str(plant.machine.tip)])

@@ -29,6 +29,9 @@ FORCE_NATIVE = ("viscous_friction", "coulomb_friction")
 #: Impedance of stops and dry friction: the hardest that MuJoCo has.
 HARD = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
 Mode = Literal["native", "command", "drive_model"]
+#: What stands for a drive: also several elements of MuJoCo, single ones, or the drive model alone.
+Elements = Literal["composed", "native", "plugin"]
+_ALL_BY_DRIVE_MODEL = "differences of the replay with elements of MuJoCo"
 
 
 @dataclass(frozen=True)
@@ -51,14 +54,15 @@ class DriveEntry:
     backlash: tuple[float, str] | None = None
 
 
-def drive_entry(plant: Plant, axis: dict[str, Any], pump: bool, composed: bool) -> DriveEntry:
-    """How an axis of the drive data is written."""
+def drive_entry(plant: Plant, axis: dict[str, Any], pump: bool, most: Elements) -> DriveEntry:
+    """How an axis of the drive data is written, with elements of MuJoCo up to ``most``."""
     native = {"velocity": VELOCITY_NATIVE, "position": POSITION_NATIVE, "force": FORCE_NATIVE}[axis["actuation"]]
     parts = [name for name, _ in axis["command"]]
     lacking = _lacking(axis, pump, native)
-    if not composed:
+    if most != "composed":
         lacking += [part for part in ("drive_backlash", "structure_backlash") if axis[part]]
         lacking += ["a linkage that is not a triangle"] if axis["drives"] == "cylinder" else []
+    lacking += [_ALL_BY_DRIVE_MODEL] if most == "plugin" else []
     triangle = None
     if axis["drives"] == "cylinder" and not lacking:
         triangle = plant.machine.axis(axis["name"]).linkage or (

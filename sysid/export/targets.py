@@ -36,5 +36,6 @@ def target_named(name: str) -> Target:
 
 def fallback(target: Target, plant: Plant) -> Target | None:
     """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
-    further = isinstance(target, MjcfTarget) and target.composed and not moves_masses(plant.machine)
-    return MjcfTarget(composed=False) if further else None
+    if not isinstance(target, MjcfTarget) or target.most == "plugin" or moves_masses(plant.machine):
+        return None
+    return MjcfTarget("native" if target.most == "composed" else "plugin")

@@ -12,7 +12,7 @@ from test_drive_model import probe_plant
 
 from sysid.errors import SettingsError
 from sysid.export.sdf import FILE, SdfTarget, check_sdf, sdf_of
-from sysid.export.urdf_text import END_EFFECTOR, WORLD
+from sysid.export.urdf_text import END_EFFECTOR
 from sysid.machine import KnownEffect
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
@@ -51,9 +51,9 @@ def place_of(sdf: Element, link: str, values: dict[str, float]) -> Array:
     """Pose of a link in the measured frame at joint values, from the frames of the file alone."""
     by_child = {joint.findtext("child"): joint for joint in sdf.iter("joint")}
     chain = []
-    while link != WORLD:
+    while (parent := str(by_child[link].findtext("parent"))) != "world":
         chain.append(by_child[link])
-        link = str(by_child[link].findtext("parent"))
+        link = parent
     pose = np.eye(4)
     for joint in reversed(chain):
         pose = pose @ pose_of(str(joint.findtext("pose")))
