@@ -143,7 +143,8 @@ def _work(
                 if len(array) and place is None:
                     _write(inlet, np.ascontiguousarray(array).data.cast("B"))
         except SysidError as error:
-            _send(inlet, b"E", [type(error).__name__, error.where, error.found, error.expected, error.remedy])
+            kind = next(kind for kind in type(error).__mro__ if kind.__module__ == errors.__name__)
+            _send(inlet, b"E", [kind.__name__, error.where, error.found, error.expected, error.remedy])
         except MemoryError:
             _send(inlet, b"E", ["MemoryError"])
         except OSError as error:

@@ -27,6 +27,13 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     help="Test a simulator of your own: an object with simulate(recording), or its class; or a MuJoCo model.",
 )
 @click.option(
+    "--assets",
+    multiple=True,
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="With --simulator mujoco:FILE.xml: a folder outside of the model's below which it may open files; may be repeated.",
+)
+@click.option(
     "--out",
     "out_file",
     default=None,
@@ -66,6 +73,7 @@ def gap(
     reference: str,
     plant: str | None,
     simulator: str | None,
+    assets: tuple[Path, ...],
     out_file: Path | None,
     localise: bool,
     add: bool,
@@ -94,6 +102,8 @@ def gap(
             "A residual network is fitted to the error that the search leaves.",
         )
     mjcf = None if simulator is None or not simulator.startswith(MUJOCO) else Path(simulator.removeprefix(MUJOCO))
+    if assets and mjcf is None:
+        raise SettingsError("sysid gap", "--assets without a MuJoCo model", "--simulator mujoco:FILE.xml")
     if out_file is not None and mjcf is None:
         raise SettingsError("sysid gap", "--out without a MuJoCo model", "--simulator mujoco:FILE.xml")
     if mjcf is not None and add and out_file is None:
@@ -112,7 +122,7 @@ def gap(
         from sysid.workspace import open_workspace
 
         workspace = open_workspace(location)
-        tested = open_simulator(simulator, dataset) if simulator is not None else workspace.plant(dataset, plant)
+        tested = open_simulator(simulator, dataset, assets) if simulator is not None else workspace.plant(dataset, plant)
         result = find_gap(
             dataset,
             tested,
@@ -160,5 +170,5 @@ def gap(
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
     written = result.to_json(folder)
     if mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None and not localise:
-        written["model"] = write_model(out, tested, result, dataset, mjcf, out_file)
+        written["model"] = write_model(out, tested, result, dataset, mjcf, out_file, assets)
     write_json(json_file, written)

@@ -20,7 +20,13 @@ def repaired_path(model: Path) -> Path:
 
 
 def write_model(
-    out: Printer, tested: SimulatorAdapter | Plant, result: GapResult, dataset: Dataset, model: Path, path: Path
+    out: Printer,
+    tested: SimulatorAdapter | Plant,
+    result: GapResult,
+    dataset: Dataset,
+    model: Path,
+    path: Path,
+    assets: tuple[Path, ...] = (),
 ) -> dict[str, Any]:
     """Write the repaired model, and return what the JSON says about it.
 
@@ -33,7 +39,7 @@ def write_model(
     from sysid.plant.plant import effect_key
 
     if isinstance(tested, Plant):
-        repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap)
+        repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap, assets)
     else:
         repaired = write_repaired(tested, repaired_effects(tested, result.written), path, dataset, result.gap)
     out.line(f"Repaired model: {repaired.path}")

@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 MUJOCO = "mujoco:"
 
 
-def open_simulator(place: str, dataset: Dataset) -> Simulator | Plant:
+def open_simulator(place: str, dataset: Dataset, assets: tuple[Path, ...] = ()) -> Simulator | Plant:
     """The simulator of a Python file or of an MJCF, for a dataset; of force-driven axes, the plant with the same forces.
+
+    Args:
+        assets: further folders below which an MJCF may open files.
 
     Raises:
         SettingsError: neither ``FILE.py:NAME`` nor ``mujoco:FILE.xml``, or a model that does not fit the machine.
@@ -32,7 +35,9 @@ def open_simulator(place: str, dataset: Dataset) -> Simulator | Plant:
     from sysid.gap.adapters.mujoco.repair import open_mujoco
 
     path = Path(place.removeprefix(MUJOCO))
-    return open_force_model(path, dataset).plant if is_force_driven(dataset.machine) else open_mujoco(path, dataset)
+    if is_force_driven(dataset.machine):
+        return open_force_model(path, dataset, assets).plant
+    return open_mujoco(path, dataset, assets)
 
 
 def load_simulator(place: str) -> Simulator:

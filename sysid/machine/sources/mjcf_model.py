@@ -1,19 +1,52 @@
-"""A compiled MJCF and the names in it.
+"""An MJCF compiled within limits, and the names in it.
+
+A model can ask for any amount of memory and time (``replicate``, ``size``, height fields), so that it is compiled in a confined
+process (:mod:`sysid.confined`) first, once for each state of its files.
 
 Source: MuJoCo 4 documentation, *XML reference* and *Computation*.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import os
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from sysid.confined import Limits, confined, inside
 from sysid.errors import InputError
-from sysid.foreign import shown
+from sysid.foreign import MAX_NAME, shown, visible
+from sysid.machine.sources.draft import summarised
+from sysid.machine.sources.mjcf_files import STANDIN_HEIGHTS, STANDIN_MESH, JoinedModel, MissingFile, joined_model
 
+T = TypeVar("T")
+
+#: Of reading a description: the largest models of the MuJoCo Menagerie take a tenth of both.
+DESCRIPTION_LIMITS = Limits(2**30, 20.0, "a robot description", "leave out of it what is not part of the robot")
 #: Largest length of MuJoCo's message that is repeated.
 _MESSAGE = 300
+
+#: File → its device, number, size [B] and time of change [ns].
+FileStates = dict[str, tuple[int, ...]]
+#: Path, folders and whether contacts count → files of a model that was compiled in a confined process.
+_compiled: dict[tuple[str, tuple[str, ...], bool], FileStates] = {}
+
+
+@dataclass(frozen=True)
+class ReadModel:
+    """A compiled model.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        left_out: files that were not opened, on which no mass depends.
+    """
+
+    model: Any
+    left_out: tuple[str, ...]
 
 
 def mujoco_library() -> Any:
@@ -24,31 +57,155 @@ def mujoco_library() -> Any:
     return mujoco
 
 
-def load_mjcf(path: Path) -> Any:
-    """The compiled ``mujoco.MjModel`` of a file.
+def read_mjcf(path: Path, assets: Sequence[Path] | None = ()) -> ReadModel:
+    """The model of a file for its kinematics and masses: shapes without their file are left out where no mass depends on them.
+
+    Args:
+        assets: further folders below which files may be opened; None where the user has no option to name one.
 
     Raises:
-        InputError: no such file, or MuJoCo refuses it.
+        InputError: no such file, a file that must not be opened, a mass that depends on one, MuJoCo refuses it, or it takes
+            more than :data:`DESCRIPTION_LIMITS`.
     """
-    return _read(mujoco_library().MjModel.from_xml_path, path)
+    joined = _tried(path, assets, contacts=False)
+    model = _compile(joined, _specification(joined, contacts=False))
+    notes = [(f"{file.kind} without its file:", visible(file.name, MAX_NAME)) for file in joined.missing]
+    return ReadModel(model, tuple(summarised(notes)))
 
 
-def load_spec(path: Path) -> Any:
-    """The ``mujoco.MjSpec`` of a file, which can be changed before it is compiled.
+def load_mjcf(path: Path, assets: Sequence[Path] | None = ()) -> Any:
+    """The compiled ``mujoco.MjModel`` of a file for simulation: shapes that collide need their file too.
 
-    Raises:
-        InputError: no such file, or MuJoCo refuses it.
+    Args, Raises: as of :func:`read_mjcf`.
     """
-    return _read(mujoco_library().MjSpec.from_file, path)
+    joined = _tried(path, assets, contacts=True)
+    return _compile(joined, _specification(joined, contacts=True))
 
 
-def _read(reader: Callable[[str], Any], path: Path) -> Any:
-    if not path.is_file():
-        raise InputError(path, "no such file", "an MJCF file")
+def load_spec(path: Path, assets: Sequence[Path] | None = ()) -> Any:
+    """The ``mujoco.MjSpec`` of a file, which can be changed before it is compiled; file names in it are relative to ``path``.
+
+    Args, Raises: as of :func:`load_mjcf`.
+    """
+    return _specification(_tried(path, assets, contacts=True), contacts=True)
+
+
+def _tried(path: Path, assets: Sequence[Path] | None, contacts: bool) -> JoinedModel:
+    """The joined model, which has been compiled in a confined process."""
+    key = os.path.abspath(path), tuple(map(os.path.abspath, assets or ())), contacts
+    if not inside() and ((before := _compiled.get(key)) is None or before != _states(before)):
+        mujoco_library()  # before the process begins, so that each has it
+        _compiled[key] = confined(lambda report: _compiled_once(path, assets, contacts), path, DESCRIPTION_LIMITS, ())
+    return joined_model(path, assets)
+
+
+def _compiled_once(path: Path, assets: Sequence[Path] | None, contacts: bool) -> FileStates:
+    joined = joined_model(path, assets)
+    states = _states(joined.files)
+    model = _compile(joined, _specification(joined, contacts))
+    _of_mujoco(joined, lambda: mujoco_library().MjData(model))
+    return states
+
+
+def _states(files: Sequence[str] | FileStates) -> FileStates:
+    found: FileStates = {}
+    for file in files:
+        try:
+            status = os.stat(file)
+        except OSError:
+            found[file] = ()
+        else:
+            found[file] = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+    return found
+
+
+def _specification(joined: JoinedModel, contacts: bool) -> Any:
+    mujoco = mujoco_library()
+    folder = mujoco.MjVfs()
+    for place, text in joined.texts.items():
+        folder[place] = text.encode()
+    spec = _of_mujoco(joined, lambda: mujoco.MjSpec.from_file(joined.path, vfs=folder))
+    if joined.missing:
+        _check_stand_ins(spec, joined, contacts)
+    return spec
+
+
+def _compile(joined: JoinedModel, spec: Any) -> Any:
+    return _of_mujoco(joined, spec.compile)
+
+
+def _of_mujoco(joined: JoinedModel, work: Callable[[], T]) -> T:
+    """What ``work`` returns; MuJoCo raises errors of many types, and ones of the allocator as RuntimeError or FatalError."""
     try:
-        return reader(str(path))
-    except ValueError as error:
-        raise InputError(path, shown(" ".join(str(error).split()))[1:-1][:_MESSAGE], "an MJCF that MuJoCo compiles") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return work()
+    except MemoryError:
+        raise DESCRIPTION_LIMITS.exceeded(joined.source, seconds=False) from None
+    except Exception as error:
+        found = visible(" ".join(_placed(joined, str(error) or type(error).__name__).split()), _MESSAGE)
+        if isinstance(error, ValueError) and "allocate memory" not in found:
+            raise InputError(joined.source, found, "an MJCF that MuJoCo compiles") from None
+        remedy = "Check the sizes and counts that it states."
+        raise InputError(joined.source, f"MuJoCo fails on it ({found})", "an MJCF that MuJoCo compiles", remedy) from None
+
+
+def _placed(joined: JoinedModel, message: str) -> str:
+    """A message with the lines of the files in place of those of the joined text."""
+
+    def place(match: re.Match[str]) -> str:
+        number = int(match[1])
+        if not 0 < number <= len(joined.lines):
+            return match[0]
+        file, line = joined.lines[number - 1]
+        return f"line {line}" if file == joined.source else f"line {line} of {file.name}"
+
+    return re.sub(r"\bline (\d{1,9})\b", place, message)
+
+
+def _check_stand_ins(spec: Any, joined: JoinedModel, contacts: bool) -> None:
+    """Check that nothing that is read from the model depends on a shape without its file.
+
+    Raises:
+        InputError: the mass of a body does, or (with ``contacts``) a contact or a force of the fluid.
+    """
+    stand_ins = {("mesh", str(mesh.name)) for mesh in spec.meshes if tuple(mesh.uservert) == STANDIN_MESH}
+    stand_ins |= {("hfield", str(item.name)) for item in spec.hfields if tuple(item.userdata) == STANDIN_HEIGHTS}
+    missing = {(file.kind, file.name): file for file in joined.missing}
+    for geom in spec.geoms:
+        for key in {("mesh", str(geom.meshname)), ("hfield", str(geom.hfieldname))} & stand_ins & missing.keys():
+            body = geom.parent
+            if _weighs(spec, geom, body):
+                why = f"the mass of body {shown(str(body.name))} comes from it"
+                raise _needed(missing[key], why, ", or an <inertial> in that body")
+            if contacts and _collides(spec, geom):
+                raise _needed(missing[key], "a shape that collides, or on which a fluid acts, is made of it", "")
+
+
+def _weighs(spec: Any, geom: Any, body: Any) -> bool:
+    """Whether MuJoCo takes mass or inertia of a body from a geom."""
+    kinds, rule = mujoco_library().mjtInertiaFromGeom, spec.compiler.inertiafromgeom
+    if spec.worldbody == body or rule == kinds.mjINERTIAFROMGEOM_FALSE:
+        return False
+    if rule == kinds.mjINERTIAFROMGEOM_AUTO and body.explicitinertial:
+        return False
+    low, high = spec.compiler.inertiagrouprange
+    return bool(low <= geom.group <= high) and geom.mass != 0.0 and not (math.isnan(geom.mass) and geom.density == 0.0)
+
+
+def _collides(spec: Any, geom: Any) -> bool:
+    """Whether contacts or the fluid act on a geom."""
+    if geom.fluid_ellipsoid:
+        return True
+    if spec.option.disableflags & mujoco_library().mjtDisableBit.mjDSBL_CONTACT:
+        return False
+    paired = {str(name) for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    return bool(geom.contype or geom.conaffinity or str(geom.name) in paired)
+
+
+def _needed(missing: MissingFile, why: str, otherwise: str) -> InputError:
+    refusal = missing.refusal
+    return InputError(refusal.where, f"{refusal.found}, and {why}", f"{refusal.expected}{otherwise}", refusal.remedy)
 
 
 def body_name(model: Any, body: int) -> str:

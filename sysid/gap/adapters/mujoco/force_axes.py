@@ -49,26 +49,29 @@ def is_force_driven(machine: Machine) -> bool:
     return all(axis.actuation == "force" for axis in machine.axes)
 
 
-def open_force_model(path: Path, dataset: Dataset) -> ForceModel:
+def open_force_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> ForceModel:
     """The plant of a model for the recordings of a dataset.
+
+    Args:
+        assets: further folders below which the model may open files.
 
     Raises:
         InputError: not a file that MuJoCo compiles, or it needs other forces than the plant (springs, contacts).
         SettingsError: its axes are not those of the dataset.
     """
-    machine, model = machine_of(path, dataset.machine), load_mjcf(path)
+    machine, model = machine_of(path, dataset.machine, assets), load_mjcf(path, assets)
     plant = nominal_plant(machine, streams=dataset.streams)
     _check_forces(path, model, plant, dataset)
     return ForceModel(path, plant)
 
 
-def machine_of(path: Path, machine: Machine) -> Machine:
+def machine_of(path: Path, machine: Machine, assets: Sequence[Path] = ()) -> Machine:
     """The machine that the model describes, with names, rate and sensor noise of ``machine``.
 
     Raises:
         SettingsError: other axes.
     """
-    draft = mjcf_draft(path, machine.tip, machine.tool)
+    draft = mjcf_draft(path, machine.tip, machine.tool, assets=assets)
     found = [axis.joint for axis in draft.axes]
     wanted = [axis.joint or axis.name for axis in machine.axes]
     if found != wanted:

@@ -32,7 +32,13 @@ NO_PLACE = "the adjusted parameters hold together only, and MJCF has no place fo
 
 
 def write_force_model(
-    model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path, dataset: Dataset, promised: Gap
+    model: Path,
+    tested: Plant,
+    written: Sequence[WrittenEffect],
+    out: Path,
+    dataset: Dataset,
+    promised: Gap,
+    assets: Sequence[Path] = (),
 ) -> RepairedModel:
     """Write the identified parameters into a copy of ``model``, load it again and measure its force errors.
 
@@ -43,18 +49,19 @@ def write_force_model(
     Args:
         tested: the plant of the model (:func:`sysid.gap.adapters.mujoco.force_axes.open_force_model`).
         promised: error of the forces at measured motion on held-out recordings, of the repaired plant.
+        assets: further folders below which the model may open files.
 
     Raises:
         InputError: MuJoCo refuses the written model, or its error is larger than promised.
         SettingsError: ``out`` is the model itself.
     """
     check_other_file(model, out)
-    chosen = _with_named(model, tested, written, out)
+    chosen, folders = _with_named(model, tested, written, out, assets), (*assets, model.parent)
     adjusted = [_known(row) for row in written if row.kind == "adjusted"]
     why = ""
     if adjusted:
-        whole = _with_all(model, tested, written, out)
-        why = NO_PLACE if whole is None else _worse_run(chosen, whole, tested, out, dataset)
+        whole = _with_all(model, tested, written, out, assets)
+        why = NO_PLACE if whole is None else _worse_run(chosen, whole, tested, out, dataset, folders)
         if whole is not None and not why:
             chosen = whole
     try:
@@ -62,7 +69,8 @@ def write_force_model(
     except ValueError as error:
         raise InputError(out, f"MuJoCo refuses the repaired model ({error})", "masses and inertias of rigid bodies") from None
     inertials = [change.effect for change in chosen.native if change.effect.name == ADJUSTED]
-    study = steps.open_study(dataset, in_command_units(open_force_model(out, dataset).plant, inertials))
+    loaded = open_force_model(out, dataset, folders).plant
+    study = steps.open_study(dataset, in_command_units(loaded, inertials))
     measured = stage_gap(study.case, study.stages, study.case.theta).before
     gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
     left = (*chosen.left, *(adjusted if why else ()))
@@ -81,16 +89,20 @@ class ChangedModel:
     left: Sequence[KnownEffect]
 
 
-def _with_named(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> ChangedModel:
+def _with_named(
+    model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path, assets: Sequence[Path]
+) -> ChangedModel:
     """The model with everything but the adjusted parameters."""
-    spec, compiled = load_spec(model), load_mjcf(model)
+    spec, compiled = load_spec(model, assets), load_mjcf(model, assets)
     named = [_known(row) for row in written if row.kind != "adjusted"]
     native, left = write_inside(spec, compiled, tested.machine, named, model.name)
     relocate(spec, model, out)
     return ChangedModel(spec, native, left)
 
 
-def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path) -> ChangedModel | None:
+def _with_all(
+    model: Path, tested: Plant, written: Sequence[WrittenEffect], out: Path, assets: Sequence[Path]
+) -> ChangedModel | None:
     """The model with everything.
 
     What is adjusted without a name holds beside the other adjusted parameters only: a constant load beside the first moment of
@@ -99,7 +111,7 @@ def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out:
     effects = [_known(row) for row in written]
     if any(row.kind == "adjusted" and row.name not in WRITERS and row.name != ADJUSTED for row in written):
         return None
-    spec, compiled = load_spec(model), load_mjcf(model)
+    spec, compiled = load_spec(model, assets), load_mjcf(model, assets)
     together = any(item.name == ADJUSTED for item in effects)
     single = [item for item in effects if not (together and item.name in TOGETHER)]
     native, left = write_inside(spec, compiled, tested.machine, single, model.name)
@@ -115,10 +127,12 @@ def _with_all(model: Path, tested: Plant, written: Sequence[WrittenEffect], out:
     return ChangedModel(spec, native, left)
 
 
-def _worse_run(named: ChangedModel, whole: ChangedModel, tested: Plant, out: Path, dataset: Dataset) -> str:
+def _worse_run(
+    named: ChangedModel, whole: ChangedModel, tested: Plant, out: Path, dataset: Dataset, folders: Sequence[Path]
+) -> str:
     """Why the adjusted parameters are left out; empty where they lower the error of the free run.
 
-    Both candidates are run from ``out``, which holds the last one afterwards.
+    Both candidates are run from ``out``, which holds the last one afterwards; its files are below ``folders``.
     """
     select, noise, sizes = split_of(dataset).select, noise_levels(dataset), list[float]()
     for candidate in (named, whole):
@@ -128,7 +142,7 @@ def _worse_run(named: ChangedModel, whole: ChangedModel, tested: Plant, out: Pat
             return f"MuJoCo refuses the model ({error})"
         inertials = [change.effect for change in candidate.native if change.effect.name == ADJUSTED]
         constants = {item.target: float(np.asarray(item.parameters["scale"])) for item in inertials}
-        errors = free_run_errors(out, tested, select, constants)
+        errors = free_run_errors(out, tested, select, constants, folders)
         if not errors:
             return "no selection recording has commands and positions of all axes"
         sizes.append(float(np.sqrt(np.mean([(value / noise[signal]) ** 2 for signal, value in errors.items()]))))

@@ -23,7 +23,11 @@ from sysid.signals import axis_signal
 
 
 def free_run_errors(
-    path: Path, plant: Plant, recordings: Sequence[Recording], constants: Mapping[str, float] | None = None
+    path: Path,
+    plant: Plant,
+    recordings: Sequence[Recording],
+    constants: Mapping[str, float] | None = None,
+    assets: Sequence[Path] = (),
 ) -> dict[str, float]:
     """Joint signal → RMSE [rad or m] of the free run of an MJCF, pooled over recordings.
 
@@ -32,12 +36,13 @@ def free_run_errors(
     Args:
         plant: of the model; its axes are those of the recordings.
         constants: axis → force constant of the model relative to the recorded commands; 1 where it is absent.
+        assets: further folders below which the model may open files.
 
     Returns:
         Empty where no recording has commands of all axes; NaN where the run diverges.
     """
     machine, model = plant.machine, compile_plant(plant)
-    runs, constants = RunCache(MujocoSimulator(path, machine), machine), constants or {}
+    runs, constants = RunCache(MujocoSimulator(path, machine, tuple(assets)), machine), constants or {}
     joints = [axis_signal(name, "joint") for name in machine.axis_names]
     found = list[tuple[Recording, pd.DataFrame]]()
     for recording in recordings:

@@ -63,13 +63,13 @@ class RepairedModel:
     reasons: Mapping[EffectKey, str] = field(default_factory=dict)
 
 
-def open_mujoco(path: Path, dataset: Dataset) -> SimulatorAdapter:
+def open_mujoco(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> SimulatorAdapter:
     """The simulator of an MJCF with the effects in the file beside it.
 
     Raises:
         InputError, SettingsError: as of :class:`MujocoSimulator` and :func:`read_side_file`.
     """
-    return adapt_simulator(MujocoSimulator(path, dataset.machine), dataset, read_side_file(path))
+    return adapt_simulator(MujocoSimulator(path, dataset.machine, tuple(assets)), dataset, read_side_file(path))
 
 
 def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]) -> tuple[KnownEffect, ...]:
@@ -101,7 +101,7 @@ def write_repaired(
     if native:
         effects = [*_fitted_in_place(simulator, [change.effect for change in native], beside, out, dataset), *beside]
         native, beside = _write(simulator, effects, out)
-    loaded = open_mujoco(out, dataset)
+    loaded = open_mujoco(out, dataset, _folders(simulator))
     measured = run_rmse([(recording, loaded.simulate(recording)) for recording in split_of(dataset).held_out])
     gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
     check_gap(gap, promised, out)
@@ -110,8 +110,9 @@ def write_repaired(
 
 def _write(simulator: MujocoSimulator, effects: Sequence[KnownEffect], out: Path) -> tuple[list[Change], list[KnownEffect]]:
     """Write the model and the file beside it; what went where."""
-    spec, machine = load_spec(simulator.path), simulator.machine
-    drives = dict(zip(machine.axis_names, drives_of(load_mjcf(simulator.path), machine, simulator.name), strict=True))
+    spec, machine = load_spec(simulator.path, simulator.assets), simulator.machine
+    model = load_mjcf(simulator.path, simulator.assets)
+    drives = dict(zip(machine.axis_names, drives_of(model, machine, simulator.name), strict=True))
     native, beside = write_native(spec, drives, effects)
     relocate(spec, simulator.path, out)
     write_spec(spec, out)
@@ -139,7 +140,7 @@ def _fitted_in_place(
 
     def residuals(values: Array) -> Array:
         _write(simulator, [*with_values(values), *beside], out)
-        model = open_mujoco(out, dataset)
+        model = open_mujoco(out, dataset, _folders(simulator))
         parts = []
         for recording in recordings:
             table = model.simulate(recording)
@@ -155,6 +156,11 @@ def _fitted_in_place(
         max_nfev=EVALUATIONS,
     )
     return with_values(found.x)
+
+
+def _folders(simulator: MujocoSimulator) -> tuple[Path, ...]:
+    """Where the written model finds the files of the one under test."""
+    return (*simulator.assets, simulator.path.parent)
 
 
 def _parameter(effect: str, name: str) -> Any:

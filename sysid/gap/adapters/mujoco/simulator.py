@@ -60,6 +60,7 @@ class MujocoSimulator:
     Args:
         path: of the MJCF.
         machine: whose axes are joints of the model with one actuator each; its ``tip`` and ``tool`` are sites or bodies.
+        assets: further folders below which the model may open files.
         threads: in which lanes run at the same time; by default one a processor.
 
     Raises:
@@ -69,12 +70,13 @@ class MujocoSimulator:
 
     path: Path
     machine: Machine
+    assets: tuple[Path, ...] = ()
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
     _compiled: dict[float, Compiled] = field(default_factory=dict, repr=False)
     _starts: dict[tuple[int, float], tuple[Recording, Array]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        model = load_mjcf(self.path)
+        model = load_mjcf(self.path, self.assets)
         drives_of(model, self.machine, self.name)
         self._points = {
             owner: point
@@ -117,7 +119,7 @@ class MujocoSimulator:
     def compiled(self, rate_hz: float) -> Compiled:
         """The model for a sample rate [Hz]."""
         if rate_hz not in self._compiled:
-            self._compiled[rate_hz] = compile_for(self.path, self.machine, self._points, rate_hz)
+            self._compiled[rate_hz] = compile_for(self, self._points, rate_hz)
         return self._compiled[rate_hz]
 
     def steps_in_sample(self, rate_hz: float) -> int:
@@ -190,9 +192,9 @@ class MujocoSimulator:
         return positions
 
 
-def compile_for(path: Path, machine: Machine, points: Mapping[str, Point], rate_hz: float) -> Compiled:
-    """The model of a file for a sample rate, with a sensor for each signal."""
-    mujoco, spec = mujoco_library(), load_spec(path)
+def compile_for(simulator: MujocoSimulator, points: Mapping[str, Point], rate_hz: float) -> Compiled:
+    """The model of a simulator for a sample rate, with a sensor for each signal."""
+    mujoco, spec, machine = mujoco_library(), load_spec(simulator.path, simulator.assets), simulator.machine
     substeps = max(1, math.ceil(1.0 / (rate_hz * spec.option.timestep) - 1e-6))
     spec.option.timestep = step = 1.0 / (rate_hz * substeps)
     for actuator in spec.actuators:
@@ -218,7 +220,7 @@ def compile_for(path: Path, machine: Machine, points: Mapping[str, Point], rate_
         first = int(model.sensor_adr[model.sensor(name).id])
         parts = point_signals(signal) if signal in points else (signal,)
         columns |= {part: first + k for k, part in enumerate(parts)}
-    return Compiled(model, drives_of(model, machine, path.name), substeps, columns)
+    return Compiled(model, drives_of(model, machine, simulator.name), substeps, columns)
 
 
 def settled(compiled: Compiled, positions: Array) -> Array:
