@@ -101,6 +101,8 @@ def ingest(
     show_dataset(out, dataset)
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
+    for line in dataset.machine.left_out:
+        out.line(f"left out of machine.toml: {line}")
     found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")

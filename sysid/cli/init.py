@@ -9,10 +9,10 @@ from string import Template
 
 import click
 
-from sysid.cli.init_from import drafted_files
+from sysid.cli.init_from import Choices, drafted_apart
 from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
-from sysid.names import slug
+from sysid.names import listed, slug
 from sysid.root import Root
 
 FOLDERS = {
@@ -39,7 +39,7 @@ def template(kind: str, file: str, name: str) -> str:
     "--kind",
     type=click.Choice(KINDS),
     default=None,
-    help="What the commands are: valve openings (hydraulic, the default), positions (servo), forces or torques (force).",
+    help="What the commands are: valve openings or speeds (hydraulic, the default), positions (servo), forces (force).",
 )
 @click.option(
     "--from",
@@ -49,31 +49,41 @@ def template(kind: str, file: str, name: str) -> str:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Describe the machine from its URDF or MJCF: axes, limits, actuators, masses, friction.",
 )
+@click.option("--base", default=None, metavar="NAME", help="With --from: the link or body that is held still, as on a stand.")
 @click.option("--tip", default=None, metavar="NAME", help="With --from: the end effector, a link (URDF), site or body (MJCF).")
 @click.option("--tool", default=None, metavar="NAME", help="With --from: the link or body of a hanging tool.")
+@click.option(
+    "--assets",
+    multiple=True,
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="With --from: a folder beside that of the MJCF whose files it may open; repeat it for several.",
+)
 @json_option
 def init(
     directory: Path,
     name: str | None,
     kind: str | None,
     source: Path | None,
+    base: str | None,
     tip: str | None,
     tool: str | None,
+    assets: tuple[Path, ...],
     json_file: str | None,
 ) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _name_of(directory)
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")
-    if source is None and (tip is not None or tool is not None):
-        raise SettingsError("sysid init", "--tip or --tool without --from", "--from with a URDF or an MJCF")
+    if source is None and any((base, tip, tool, assets)):
+        raise SettingsError("sysid init", "--base, --tip, --tool or --assets without --from", "--from with a URDF or an MJCF")
     files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
-    notes: tuple[str, ...] = ()
+    drafted = None
     if source is None:
         own = {f"{file}.toml": template(kind or "hydraulic", file, name) for file in ("machine", "recipe")}
     else:
-        drafted = drafted_files(source, name, kind, tip, tool)
-        own, notes = dict(drafted.files), drafted.notes
+        drafted = drafted_apart(source, name, Choices(kind, base, tip, tool, assets))
+        own = dict(drafted.files)
     files |= {f"datasets/{name}/{file}": text for file, text in own.items()}
     files[".gitignore"] = "/workspace/\n"
     made, kept, root = [], [], Root(directory)
@@ -90,13 +100,19 @@ def init(
         out.line(f"made  {directory / relative}")
     for relative in kept:
         out.line(f"kept  {directory / relative}")
-    for note in notes:
-        out.line(f"note: {note}: not in machine.toml")
+    left_out, assumed = ((), ()) if drafted is None else (drafted.left_out, drafted.assumed)
+    if drafted is not None:
+        out.line(f"{len(drafted.axes)} axes, {listed(drafted.axes)}, to the end effector {drafted.tip}")
+    for line in left_out:
+        out.line(f"left out: {line}")
+    for line in assumed:
+        out.line(f"assumed: {line}")
     folder = directory / "datasets" / name
     do = "describe" if source is None else "check"
     out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      {command('ingest', folder)}")
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept, "notes": list(notes)})
+    found = {"made": made, "kept": kept, "left_out": list(left_out), "assumed": list(assumed)}
+    write_json(json_file, {"schema": 1, "directory": directory, "name": name, **found})
 
 
 def _name_of(directory: Path) -> str:

@@ -132,6 +132,7 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
         maps = [m for m in result.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
         if maps:
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
+    _show_left_out(out, result, dataset)
 
 
 def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = False) -> None:
@@ -163,7 +164,18 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     gap_tables.show_near_misses(out, result, dataset, verbose)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
     gap_tables.entry(out, f"Held-out recordings: {', '.join(result.held_out_recordings)}", "", verbose)
+    _show_left_out(out, result, dataset)
     gap_tables.show_next_steps(out, result, dataset, verbose)
+
+
+def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """What the machine's description contains beyond the simulation."""
+    from sysid.cli import gap_tables
+    from sysid.gap.headline import left_out_sentence
+
+    sentence = left_out_sentence(dataset.machine.left_out)
+    if sentence in result.notes:
+        gap_tables.entry(out, sentence, "", True)
 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:

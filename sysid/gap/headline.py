@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
     "unnamed": "The simulation has an error that none of the known effects explains.",
@@ -9,6 +11,15 @@ HEADLINES = {
     "insufficient_excitation": "Simulation and machine disagree, but the excitation is not sufficient to identify the cause.",
 }
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
+
+
+def left_out_sentence(left_out: Sequence[str]) -> str:
+    """What the machine's description contains and the simulation does not; empty where that is nothing."""
+    if not left_out:
+        return ""
+    return (
+        f"The description of the machine also contains: {'; '.join(left_out)}. An effect that is found there may stand for it."
+    )
 
 
 def headline(verdict: str, effects: int) -> str:

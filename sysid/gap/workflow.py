@@ -16,6 +16,7 @@ from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
+from sysid.gap.headline import left_out_sentence
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
@@ -156,6 +157,7 @@ def find_gap(
             *outcome.notes,
             *proposal.notes,
             *(untested_forces(case, stages) if case.adapter is None else ()),
+            *filter(None, [left_out_sentence(case.plant.machine.left_out) if case.adapter is None else ""]),
             *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
         ),
         experiments=proposal.experiments,

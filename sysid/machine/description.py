@@ -12,6 +12,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.kinematics import Kinematics
 from sysid.machine.moved_bodies import has_masses
+from sysid.machine.urdf_tree import indefinite_links
 from sysid.names import check_file_name
 from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
@@ -96,6 +97,7 @@ class Machine(Strict):
     """A machine description, built by :func:`load_machine`.
 
     Args:
+        left_out: what the description that it was drafted from contains beyond it, such as force limits.
         markers: name → URDF link that carries it, of points measured beside the end effector: signals ``<name>.x`` ….
         text, urdf_text: its source files, which a dataset version stores.
     """
@@ -110,6 +112,7 @@ class Machine(Strict):
     markers: dict[str, str] = field(default_factory=dict)
     noise: dict[str, NonNegative] = field(default_factory=dict)
     effects: tuple[KnownEffect, ...] = ()
+    left_out: tuple[str, ...] = ()
     text: str = ""
     urdf_text: str | None = None
 
@@ -255,6 +258,14 @@ def _check_inertias(machine: Machine, where: object) -> None:
         if axis.actuation == "force" and axis.inertia is None and not (massive and axis.drives == "joint"):
             expected = "inertia [kg or kg·m²] of what a force-actuated axis moves, or a URDF with the masses of the links"
             raise SettingsError(f"{where}: axis {shown(axis.name)}", "no inertia", expected)
+    if massive and kinematics is not None and any(axis.actuation == "force" for axis in machine.axes):
+        assert machine.urdf_text is not None
+        moved = kinematics.moved_links
+        for link in indefinite_links(machine.urdf_text):
+            if link in moved:
+                expected = "moments of a body: all principal moments at least zero"
+                remedy = "Correct it; all six moments 0 is a point mass."
+                raise SettingsError(f"urdf: link {shown(link)}: inertia", "a negative principal moment", expected, remedy)
 
 
 def _check_joint_types(machine: Machine, where: object) -> None:

@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
-from sysid.machine.mimic import Mimic, parse_mimic, resolved
-from sysid.machine.urdf_tree import urdf_tree
-from sysid.numbers import Finite, NonNegative, number
+from sysid.machine.mimic import Mimic, followed, parse_mimic, resolved
+from sysid.machine.urdf_tree import ENDS, KINDS, MOVING, urdf_tree
+from sysid.numbers import LARGEST, Finite, NonNegative, number
 
 Array = npt.NDArray[np.float64]
 
@@ -81,8 +81,6 @@ class Kinematics:
             SettingsError: not a URDF, an unknown joint or link, an actuated joint that does not move the tip.
         """
         every, masses = parse_urdf(text)
-        mimics = {name: joint.mimic for name, joint in every.items()}
-        follows = {name: resolved(name, mimics).master for name in every}
         by_child = {joint.child: joint for joint in every.values()}
         links = {joint.child for joint in every.values()} | {joint.parent for joint in every.values()}
         for role, link in (("tip", tip), ("tool", tool)):
@@ -95,15 +93,25 @@ class Kinematics:
             link = by_child[link].parent
         chain.reverse()
         on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
+        mimics = {name: joint.mimic for name, joint in every.items()}
+        follows = {name: resolved(name, mimics).master for name in on_chain}
+        for joint in chain:
+            if joint.kind not in (*MOVING, "fixed"):
+                remedy = f"Change its type to fixed, where {joint.child} does not move with respect to {joint.parent}."
+                found = f"a {joint.kind} joint, which moves the tip"
+                raise SettingsError(f"urdf: joint {shown(joint.name)}", found, f"{', '.join(MOVING)} or fixed", remedy)
         for name in joints:
             if name not in every:
                 raise SettingsError("urdf", f"unknown joint {name!r}", nearest(name, every))
             if every[name].mimic is not None:
-                expected = f"an axis for {follows[name]!r}, which it follows"
+                expected = f"an axis for {resolved(name, mimics).master!r}, which it follows"
                 raise SettingsError("urdf", f"joint {name!r} of an axis is passive (mimic)", expected)
-            if name not in {follows[moved] for moved in on_chain}:
+            if name not in follows.values():
                 raise SettingsError("urdf", f"joint {name!r} does not move the tip {tip!r}", nearest(name, on_chain))
         for name in on_chain:
+            if every[follows[name]].kind not in MOVING:
+                found = f"a mimic of {follows[name]!r}, which does not move"
+                raise SettingsError(f"urdf: joint {shown(name)}", found, "a joint that moves", "Change its type to fixed.")
             if follows[name] not in joints:
                 via = "" if every[name].mimic is None else f" by the passive joint {name!r}"
                 found = f"joint {follows[name]!r} moves the tip{via} but no axis names it"
@@ -112,13 +120,27 @@ class Kinematics:
 
     @functools.cached_property
     def drives(self) -> dict[str, Drive]:
-        """Joint → the axis that moves it, itself or by a passive joint; joints that no axis moves are missing."""
+        """Joint → the axis that moves it, itself or by a passive joint; joints that no axis moves are missing.
+
+        A passive joint beside the chain whose master does not exist rests.
+        """
         mimics = {name: joint.mimic for name, joint in self.joints.items()}
         found = {}
         for name in mimics:
-            follows = resolved(name, mimics)
-            if follows.master in self.actuated:
+            if (follows := followed(name, mimics)) is not None and follows.master in self.actuated:
                 found[name] = Drive(self.actuated.index(follows.master), follows.ratio, follows.offset)
+        return found
+
+    @property
+    def moved_links(self) -> set[str]:
+        """Links that an axis moves: those behind the first joint of the chain that moves, and all that hangs on them."""
+        first = next((k for k, joint in enumerate(self.chain) if joint.name in self.drives), len(self.chain))
+        below, found = [joint.child for joint in self.chain[first:]], set[str]()
+        while below:
+            link = below.pop()
+            if link not in found:
+                found.add(link)
+                below += [joint.child for joint in self.joints.values() if joint.parent == link]
         return found
 
     def is_prismatic(self, joint: str) -> bool:
@@ -167,54 +189,51 @@ def parse_urdf(text: str) -> tuple[dict[str, Joint], dict[str, tuple[float, tupl
     for link in root.findall("link"):
         mass = link.find("inertial/mass")
         if mass is not None:
-            centre = _vector(link.find("inertial/origin"), "xyz", "0 0 0")
-            value = number(mass.get("value", "0"), NonNegative, f"urdf: link {link.get('name', '')!r}: mass")
+            where = f"urdf: link {shown(link.get('name', ''))}"
+            centre = _vector(link.find("inertial/origin"), "xyz", "0 0 0", where)
+            value = number(mass.get("value", "0"), NonNegative, f"{where}: mass")
             masses[link.get("name", "")] = (value, (centre[0], centre[1], centre[2]))
     return joints, masses
 
 
 def _parse_joint(element: Element) -> Joint:
     name, kind = element.get("name", ""), element.get("type", "")
-    if kind not in ("revolute", "continuous", "prismatic", "fixed"):
-        raise SettingsError(f"urdf: joint {name!r}", f"type {kind!r}", "revolute, continuous, prismatic or fixed")
-    ends = {}
-    for role in ("parent", "child"):
-        found = element.find(role)
-        if found is None or not found.get("link"):
-            raise SettingsError(f"urdf: joint {name!r}", f"no <{role} link=…>", "both parent and child")
-        ends[role] = str(found.get("link"))
-    axis = _vector(element.find("axis"), "xyz", "1 0 0")
+    where = f"urdf: joint {shown(name)}"
+    if kind not in KINDS:
+        raise SettingsError(where, f"type {shown(kind)}", ", ".join(KINDS), "" if kind else "Write its type.")
+    parent, child = (str(element.find(role).get("link")) for role in ("parent", "child"))  # type: ignore[union-attr]
+    axis = _vector(element.find("axis"), "xyz", "1 0 0", where)
     norm = float(np.linalg.norm(axis))
     if norm == 0.0:
-        raise SettingsError(f"urdf: joint {name!r}", "axis of length zero", "a direction")
+        remedy = 'Write the direction of motion, such as xyz="0 0 1", or change its type to fixed.'
+        raise SettingsError(where, "axis of length zero", "a direction", remedy)
     limit = element.find("limit")
     low, high = -math.inf, math.inf
     if limit is not None and kind in ("revolute", "prismatic"):
-        low, high = (number(limit.get(end, "0"), Finite, f"urdf: joint {name!r}: {end}") for end in ("lower", "upper"))
-    origin, mimic = origin_pose(element.find("origin")), parse_mimic(element, name)
-    if mimic is not None and kind == "fixed":
-        raise SettingsError(f"urdf: joint {name!r}: mimic", "a fixed joint", "a joint that moves")
-    return Joint(name, kind, ends["parent"], ends["child"], origin, axis / norm, (low, high), mimic)
+        low, high = (number(limit.get(end, "0"), Finite, f"{where}: {end}") for end in ENDS)
+        low, high = -math.inf if low <= -LARGEST else low, math.inf if high >= LARGEST else high
+    origin = origin_pose(element.find("origin"), where)
+    return Joint(name, kind, parent, child, origin, axis / norm, (low, high), parse_mimic(element, name))
 
 
-def origin_pose(origin: Element | None) -> Array:
+def origin_pose(origin: Element | None, where: str = "urdf") -> Array:
     """Pose of an <origin> element, (4, 4) [m]; the identity without one.
 
     Raises:
         SettingsError: entries that are not three finite numbers.
     """
     pose = np.eye(4)
-    pose[:3, 3] = _vector(origin, "xyz", "0 0 0")
-    pose[:3, :3] = _from_rpy(_vector(origin, "rpy", "0 0 0"))
+    pose[:3, 3] = _vector(origin, "xyz", "0 0 0", where)
+    pose[:3, :3] = _from_rpy(_vector(origin, "rpy", "0 0 0", where))
     return pose
 
 
-def _vector(element: Element | None, key: str, default: str) -> Array:
+def _vector(element: Element | None, key: str, default: str, where: str) -> Array:
     text = default if element is None else element.get(key, default)
     words = text.split()
     if len(words) != 3:
-        raise SettingsError("urdf", f"{key}={shown(text)}", "three numbers")
-    return np.array([number(word, Finite, f"urdf: {key}={shown(text)}") for word in words])
+        raise SettingsError(where, f"{key}={shown(text)}", "three numbers")
+    return np.array([number(word, Finite, f"{where}: {key}={shown(text)}") for word in words])
 
 
 def _from_rpy(rpy: Array) -> Array:

@@ -64,3 +64,11 @@ def resolved(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic:
             raise SettingsError(where, f"a cycle: {' → '.join([*seen, name])}", "a joint that an axis moves at the end")
         seen.append(name)
     return Mimic(name, ratio, offset)
+
+
+def followed(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic | None:
+    """As :func:`resolved`; None where it follows a joint that does not exist, or a cycle."""
+    try:
+        return resolved(joint, mimics)
+    except SettingsError:
+        return None

@@ -1,30 +1,49 @@
-"""Checked parsing of a URDF: joints form a tree, size is bounded, numbers are valid.
+"""Checked parsing of a URDF: joints form one tree, size is bounded, numbers are valid, data without meaning is removed.
 
-Readers of parts of it (kinematics, bodies of the PyBullet world, drawn shapes) rely on these checks.
+Readers of parts of it (kinematics, bodies of the PyBullet world, drawn shapes, exports) rely on these checks. Prefixes of names
+(``gazebo:``, ``drake:``) are part of the name whether they are declared or not, as in ``urdfdom``.
+
+Source: URDF specification (ROS wiki, ``urdf/XML``): a fixed joint has neither axis, limits, dynamics nor mimic, a continuous
+one no end stops.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any
-from xml.etree.ElementTree import Element
+from typing import Any, NoReturn
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+import numpy as np
+import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.foreign import shown
-from sysid.numbers import Finite, NonNegative, Positive, number
+from sysid.names import listed
+from sysid.numbers import LARGEST, Finite, NonNegative, Positive, number
 from sysid.parse import MAX_DEPTH
+
+Array = npt.NDArray[np.float64]
 
 #: The largest URDF of the ROS drivers has 900 elements.
 MAX_ELEMENTS = 50_000
 MAX_JOINTS = 500
+#: Kinds of joint that an axis can move; a ``floating`` or ``planar`` one is no single motion.
+MOVING = ("revolute", "continuous", "prismatic")
+KINDS = (*MOVING, "fixed", "floating", "planar")
+ENDS = ("lower", "upper")
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+#: A negative principal moment below this share of the largest one, or below this value [kg·m²], is rounding.
+ROUNDING, TINY_MOMENT = 1e-6, 1e-12
 
 #: Element → attribute → number of values and their type.
 NUMBERS: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "origin": {"xyz": (3, Finite), "rpy": (3, Finite)},
     "axis": {"xyz": (3, Finite)},
     "mass": {"value": (1, NonNegative)},
-    "inertia": {**dict.fromkeys(("ixx", "iyy", "izz"), (1, NonNegative)), **dict.fromkeys(("ixy", "ixz", "iyz"), (1, Finite))},
-    "limit": {**dict.fromkeys(("lower", "upper"), (1, Finite)), **dict.fromkeys(("effort", "velocity"), (1, NonNegative))},
+    "inertia": dict.fromkeys(MOMENTS, (1, Finite)),
+    "limit": {**dict.fromkeys(ENDS, (1, Finite)), **dict.fromkeys(("effort", "velocity"), (1, NonNegative))},
     "mimic": {"multiplier": (1, Finite), "offset": (1, Finite)},
     "dynamics": {"damping": (1, NonNegative), "friction": (1, NonNegative)},
     "box": {"size": (3, Positive)},
@@ -32,32 +51,82 @@ NUMBERS: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "sphere": {"radius": (1, Positive)},
     "mesh": {"scale": (3, Finite)},
 }
+_XACRO = "Run xacro first: xacro FILE > robot.urdf."
+
+
+def xml_root(text: str) -> Element:
+    """The root element of an XML text, without namespaces: names are as written.
+
+    Raises:
+        ValueError: not well-formed, or with a document type or entities.
+    """
+    builder = TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = builder.start, builder.end, builder.data
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _no_document_type
+    try:
+        parser.Parse(text.encode("utf-8"), True)
+    except expat.ExpatError as error:
+        raise ValueError(str(error)) from None
+    return builder.close()
 
 
 def urdf_tree(text: str) -> Element:
     """The root element of a URDF.
 
-    Raises:
-        SettingsError: not XML, a DTD, another root; too deep or too large; a number that is invalid, not finite or of the wrong
-            sign; a name that is not printable; two joints or links of one name; joints that do not form a tree.
-    """
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, fromstring
+    Removed are axis, limits, dynamics and mimic of joints that do not move, and end stops of more than 10⁹ rad or m, as of
+    exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes continuous.
 
+    Raises:
+        SettingsError: not XML, a DTD, another root, a xacro; too deep or too large; a number that is invalid, not finite or of
+            the wrong sign; a name that is not printable; two joints or links of one name; links that are not one tree.
+    """
     try:
-        root: Element = fromstring(text, forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError, LookupError, RecursionError) as error:
+        root = xml_root(text)
+    except ValueError as error:
         raise SettingsError("urdf", f"not readable as XML ({error})", "a URDF without DTD or entities") from None
     if root.tag != "robot":
         raise SettingsError("urdf", f"root element <{shown(root.tag)[1:-1]}>", "<robot>")
     _check_size(root)
-    for element in root.iter():
-        _check_numbers(element)
-        name = element.get("name", "")
-        if not name.isprintable() or len(name) > 200:
-            raise SettingsError("urdf", f"name {shown(name)}", "at most 200 characters, none of them a control character")
-    _check_joints(root)
+    _check_names(root)
+    for joint in root.findall("joint"):
+        _remove_meaningless(joint)
+    for part in root:
+        where = f"urdf: {part.tag} {shown(part.get('name', ''))}" if part.tag in ("joint", "link") else "urdf"
+        for element in part.iter():
+            _check_numbers(element, where)
+    _check_tree(root)
     return root
+
+
+def moments_of(inertia: Element | None) -> Array:
+    """The tensor (3, 3) [kg·m²] of an ``<inertia>`` element, zeros without one; negative principal moments are zero."""
+    tensor = _tensor(inertia)
+    values, axes = np.linalg.eigh(tensor)
+    return tensor if values[0] >= 0.0 else np.asarray(axes * np.maximum(values, 0.0) @ axes.T)
+
+
+def indefinite_links(text: str) -> list[str]:
+    """Links of a URDF with a principal moment that is negative beyond rounding: no body has such an inertia."""
+    found = []
+    for link in urdf_tree(text).findall("link"):
+        values = np.linalg.eigvalsh(_tensor(link.find("inertial/inertia")))
+        if values[0] < -max(TINY_MOMENT, ROUNDING * values[-1]):
+            found.append(link.get("name", ""))
+    return found
+
+
+def _tensor(inertia: Element | None) -> Array:
+    tensor = np.zeros((3, 3))
+    for key in () if inertia is None else MOMENTS:
+        i, j = ("xyz".index(letter) for letter in key[1:])
+        tensor[i, j] = tensor[j, i] = float(inertia.get(key, "0"))  # type: ignore[union-attr]
+    return tensor
+
+
+def _no_document_type(*_: object) -> NoReturn:
+    raise ValueError("a document type or an entity")
 
 
 def _check_size(root: Element) -> None:
@@ -72,37 +141,86 @@ def _check_size(root: Element) -> None:
     raise SettingsError("urdf", f"nested deeper than {MAX_DEPTH} levels", "the description of one machine")
 
 
-def _check_numbers(element: Element) -> None:
+def _check_names(root: Element) -> None:
+    for element in root.iter():
+        name = element.get("name", "")
+        if not name.isprintable() or len(name) > 200:
+            raise SettingsError("urdf", f"name {shown(name)}", "at most 200 characters, none of them a control character")
+        if element.tag.startswith("xacro:"):
+            raise SettingsError("urdf", f"<{shown(element.tag)[1:-1]}>", "a URDF, not a xacro", _XACRO)
+
+
+def _remove_meaningless(joint: Element) -> None:
+    """Data that the kind of a joint gives no meaning, and end stops that stand for none."""
+    kind, limit = joint.get("type", ""), joint.find("limit")
+    if kind not in MOVING:
+        for part in [part for part in joint if part.tag in ("axis", "limit", "dynamics", "mimic", "safety_controller")]:
+            joint.remove(part)
+    elif limit is not None:
+        unlimited = [end for end in ENDS if not _is_stop(limit.get(end))]
+        if kind == "continuous" or (kind == "revolute" and len(unlimited) == 2):
+            joint.set("type", "continuous")
+            for end in ENDS:
+                limit.attrib.pop(end, None)
+        else:
+            for end in unlimited:
+                limit.set(end, repr(-LARGEST if end == "lower" else LARGEST))
+
+
+def _is_stop(text: str | None) -> bool:
+    """Whether an end of a range (zero where it is not stated) is a place, or no number, which is refused later."""
+    try:
+        value = float(text or "0")
+    except ValueError:
+        return True
+    return math.isnan(value) or abs(value) < LARGEST
+
+
+def _check_numbers(element: Element, where: str) -> None:
     for key, (count, kind) in NUMBERS.get(str(element.tag), {}).items():
         text = element.get(key)
         if text is None:
             continue
-        where = f"urdf: <{element.tag}>: {key}={shown(text)}"
-        words = text.split()
+        place = f"{where}: <{element.tag}>: {key}={shown(text)}"
+        words, expected = text.split(), "three numbers, separated by spaces" if count == 3 else "one number"
+        if "${" in text or "$(" in text:
+            raise SettingsError(place, "an expression of xacro", expected, _XACRO)
+        if "," in text:
+            remedy = f'Write {key}="{" ".join(text.replace(",", " ").split())}".' if count == 3 else "Write a decimal point."
+            raise SettingsError(place, "a comma", expected, remedy)
         if len(words) != count:
-            raise SettingsError(where, f"{len(words)} numbers", "three numbers" if count == 3 else "one number")
+            raise SettingsError(place, f"{len(words)} numbers", expected)
         for word in words:
-            number(word, kind, where)
+            number(word, kind, place)
 
 
-def _check_joints(root: Element) -> None:
-    for tag in ("joint", "link"):
-        names = [str(element.get("name")) for element in root.findall(tag)]
-        twice = next((name for name in names if names.count(name) > 1), None) if len({*names}) < len(names) else None
+def _check_tree(root: Element) -> None:
+    """Names are unique, every joint connects two links that exist, and one link is the root of all.
+
+    Raises:
+        SettingsError: where not.
+    """
+    names: dict[str, list[str]] = {tag: [str(each.get("name")) for each in root.findall(tag)] for tag in ("joint", "link")}
+    for tag, found in names.items():
+        twice = next((name for name in found if found.count(name) > 1), None) if len({*found}) < len(found) else None
         if twice is not None:
             raise SettingsError("urdf", f"two {tag}s are named {twice!r}", f"a name of its own for every {tag}")
-    joints = root.findall("joint")
-    if len(joints) > MAX_JOINTS:
-        raise SettingsError("urdf", f"{len(joints)} joints", f"at most {MAX_JOINTS}")
-    parent_of: dict[str, str] = {}
-    for joint in joints:
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is None or child is None:
-            continue  # reported when the joint is read
-        link = str(child.get("link"))
-        if link in parent_of:
-            raise SettingsError("urdf", f"link {shown(link)} has two parents", "a tree")
-        parent_of[link] = str(parent.get("link"))
+    if len(names["joint"]) > MAX_JOINTS:
+        raise SettingsError("urdf", f"{len(names['joint'])} joints", f"at most {MAX_JOINTS}")
+    links, parent_of = {*names["link"]}, dict[str, str]()
+    for joint in root.findall("joint"):
+        where, ends = f"urdf: joint {shown(joint.get('name', ''))}", []
+        for role in ("parent", "child"):
+            end = joint.find(role)
+            if end is None or not end.get("link"):
+                raise SettingsError(where, f"no <{role} link=…>", "both parent and child")
+            ends.append(str(end.get("link")))
+            if ends[-1] not in links:
+                remedy = f'Add <link name="{ends[-1]}"/>, or remove the joint.'
+                raise SettingsError(where, f"{role} link {shown(ends[-1])}, which is not described", "a link", remedy)
+        if ends[1] in parent_of:
+            raise SettingsError("urdf", f"link {shown(ends[1])} has two parents", "a tree")
+        parent_of[ends[1]] = ends[0]
     for start in parent_of:
         seen, link = {start}, start
         while link in parent_of:
@@ -110,3 +228,10 @@ def _check_joints(root: Element) -> None:
             if link in seen:
                 raise SettingsError("urdf", f"link {shown(link)} is its own ancestor", "a tree")
             seen.add(link)
+    roots = [link for link in names["link"] if link not in parent_of]
+    if len(roots) > 1:
+        without = f"{len(roots)} links without a parent: {listed([shown(link) for link in roots], most=6)}"
+        remedy = "Connect them by fixed joints, or remove the links (and what hangs on them) that are not part of the machine."
+        raise SettingsError("urdf", without, "one root link", remedy)
+    if not roots:
+        raise SettingsError("urdf", "no link", "the links of a machine")

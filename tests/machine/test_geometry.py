@@ -55,7 +55,11 @@ def test_roll_pitch_yaw_of_a_urdf(rpy: tuple[float, ...]) -> None:
         ("<robot", "<!DOCTYPE x [<!ENTITY a 'b'>]><robot", "not readable as XML"),
         ("</robot>", "", "not readable as XML"),
         ('<robot name="arm">', '<machine name="arm">', "not readable as XML"),
-        ('type="fixed"', 'type="floating"', "type 'floating'; expected revolute, continuous, prismatic or fixed"),
+        (
+            'type="fixed"',
+            'type="floating"',
+            "urdf: joint 'tip_joint': a floating joint, which moves the tip; expected revolute, continuous, prismatic or fixed",
+        ),
         ('<child link="column"/>', "", "joint 'slew_joint': no <child link=…>"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint 'slew_joint': axis of length zero"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>', "<axis>: xyz='0 1': 2 numbers; expected three numbers"),

@@ -186,20 +186,20 @@ CURVE = '<equality><joint joint1="k" joint2="j" polycoef="0 1 2 0 0"/></equality
 VOLTAGE = '<actuator><motor joint="j"/><dcmotor joint="k" motorconst="1 1" resistance="1"/></actuator>'
 
 WRONG = {
-    "free": (arm(first='<freejoint name="f"/>', motors=MOTOR_K), ("'f'", "a free joint", "Remove")),
-    "ball": (arm(kind='type="ball"', motors=MOTOR_J), ("'k': a ball joint", "Replace it by hinges")),
+    "free": (arm(first='<freejoint name="f"/>', motors=MOTOR_K), ("joint 'f' is free", "Add --base a --tip b.")),
+    "ball": (arm(kind='type="ball"', motors=MOTOR_J), ("joint 'k' is a ball joint", "Add --tip a, which is in front of it")),
     "two actuators": (
         arm(motors=motors("motor j x", "velocity j y", "motor k z")),
         ("2 actuators: x and y", "one actuator a joint"),
     ),
-    "passive": (arm(motors=MOTOR_K), ("'j'", "no actuator drives it", "--tip")),
+    "passive": (arm(motors=MOTOR_K), ("no actuator drives joint 'j'", "Add --base a --tip b.")),
     "tendon": (arm(TENDON, motors=PULLED), ("'p'", "pulls a tendon across j and k", "an actuator on each joint")),
     "loop": (arm(LOOP), ("closed loop across j and k", "b and the world")),
     "muscle": (arm(motors=motors("muscle j x", "motor k z")), ("gain type muscle",)),
     "voltage": (arm(motors=VOLTAGE), ("gain type dcmotor",)),
     "gravity": (arm('<option gravity="9.81 0 0"/>'), ("gravity [9.81, 0.0, 0.0]", "z points up")),
     "curve": (arm(CURVE, motors=MOTOR_J), ("straight line",)),
-    "nothing": ("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>", ("no driven joint",)),
+    "nothing": ("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>", ("no joint that moves by itself",)),
     "cut off": ("<mujoco><worldbody><body/></worldbody>", ("not readable as XML",)),
     "misspelt": ("<mujoco><worldbody><bdy/></worldbody></mujoco>", ("unrecognized element", "that MuJoCo compiles")),
     "another format": ("<sdf/>", ("root element 'sdf'", "<robot> (URDF) or <mujoco> (MJCF)")),
@@ -229,7 +229,7 @@ def test_two_arms_need_a_choice(tmp_path: Path, capsys: pytest.CaptureFixture[st
     <actuator><motor joint="jl"/><motor joint="jr"/></actuator></mujoco>"""
     path = written(tmp_path, text)
     assert run("init", tmp_path / "mine", "--from", path) == 2
-    assert "2 chains of 1 driven joints, to l, r; expected one machine. Choose its end effector, such as --tip l." in " ".join(
+    assert "2 chains of 1 driven joints, to l and r; expected one machine: a chain of joints. Add --tip l." in " ".join(
         capsys.readouterr().err.split()
     )
     machine = drafted(tmp_path, path, "--tip", "r")
@@ -280,7 +280,8 @@ def test_a_urdf_without_interfaces_needs_a_kind(tmp_path: Path, capsys: pytest.C
     assert "no <ros2_control> or <transmission> states how it is commanded" in " ".join(capsys.readouterr().err.split())
     machine = drafted(tmp_path, path, "--kind", "hydraulic", "--json", str(tmp_path / "made.json"))
     assert [axis.gain for axis in machine.axes] == [1.5, 0.2]
-    assert json.loads((tmp_path / "made.json").read_text())["notes"] == [
+    assert json.loads((tmp_path / "made.json").read_text())["left_out"] == [
+        "force limit of turn (1 N·m) and push/pull (1 N)",
         "damping inside the control loop of turn",
         "friction inside the control loop of turn",
     ]

@@ -20,7 +20,7 @@ from robots import robot
 from test_public_robots import checked
 
 from sysid.datasets.recording import Recording
-from sysid.errors import SettingsError
+from sysid.errors import InputError, SettingsError
 from sysid.gap.adapters.mujoco.axes import drives_of
 from sysid.gap.adapters.mujoco.native import write_native
 from sysid.gap.adapters.mujoco.repair import relocate, write_spec
@@ -48,13 +48,16 @@ MACHINES = {
     "bimanual": (("left_gripper",), ["left_shoulder", "left_elbow"], "left_gripper", ["actuators beside the chain"]),
 }  # fmt: skip
 REFUSED = {
-    "biped": (None, r"biped\.xml: body 'base': a free joint; .*Remove the joint and its values in keyframes"),
-    "biped-leg": ("left_calf", r"body 'base': a free joint"),
-    "drone": (None, r"drone\.xml: no driven joint; expected a robot with actuators on its joints"),
-    "bimanual": (None, r"2 chains of 2 driven joints, to left_fore, right_fore; .*--tip left_fore"),
+    "biped": (None, r"biped\.xml: the joint of body 'base' is free, and 2 chains of 2 .*Add --base base --tip left_calf\."),
+    "biped-leg": ("left_calf", r"the joint of body 'base' is free; .*Add --base base --tip left_calf\."),
+    "drone": (None, r"drone\.xml: no joint that moves by itself; expected a robot with hinges or slides"),
+    "bimanual": (None, r"2 chains of 2 driven joints, to left_gripper and right_gripper; .*Add --tip left_gripper\."),
     "closed": (None, r"equality of rod and out: a closed loop across crank; .*<equality><joint>"),
-    "hand-tendon": ("distal", r"joint 'FFJ2': no actuator drives it, and it moves the end effector; .*--tip"),
-    "mobile-ball": ("free_swing", r"joint 'ball': a ball joint; .*--tip"),
+    "hand-tendon": (
+        "distal",
+        r"tip 'distal': no actuator drives joint 'FFJ1', which moves the chain; .*Add --tip proximal, which is in front",
+    ),
+    "mobile-ball": ("free_swing", r"tip 'free_swing': joint 'ball' is a ball joint; .*Add --tip wrist, which"),
 }
 
 
@@ -114,7 +117,9 @@ def test_a_scene_runs_and_is_repaired_in_another_folder(models: Path, tmp_path: 
     assert (len(native), beside) == (1, [])
     relocate(spec, path, out)
     write_spec(spec, out)
-    after = MujocoSimulator(out, machine).simulate(recording)
+    with pytest.raises(InputError, match=rf"link.stl' is outside .* --assets {models.resolve()}/assets"):
+        MujocoSimulator(out, machine)
+    after = MujocoSimulator(out, machine, (models,)).simulate(recording)
     np.testing.assert_allclose(after["joint1.joint"], before["joint1.joint"], atol=2e-3)
     late = after["joint2.joint"].to_numpy()[53:]
     np.testing.assert_allclose(late, before["joint2.joint"].to_numpy()[50:-3], atol=5e-3)

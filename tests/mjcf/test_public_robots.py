@@ -50,7 +50,7 @@ def checked(draft: MachineDraft, model: mujoco.MjModel | None = None) -> None:
 @pytest.mark.parametrize("name", ARMS)
 def test_urdfs_of_pybullet(name: str) -> None:
     text = (pybullet_robots() / name).read_text("utf-8")
-    draft = urdf_draft(text, name, actuation="position")
+    draft = urdf_draft(text, name, kind="servo")
     assert len(draft.axes) == ARMS[name]
     checked(draft)
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+import math
+import shlex
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from sysid.errors import SettingsError
-from sysid.foreign import shown
 from sysid.machine.description import RESERVED, Actuation, KnownEffect
 from sysid.names import listed
 
 #: Rate of the even grid of a drafted machine by actuation [Hz]; the user sets it to about the rate of the fastest log.
 RATES: Mapping[Actuation, float] = {"position": 50.0, "velocity": 50.0, "force": 500.0}
+#: ``--kind`` → what its commands are, and the actuation of every axis.
+KINDS: Mapping[str, str] = {"servo": "positions", "hydraulic": "speeds", "force": "forces or torques"}
+ACTUATIONS: Mapping[str, Actuation] = {"servo": "position", "hydraulic": "velocity", "force": "force"}
 #: Ends of a joint that has none, so that they can be written [rad, m].
 WITHOUT_STOPS = {"revolute": 6.283, "prismatic": 1.0}
 
@@ -22,6 +26,7 @@ class AxisDraft:
 
     Args:
         gain: speed at command 1.0 [m/s or rad/s], of a velocity axis.
+        assumed: what is written without a source.
         inertia: of the rotor, or of all that moves where the URDF has no masses [kg or kg·m²], of a force axis.
         limits: [rad or m]; None: those of the URDF.
         effects: what its nominal simulation contains.
@@ -35,22 +40,57 @@ class AxisDraft:
     inertia: float | None = None
     limits: tuple[float, float] | None = None
     effects: tuple[KnownEffect, ...] = ()
+    assumed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class MachineDraft:
-    """A machine, its URDF, and in ``notes`` what the description contains that ``machine.toml`` does not."""
+    """A machine and its URDF.
+
+    Args:
+        left_out: what the description contains beyond ``machine.toml``.
+        assumed: what it does not state, with the assumption.
+    """
 
     source: str
     axes: tuple[AxisDraft, ...]
     urdf: str
     tip: str
     tool: str | None = None
-    notes: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     @property
     def rate_hz(self) -> float:
         return max(RATES[axis.actuation] for axis in self.axes)
+
+
+@dataclass(frozen=True)
+class ChainChoice:
+    """One machine that a description contains.
+
+    Args:
+        joints: driven ones from the base to the tip.
+        path: links or bodies from the root to the end of the chain.
+        tip: the end effector: a link, site or body behind them.
+        base: what has to be fixed so that they are the first; None for the root.
+        held: the joint in front of ``base``, for messages.
+    """
+
+    joints: tuple[str, ...]
+    path: tuple[str, ...]
+    tip: str
+    base: str | None = None
+    held: str = ""
+
+    def options(self, kind: str | None = None) -> str:
+        """The options of ``sysid init`` that choose it."""
+        words = [("--base", self.base), ("--tip", self.tip), ("--kind", kind)]
+        return " ".join(f"{key} {shlex.quote(value)}" for key, value in words if value is not None)
+
+
+class UnknownDriveError(SettingsError):
+    """The description does not state how a joint is commanded: ``--kind`` does."""
 
 
 def summarised(notes: Iterable[tuple[str, str]]) -> list[str]:
@@ -61,39 +101,152 @@ def summarised(notes: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{kind} {listed(list(dict.fromkeys(names)))}" for kind, names in found.items()]
 
 
-def axis_names(joints: Collection[str], where: object) -> dict[str, str]:
-    """Joint → name of its axis: its own name, with ``_`` for letters that a signal cannot have.
-
-    Raises:
-        SettingsError: two joints would have one name.
-    """
+def axis_names(joints: Collection[str]) -> dict[str, str]:
+    """Joint → name of its axis: its own name, with ``_`` for letters that a signal cannot have, numbered where it is taken."""
     found: dict[str, str] = {}
     for joint in joints:
-        name = "".join(letter if letter.isalnum() or letter in "_-" else "_" for letter in joint)[:64]
-        name = f"{name}_axis" if name in RESERVED else name
-        if name in found.values():
-            raise SettingsError(
-                where, f"joint {shown(joint)}: the axis name {name!r} is taken", "joints with names of their own"
-            )
-        found[joint] = name
+        first = "".join(letter if letter.isalnum() or letter in "_-" else "_" for letter in joint)[:60] or "axis"
+        first = f"{first}_axis" if first in RESERVED else first
+        names = (first, *(f"{first}_{k}" for k in range(2, len(joints) + 2)))
+        found[joint] = next(name for name in names if name not in found.values())
     return found
 
 
-def choose_tip(moved: Mapping[str, tuple[str, ...]], where: object) -> tuple[str, ...]:
-    """The joints of the tip: the longest chain of a tree.
+def stops(low: float, high: float, prismatic: bool) -> tuple[float, float] | None:
+    """Limits to be written for a joint that lacks an end stop on one side or both; None where it has both."""
+    most = WITHOUT_STOPS["prismatic" if prismatic else "revolute"]
+    if math.isfinite(low) and math.isfinite(high):
+        return None
+    if not math.isfinite(low):
+        low = -most if not math.isfinite(high) else min(-most, high - most)
+    return low, high if math.isfinite(high) else max(most, low + most)
+
+
+def without_stops(axis: str, limits: tuple[float, float] | None, prismatic: bool) -> tuple[str, ...]:
+    """The assumption that the limits of :func:`stops` are."""
+    unit = "m" if prismatic else "rad"
+    return () if limits is None else (f"end stops of {axis}: {limits[0]:g} and {limits[1]:g} {unit}",)
+
+
+def limit_notes(joint: str, *limits: tuple[str, float, str]) -> list[tuple[str, str]]:
+    """Limits of a drive that ``machine.toml`` does not contain: what it limits, value, unit; 0 is none."""
+    return [(f"{of} limit of", f"{joint} ({value:.6g} {unit})") for of, value, unit in limits if value > 0.0]
+
+
+def draft_of(
+    choices: Sequence[ChainChoice],
+    draft: Callable[[ChainChoice, str | None], MachineDraft],
+    at: Callable[[str], ChainChoice],
+    where: str,
+    kind: str | None,
+) -> MachineDraft:
+    """The machine of the longest chain.
+
+    Where several chains are as long as that and have more than half of their joints in common, as the fingers of one hand, the
+    machine ends in front of where they part.
 
     Args:
-        moved: end of a branch → driven joints from the base to it.
+        choices: every end of a chain.
+        draft: the machine of a choice for ``--kind`` or None.
+        at: the choice that ends at a link or body.
+        kind: as the user has chosen.
 
     Raises:
-        SettingsError: several chains are equally long, or no joint is driven.
+        SettingsError: no joint moves, several chains are equally long, or the first has to be held at its base. What is
+            proposed in its place has been tried.
     """
-    longest = max((len(joints) for joints in moved.values()), default=0)
+    longest = max((len(choice.joints) for choice in choices), default=0)
     if longest == 0:
-        raise SettingsError(where, "no driven joint", "a robot with actuators on its joints")
-    chains = {joints: end for end, joints in moved.items() if len(joints) == longest}
-    if len(chains) > 1:
-        ends = ", ".join(sorted(chains.values()))
-        found = f"{len(chains)} chains of {longest} driven joints, to {ends}"
-        raise SettingsError(where, found, "one machine", f"Choose its end effector, such as --tip {min(chains.values())}.")
-    return next(iter(chains))
+        raise SettingsError(
+            where, "no joint that moves by itself", "a robot with hinges or slides (others are outside the scope)"
+        )
+    groups: dict[object, list[ChainChoice]] = {}
+    for choice in choices:
+        if len(choice.joints) == longest:
+            groups.setdefault((choice.base, choice.joints[: longest // 2 + 1]), []).append(choice)
+    found, assumed = list[ChainChoice](), list[str]()
+    for group in groups.values():
+        found.append(group[0])
+        if len(group) > 1:
+            common = [names[0] for names in zip(*(each.path for each in group), strict=False) if len({*names}) == 1]
+            before = at(common[-1]) if common else group[0]
+            found[-1] = before if 2 * len(before.joints) > longest else group[0]
+            if found[-1].joints != group[0].joints or found[-1] is group[0]:
+                ends = listed([each.tip for each in group], most=4)
+                assumed.append(f"end effector {found[-1].tip}: the chain parts to {ends}; --tip chooses another")
+    if len(found) == 1 and found[0].base is None:
+        made = _tried(found[0], draft, where, kind)
+        return replace(made, assumed=(*assumed, *made.assumed))
+    raise _proposal(found, draft, where, kind)
+
+
+def _tried(
+    choice: ChainChoice, draft: Callable[[ChainChoice, str | None], MachineDraft], where: str, kind: str | None
+) -> MachineDraft:
+    """The draft of a choice.
+
+    Raises:
+        SettingsError: as ``draft``; where it does not state how joints are commanded, with a kind that has been tried.
+    """
+    try:
+        return draft(choice, kind)
+    except UnknownDriveError as error:
+        kinds = _working_kinds(choice, draft)
+        remedy = f"Add --kind {kinds[0]}. Kinds, each of all joints: {_kinds(kinds)}."
+        raise SettingsError(error.where, error.found, error.expected, remedy) from None
+
+
+def _working_kinds(choice: ChainChoice, draft: Callable[[ChainChoice, str | None], MachineDraft]) -> list[str]:
+    """Kinds that a choice can be drafted with.
+
+    Raises:
+        SettingsError: the reason why it cannot be drafted with the first.
+    """
+    found, reasons = [], list[SettingsError]()
+    for kind in KINDS:
+        try:
+            draft(choice, kind)
+        except SettingsError as error:
+            reasons.append(error)
+        else:
+            found.append(kind)
+    if not found:
+        raise reasons[0]
+    return found
+
+
+def _kinds(names: Iterable[str]) -> str:
+    return ", ".join(f"{name} ({KINDS[name]})" for name in names)
+
+
+def _proposal(
+    choices: Sequence[ChainChoice], draft: Callable[[ChainChoice, str | None], MachineDraft], where: str, kind: str | None
+) -> SettingsError:
+    """The error that proposes the choices that can be drafted."""
+    working, reasons = list[tuple[ChainChoice, str | None]](), list[SettingsError]()
+    for choice in choices:
+        try:
+            try:
+                draft(choice, kind)
+                working.append((choice, None))
+            except UnknownDriveError:
+                working.append((choice, _working_kinds(choice, draft)[0]))
+        except SettingsError as error:
+            reasons.append(error)
+    if not working:
+        then = f" Then add {choices[0].options()}." if reasons[0].remedy else ""
+        return SettingsError(reasons[0].where, reasons[0].found, reasons[0].expected, f"{reasons[0].remedy}{then}")
+    first, its_kind = working[0]
+    if len(choices) > 1:
+        count = len(choices[0].joints) if len({len(each.joints) for each in choices}) == 1 else "as many"
+        ends = listed([each.tip for each in choices], most=8)
+        found = f"{len(choices)} chains of {count} driven joints, to {ends}"
+        found = f"{first.held}, and {found}" if first.held else found
+        expected, more = "one machine: a chain of joints", " The other chains are machines of their own, each with its --tip."
+    else:
+        found, expected, more = first.held, "a base that is fixed to the world", ""
+    if first.base is not None:
+        more = f"{more} {first.base} is held still then, as on a stand."
+    if its_kind is not None:
+        more = f"{more} Kinds: {_kinds(KINDS)}."
+    return SettingsError(where, found, expected, f"Add {first.options(its_kind)}.{more}")

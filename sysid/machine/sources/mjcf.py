@@ -8,6 +8,8 @@ of damping d follows with the time constant J/d. J is the diagonal of the mass m
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +18,28 @@ import numpy as np
 from sysid.errors import SettingsError
 from sysid.foreign import shown
 from sysid.machine.description import KnownEffect
-from sysid.machine.sources.draft import WITHOUT_STOPS, AxisDraft, MachineDraft, axis_names, summarised
+from sysid.machine.sources.draft import (
+    AxisDraft,
+    MachineDraft,
+    UnknownDriveError,
+    axis_names,
+    draft_of,
+    limit_notes,
+    stops,
+    summarised,
+    without_stops,
+)
 from sysid.machine.sources.mjcf_actuator import Drive, drive_of
-from sysid.machine.sources.mjcf_chain import Chain, crossed_joints, find_chain, named_point
-from sysid.machine.sources.mjcf_model import actuator_name, joint_name, load_mjcf, mujoco_library, path_to
+from sysid.machine.sources.mjcf_chain import Chain, ChainJoint, Chains, crossed_joints, joint_equalities, named_point
+from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
 from sysid.machine.sources.mjcf_urdf import write_urdf
+from sysid.names import listed
+from sysid.numbers import LARGEST
 
 #: A kind of part that ``machine.toml`` does not contain, and the name of one.
 Note = tuple[str, str]
+#: Number of the actuator of a joint without one.
+NO_ACTUATOR = -1
 #: A loop with a larger damping ratio follows as a first-order lag.
 _OSCILLATES = 0.6
 #: Bounds of the damping ratio of a second-order lag, and of its time constant [s].
@@ -32,27 +48,52 @@ _RATIOS, _SLOWEST = (0.03, 4.0), 0.5
 _WEIGHTLESS = 1e-3
 
 
-def mjcf_draft(path: Path, tip: str | None = None, tool: str | None = None) -> MachineDraft:
+def mjcf_draft(
+    path: Path,
+    tip: str | None = None,
+    tool: str | None = None,
+    kind: str | None = None,
+    base: str | None = None,
+    assets: Sequence[Path] | None = (),
+) -> MachineDraft:
     """The machine that an MJCF describes.
 
     Args:
         tip: site or body of the end effector; else the end of the longest driven chain.
         tool: site or body of a hanging tool.
+        kind: how joints without an actuator are commanded, of :data:`~sysid.machine.sources.draft.KINDS`.
+        base: body that is held still at its reference pose.
+        assets: folders beside that of the model whose files may be opened.
 
     Raises:
         InputError: not a file that MuJoCo compiles.
         SettingsError: what ``machine.toml`` cannot express.
     """
-    model, source = load_mjcf(path), path.name
-    chain = find_chain(model, source, tip)
-    drives = [drive_of(model, joint.actuator, source) for joint in chain.driven if joint.actuator is not None]
-    names = axis_names([joint_name(model, drive.joint) for drive in drives], source)
+    read, source = read_mjcf(path, assets), path.name
+    model = read.model
+    switched_off = _switch_off(model)
+    chains = Chains(model, source, base, undriven=kind is not None)
+    if kind is None and not chains.ends:
+        chains = Chains(model, source, base, undriven=True)
+    made = draft_of(
+        [chains.at(tip)] if tip is not None else chains.ends,
+        lambda choice, its_kind: _draft(model, chains.chain(choice), source, path.stem, tool, its_kind),
+        chains.at,
+        source,
+        kind,
+    )
+    return replace(made, left_out=(*read.left_out, *switched_off, *made.left_out))
+
+
+def _draft(model: Any, chain: Chain, source: str, stem: str, tool: str | None, kind: str | None) -> MachineDraft:
+    drives = [_drive(model, joint, source, kind) for joint in chain.driven]
+    names = axis_names([joint_name(model, drive.joint) for drive in drives])
     hanging = None if tool is None else named_point(model, tool, f"{source}: tool")
     if hanging is not None and chain.bodies[0] not in path_to(model, hanging[0]):
         raise SettingsError(
             f"{source}: tool", f"{shown(tool or '')} does not hang on the chain", "a site or body that it moves"
         )
-    urdf, (link, hung), notes = write_urdf(model, chain, path.stem, hanging)
+    urdf, (link, hung), notes = write_urdf(model, chain, stem, hanging)
     axes, beyond = [], list[Note]()
     for drive in drives:
         axis, missing = _axis(model, drive, names[joint_name(model, drive.joint)])
@@ -60,24 +101,63 @@ def mjcf_draft(path: Path, tip: str | None = None, tool: str | None = None) -> M
         beyond += missing
     beyond += _beside(model, chain)
     notes = [*_gravity_notes(model, chain, drives, source), *notes, *summarised(beyond)]
-    return MachineDraft(source, tuple(axes), urdf, link, hung, tuple(notes))
+    return MachineDraft(
+        source, tuple(axes), urdf, link, hung, tuple(notes), tuple(line for axis in axes for line in axis.assumed)
+    )
+
+
+def _switch_off(model: Any) -> list[str]:
+    """Set what the flags of a model switch off to nothing; returns the flags."""
+    bits, flags, found = mujoco_library().mjtDisableBit, int(model.opt.disableflags), []
+    without: dict[str, tuple[int, tuple[Any, ...]]] = {
+        "gravity": (bits.mjDSBL_GRAVITY, (model.opt.gravity,)),
+        "damper": (bits.mjDSBL_DAMPER, (model.dof_damping, model.dof_dampingpoly)),
+        "spring": (bits.mjDSBL_SPRING, (model.jnt_stiffness, model.jnt_stiffnesspoly)),
+        "frictionloss": (bits.mjDSBL_FRICTIONLOSS, (model.dof_frictionloss,)),
+        "limit": (bits.mjDSBL_LIMIT, (model.jnt_limited,)),
+        "clampctrl": (bits.mjDSBL_CLAMPCTRL, (model.actuator_ctrllimited,)),
+        "constraint": (bits.mjDSBL_CONSTRAINT, (model.dof_frictionloss, model.jnt_limited)),
+        "equality": (bits.mjDSBL_EQUALITY, ()),
+        "actuation": (bits.mjDSBL_ACTUATION, ()),
+    }
+    for name, (bit, arrays) in without.items():
+        if flags & int(bit):
+            found.append(f'what the model switches off by <flag {name}="disable">')
+            for array in arrays:
+                array[:] = 0
+    return found
+
+
+def _drive(model: Any, joint: ChainJoint, source: str, kind: str | None) -> Drive:
+    """What drives a joint of the chain.
+
+    Raises:
+        UnknownDriveError: it has no actuator, and ``kind`` is None.
+        SettingsError: as :func:`drive_of`.
+    """
+    if joint.actuator is not None:
+        return drive_of(model, joint.actuator, source)
+    if kind is None:
+        where = f"{source}: joint {shown(joint_name(model, joint.joint))}"
+        raise UnknownDriveError(where, "no actuator states how it is commanded", "an actuator on each joint")
+    control = {"servo": "position", "hydraulic": "speed", "force": "force"}[kind]
+    return Drive(NO_ACTUATOR, joint.joint, control, 1.0)
 
 
 def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     joint, dof = drive.joint, int(model.jnt_dofadr[drive.joint])
-    its = joint_name(model, joint)
+    its, driven = joint_name(model, joint), drive.actuator != NO_ACTUATOR
     straight = int(model.jnt_type[joint]) == mujoco_library().mjtJoint.mjJNT_SLIDE
     damping, friction = float(model.dof_damping[dof] + _actuators(model, drive, "damping")), float(model.dof_frictionloss[dof])
-    limits, notes = None, list[Note]()
-    actuator = actuator_name(model, drive.actuator)
-    if not model.jnt_limited[joint]:
-        most = WITHOUT_STOPS["prismatic" if straight else "revolute"]
-        limits = (-most, most)
+    low, high = (float(end) for end in model.jnt_range[joint]) if model.jnt_limited[joint] else (-math.inf, math.inf)
+    low, high = -math.inf if low <= -LARGEST else low, math.inf if high >= LARGEST else high
+    limits, notes = stops(low, high, straight), list[Note]()
+    assumed = without_stops(name, limits, straight)
+    actuator = actuator_name(model, drive.actuator) if driven else ""
     notes += [("spring of", its)] if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]) else []
     notes += [("damping above first order of", its)] if np.any(model.dof_dampingpoly[dof]) else []
-    notes += [("force limit of", its)] if model.actuator_forcelimited[drive.actuator] or model.jnt_actfrclimited[joint] else []
-    inertia = None
-    effects: list[KnownEffect] = []
+    notes += limit_notes(its, ("force", _force_limit(model, drive), "N" if straight else "N·m"))
+    inertia, effects = None, list[KnownEffect]()
     if drive.actuation == "force":
         armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
         inertia = armature or None
@@ -90,14 +170,33 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     else:
         effects += [KnownEffect("input_delay", name, {"delay": drive.delay})] if drive.delay > 0.0 else []
         effects += [KnownEffect("command_rate_limit", name, {"rate": drive.rate})] if drive.rate > 0.0 else []
-        found, missing = _loop(model, drive, name, damping)
-        effects += found
-        notes += missing
+        if driven:
+            found, missing = _loop(model, drive, name, damping)
+            effects += found
+            notes += missing
         notes += [("friction loss inside the control loop of", its)] if friction > 0.0 else []
         notes += [("constant force of actuator", actuator)] if drive.bias else []
-    gain = drive.speed * (drive.damping / (drive.damping + damping) if drive.control == "speed" else 1.0)
-    about = f"actuator {actuator} ({drive.control} control)"
-    return AxisDraft(name, its, drive.actuation, about, gain, inertia, limits, tuple(effects)), notes
+    gain = drive.speed
+    if driven and drive.control == "speed":
+        gain *= drive.damping / (drive.damping + damping)
+    if not driven and drive.actuation == "velocity":
+        assumed += (f"speed of {name} at full command: 1 {'m' if straight else 'rad'}/s",)
+    if driven and abs(drive.scale - 1.0) > 1e-9:
+        units = {"position": ("rad", "m"), "velocity": ("shares of the full speed",) * 2, "force": ("N·m", "N")}
+        unit = units[drive.actuation][straight]
+        assumed += (f"command of {name} in {unit}: the control of {actuator} is {drive.scale:.6g} times that",)
+    about = f"actuator {actuator} ({drive.control} control)" if driven else "no actuator in the model"
+    return AxisDraft(name, its, drive.actuation, about, gain, inertia, limits, tuple(effects), assumed), notes
+
+
+def _force_limit(model: Any, drive: Drive) -> float:
+    """The smaller limit of the force of a joint and of its actuator, at the joint [N·m or N]; 0 for none."""
+    ends = list[float]()
+    if model.jnt_actfrclimited[drive.joint]:
+        ends.append(float(np.abs(model.jnt_actfrcrange[drive.joint]).max()))
+    if drive.actuator != NO_ACTUATOR and model.actuator_forcelimited[drive.actuator]:
+        ends.append(float(np.abs(model.actuator_forcerange[drive.actuator]).max()) * abs(_gear(model, drive.actuator)))
+    return min(ends, default=0.0)
 
 
 def _loop(model: Any, drive: Drive, name: str, damping: float) -> tuple[list[KnownEffect], list[Note]]:
@@ -135,8 +234,13 @@ def _loop(model: Any, drive: Drive, name: str, damping: float) -> tuple[list[Kno
 
 def _actuators(model: Any, drive: Drive, key: str) -> float:
     """Damping or armature that the actuator adds to its joint: ``value·gear²``."""
-    gear = float(model.actuator_gear[int(model.actuator_outadr[drive.actuator]), 0])
-    return float(getattr(model, f"actuator_{key}")[drive.actuator]) * gear**2
+    if drive.actuator == NO_ACTUATOR:
+        return 0.0
+    return float(getattr(model, f"actuator_{key}")[drive.actuator]) * _gear(model, drive.actuator) ** 2
+
+
+def _gear(model: Any, actuator: int) -> float:
+    return float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
 
 
 def _loaded(model: Any, joint: int) -> bool:
@@ -165,19 +269,36 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
     compensated = any(abs(float(model.body_gravcomp[body])) > _WEIGHTLESS for body in bodies)
     if down and not compensated:
         return []
-    found = "gravity compensation of its bodies" if down else f"gravity {gravity.tolist()} m/s²"
     turning = [drive for drive in drives if int(model.jnt_type[drive.joint]) == mujoco_library().mjtJoint.mjJNT_HINGE]
+    if down:
+        found = "gravity compensation of its bodies"
+        remedy = "Remove gravcomp from its bodies: what compensates the weight is part of the command then."
+    elif int(model.opt.disableflags) & int(mujoco_library().mjtDisableBit.mjDSBL_GRAVITY):
+        found, remedy = 'no gravity (<flag gravity="disable">)', 'Remove <flag gravity="disable">, if the machine has weight.'
+    else:
+        found = f"gravity {gravity.tolist()} m/s²"
+        remedy = 'Write <option gravity="0 0 -9.81">, in a model whose z points up, if the machine has weight.'
     if any(drive.actuation == "force" for drive in drives) and (turning or not down):
         expected = "gravity along −z of the world, which the nominal plant has, and no compensation"
-        remedy = "Turn the model so that z points up, and let the controller compensate the weight."
         raise SettingsError(f"{source}: {shown('option')}", found, expected, remedy)
-    return [f"{found}: the nominal plant has weight along −z"]
+    return [f"{found} (the nominal plant has weight along −z)"]
 
 
 def _beside(model: Any, chain: Chain) -> list[Note]:
-    """Actuators and tendons that are not part of the axes."""
+    """Joints, actuators and tendons that are not part of the axes."""
     own, joints = {joint.actuator for joint in chain.driven}, [joint.joint for joint in chain.joints]
     notes = [("actuators beside the chain:", actuator_name(model, k)) for k in range(model.nactuator) if k not in own]
+    hanging = [j for j in range(model.njnt) if j not in joints and chain.bodies[0] in path_to(model, int(model.jnt_bodyid[j]))]
+    base = [] if chain.base is None else path_to(model, chain.base)
+    for joint in hanging:
+        if int(model.jnt_bodyid[joint]) not in base:
+            notes.append(("joints beside or behind the chain, which are rigid at their reference:", joint_name(model, joint)))
+    for body in base:
+        notes += [("joints that are held still:", joint_name(model, joint)) for joint in joints_of(model, body)]
+    leading = {joint.joint for joint in chain.driven}
+    for pair in joint_equalities(model):
+        if {*pair} <= leading:
+            notes.append(("coupling of two driven joints:", listed([joint_name(model, joint) for joint in pair])))
     for tendon in range(model.ntendon):
         if crossed_joints(model, tendon, joints):
             notes.append(("tendons across its joints:", str(model.tendon(tendon).name) or str(tendon)))

@@ -1,8 +1,8 @@
 """What an MJCF actuator does with its control, and the joint's control loop that follows from it.
 
 The force of an actuator is ``gain·(ctrl or act) + b₀ + b₁·length + b₂·rate``, with ``length = gear·q``; joint force =
-gear·force (MuJoCo 4, *Computation*, actuation model). With ``b₁ = −gain`` the control is a position (or, integrated, a
-speed), with ``b₂ = −gain`` and ``b₁ = 0``, or declared as one, a speed, without bias a force.
+gear·force (MuJoCo 4, *Computation*, actuation model). With ``b₁ < 0`` the control is a position in units of ``−b₁/gain`` (or,
+integrated with ``b₁ = −gain``, a speed), with ``b₂ = −gain`` and ``b₁ = 0``, or declared as one, a speed, without bias a force.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from sysid.errors import SettingsError
 from sysid.foreign import shown
 from sysid.machine.description import Actuation
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, mujoco_library
+
+_REMEDY = "Remove it from <actuator>, and add --kind servo, hydraulic or force: how the joint is commanded."
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def drive_of(model: Any, actuator: int, source: str) -> Drive:
     gear = float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
     where = f"{source}: actuator {shown(name)} of joint {shown(joint_name(model, joint))}"
     if gear == 0.0:
-        raise SettingsError(where, "gear 0", "a gear other than zero")
+        raise SettingsError(where, "gear 0", "a gear other than zero", _REMEDY)
     gain, bias = (int(getattr(model, f"actuator_{key}type")[actuator]) for key in ("gain", "bias"))
     dyn, values = int(model.actuator_dyntype[actuator]), model.actuator_dynprm[actuator]
     k = float(model.actuator_gainprm[actuator, 0])
@@ -75,24 +77,27 @@ def drive_of(model: Any, actuator: int, source: str) -> Drive:
         return Drive(actuator, joint, "position", gear, **shared, rate=float(values[1]) / abs(gear), integral=k != 0.0)
     linear = gain == mujoco.mjtGain.mjGAIN_FIXED and bias in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
     if not linear or k == 0.0 or int(model.actuator_plugin[actuator]) >= 0:
-        raise SettingsError(where, _law(model, actuator), "a position, velocity, intvelocity or motor actuator", "Replace it.")
+        raise SettingsError(where, _law(model, actuator), "a position, velocity, intvelocity or motor actuator", _REMEDY)
     if dyn in (dyns.mjDYN_FILTER, dyns.mjDYN_FILTEREXACT):
         shared["filter"] = float(values[0])
     elif dyn not in (dyns.mjDYN_NONE, dyns.mjDYN_INTEGRATOR):
-        raise SettingsError(where, _law(model, actuator), "no activation, a filter or an integrator")
+        raise SettingsError(where, _law(model, actuator), "no activation, a filter or an integrator", _REMEDY)
     if dyn == dyns.mjDYN_INTEGRATOR:
         if b1 != -k:
-            raise SettingsError(where, "an integrator without position feedback", "intvelocity, whose bias is −gain·length")
+            raise SettingsError(
+                where, "an integrator without position feedback", "intvelocity, whose bias is −gain·length", _REMEDY
+            )
         full = _full(model, actuator)
         return Drive(actuator, joint, "integrated speed", full * _sign(gear), full / abs(gear), **shared)
-    if b1 == -k:
-        return Drive(actuator, joint, "position", gear, **shared, bias=b0 * gear)
+    if b1 < 0.0:
+        return Drive(actuator, joint, "position", gear * -b1 / k, **shared, bias=b0 * gear)
     if b1 == 0.0 and b2 < 0.0 and (b2 == -k or mujoco.mj_actuatorInputName(model, actuator, 0) == "vel"):
         full = _full(model, actuator)
         return Drive(actuator, joint, "speed", full * _sign(gear), full / abs(gear) * k / -b2, **shared, bias=b0 * gear)
     if b1 == 0.0:
         return Drive(actuator, joint, "force", 1.0 / (k * gear), **shared, bias=b0 * gear)
-    raise SettingsError(where, f"gain {k:g} and bias {b0:g} {b1:g} {b2:g}", "b₁ = −gain (position) or b₁ = 0 (speed, force)")
+    found = f"gain {k:g} and bias {b0:g} {b1:g} {b2:g}"
+    raise SettingsError(where, found, "b₁ < 0 (position) or b₁ = 0 (speed, force)", _REMEDY)
 
 
 def _full(model: Any, actuator: int) -> float:

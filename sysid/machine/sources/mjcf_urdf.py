@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.machine.mimic import Mimic
 from sysid.machine.sources.mjcf_chain import Chain
-from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library
+from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library, path_to
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,9 @@ def write_urdf(
         tool: its body, and the site on it that is meant, if it is one.
     """
     writer = _Writer(model, {joint_name(model, j.joint): j.follows for j in chain.joints if j.follows is not None}, name)
-    writer.add(chain.bodies[0], ROOT, np.eye(4))
+    above, held = int(model.body_parentid[chain.bodies[0]]), [] if chain.base is None else path_to(model, chain.base)
+    writer.held = {joint for body in held for joint in joints_of(model, body)}
+    writer.add(chain.bodies[0], ROOT, _reference_pose(model, above))
     tip = writer.point(chain.bodies[-1], chain.site)
     hung = None if tool is None else writer.point(*tool)
     indent(writer.root)
@@ -48,7 +50,8 @@ class _Writer:
         self.model, self.mimics, self.notes = model, mimics, list[str]()
         self.root = Element("robot", {"name": name})
         SubElement(self.root, "link", {"name": ROOT})
-        self.taken = {ROOT}
+        self.taken, self.joints = {ROOT}, {joint_name(model, joint) for joint in range(model.njnt)}
+        self.held: set[int] = set()
         self.link_of: dict[int, str] = {}
         #: Body → pose of the body's frame in that of its link.
         self.frame_of: dict[int, Array] = {}
@@ -57,11 +60,12 @@ class _Writer:
         """A body and all below it; ``above``: pose of the parent body's frame in its link (4, 4)."""
         model, own = self.model, self._name(body_name(self.model, body))
         frame = above @ _pose(model.body_pos[body], model.body_quat[body])
-        joints = [j for j in joints_of(model, body) if int(model.jnt_type[j]) in self._single()]
-        if len(joints) < int(model.body_jntnum[body]):
+        every = [j for j in joints_of(model, body) if j not in self.held]
+        joints = [j for j in every if int(model.jnt_type[j]) in self._single()]
+        if len(joints) < len(every):
             self.notes.append(f"the free or ball joint of {body_name(model, body)}, which is fixed in the URDF")
         if not joints:
-            self._joint(f"{own}_fixed", "fixed", parent, own, frame)
+            self._joint(self._fixed(own), "fixed", parent, own, frame)
         for k, joint in enumerate(joints):
             anchor = np.asarray(model.jnt_pos[joint], dtype=np.float64)
             link = own if k == len(joints) - 1 else self._name(f"{own}_{k}")
@@ -91,7 +95,7 @@ class _Writer:
             return self.link_of[body]
         link = self._name(name if name not in self.taken else f"{name}_tip")
         SubElement(self.root, "link", {"name": link})
-        self._joint(f"{link}_fixed", "fixed", self.link_of[body], link, frame)
+        self._joint(self._fixed(link), "fixed", self.link_of[body], link, frame)
         return link
 
     def _single(self) -> tuple[int, int]:
@@ -104,6 +108,14 @@ class _Writer:
         while found in self.taken:
             found, k = f"{name}_{k}", k + 1
         self.taken.add(found)
+        return found
+
+    def _fixed(self, link: str) -> str:
+        """A name for the fixed joint of a link, beside those of the model's joints."""
+        found = f"{link}_fixed"
+        while found in self.joints:
+            found += "_"
+        self.joints.add(found)
         return found
 
     def _link(self, name: str, body: int, frame: Array) -> None:
@@ -141,6 +153,14 @@ class _Writer:
         SubElement(element, "child", {"link": child})
         SubElement(element, "origin", _origin(pose))
         return element
+
+
+def _reference_pose(model: Any, body: int) -> Array:
+    """Pose of a body in the world at the model's reference, (4, 4)."""
+    pose = np.eye(4)
+    for each in path_to(model, body):
+        pose = pose @ _pose(model.body_pos[each], model.body_quat[each])
+    return pose
 
 
 def _pose(position: Any, quaternion: Any) -> Array:

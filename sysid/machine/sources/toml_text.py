@@ -15,7 +15,6 @@ def machine_text(draft: MachineDraft, name: str) -> str:
     """``machine.toml``; its URDF is ``<name>.urdf``."""
     lines = [
         f"# Drafted from {draft.source}. SI units (m, rad, s, N, N·m, kg). Check it before use; fields: docs/guide/mujoco.md",
-        *(f"# Not contained: {note}" for note in draft.notes),
         _row("schema", "1", "version of this file format"),
         _row("name", _text(name), "name of the machine and of its dataset"),
         _row("rate_hz", f"{draft.rate_hz:.1f}", "even time grid of the dataset [Hz]: about the rate of the fastest log"),
@@ -27,6 +26,9 @@ def machine_text(draft: MachineDraft, name: str) -> str:
         if draft.tool is not None
         else '# tool = "…"                     # URDF link of a hanging tool, if it is measured'
     )
+    if draft.left_out:
+        lines += ["left_out = [                     # what the description contains beyond this file"]
+        lines += [*(f"    {_text(line)}," for line in draft.left_out), "]"]
     for axis in draft.axes:
         lines += ["", *_axis(axis)]
     lines += [

@@ -5,18 +5,29 @@ Sources: URDF specification (ROS wiki, ``urdf/XML/joint``, ``urdf/XML/Transmissi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, tostring
 
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.description import Actuation, KnownEffect
 from sysid.machine.kinematics import Joint, Kinematics, parse_urdf
-from sysid.machine.mimic import resolved
+from sysid.machine.mimic import followed, resolved
 from sysid.machine.moved_bodies import has_masses
-from sysid.machine.sources.draft import WITHOUT_STOPS, AxisDraft, MachineDraft, axis_names, choose_tip, summarised
-from sysid.machine.urdf_tree import urdf_tree
+from sysid.machine.sources.draft import (
+    ACTUATIONS,
+    AxisDraft,
+    ChainChoice,
+    MachineDraft,
+    UnknownDriveError,
+    axis_names,
+    draft_of,
+    limit_notes,
+    stops,
+    summarised,
+    without_stops,
+)
+from sysid.machine.urdf_tree import MOVING, indefinite_links, urdf_tree
 from sysid.numbers import NonNegative, number
 
 #: Name of a ROS command interface → actuation.
@@ -24,75 +35,104 @@ INTERFACES: Mapping[str, Actuation] = {"position": "position", "velocity": "velo
 
 
 def urdf_draft(
-    text: str, source: str, tip: str | None = None, actuation: Actuation | None = None, tool: str | None = None
+    text: str, source: str, tip: str | None = None, kind: str | None = None, tool: str | None = None, base: str | None = None
 ) -> MachineDraft:
     """The machine that a URDF describes.
 
     Args:
         tip: link of the end effector; else the end of the longest chain.
-        actuation: of all axes; else what the URDF states for each joint.
+        kind: how all joints are commanded, of :data:`~sysid.machine.sources.draft.KINDS`; else what the URDF states for each.
+        base: link that is held still: joints in front of it are fixed at zero.
 
     Raises:
-        SettingsError: not a URDF, several chains, no actuation stated, or one that ``machine.toml`` lacks.
+        SettingsError: not a URDF, several chains, no actuation stated, or what ``machine.toml`` cannot express.
     """
-    root = urdf_tree(text)
+    described = urdf_tree(text)
+    if base is not None:
+        text = _held(described, base, source)
+    tree = _Tree(text, source)
+    ends = [tree.choice(tip)] if tip is not None else [tree.choice(end) for end in tree.ends]
+    if tip is not None and not ends[0].joints:
+        raise SettingsError(source, f"no joint moves {shown(tip)}", f"a tip among {', '.join(tree.ends)}")
+
+    def draft(choice: ChainChoice, its_kind: str | None) -> MachineDraft:
+        own = text if choice.base is None else _held(urdf_tree(text), choice.base, source)
+        return _draft(own, source, choice, its_kind, tool)
+
+    return draft_of(ends, draft, tree.choice, source, kind)
+
+
+class _Tree:
+    """Links and joints of a URDF, and the chains in them."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self.joints, _ = parse_urdf(text)
+        self.source = source
+        self.by_child = {joint.child: joint for joint in self.joints.values()}
+        self.mimics = {name: joint.mimic for name, joint in self.joints.items()}
+        self.links = {*self.by_child, *(joint.parent for joint in self.joints.values())}
+
+    @property
+    def ends(self) -> list[str]:
+        """Links that carry no other link."""
+        return sorted(self.links - {joint.parent for joint in self.joints.values()})
+
+    def choice(self, end: str) -> ChainChoice:
+        """The chain to a link, behind the last joint on it that no axis can move."""
+        if end not in self.links:
+            raise SettingsError(f"{self.source}: tip", f"unknown link {shown(end)}", nearest(end, self.links))
+        path, joints = [end], list[Joint]()
+        while path[-1] in self.by_child:
+            joints.append(self.by_child[path[-1]])
+            path.append(joints[-1].parent)
+        path, joints = path[::-1], joints[::-1]
+        blocked = max((k for k, joint in enumerate(joints) if joint.kind not in (*MOVING, "fixed")), default=-1)
+        driven = [resolved(joint.name, self.mimics).master for joint in joints[blocked + 1 :] if joint.kind != "fixed"]
+        held = joints[blocked] if blocked >= 0 else None
+        return ChainChoice(
+            tuple(dict.fromkeys(driven)),
+            tuple(path),
+            end,
+            None if held is None else held.child,
+            "" if held is None else f"joint {shown(held.name)} is {held.kind}",
+        )
+
+
+def _held(root: Element, base: str, source: str) -> str:
+    """A URDF whose joints in front of a link are fixed at zero."""
+    by_child = {str(part.get("link")): joint for joint in root.findall("joint") for part in joint.findall("child")}
+    if base not in (links := [str(link.get("name")) for link in root.findall("link")]):
+        raise SettingsError(f"{source}: base", f"unknown link {shown(base)}", nearest(base, links))
+    while base in by_child:
+        by_child[base].set("type", "fixed")
+        base = next(str(part.get("link")) for part in by_child[base].findall("parent"))
+    return tostring(root, encoding="unicode")
+
+
+def _draft(text: str, source: str, choice: ChainChoice, kind: str | None, tool: str | None) -> MachineDraft:
+    root, tip = urdf_tree(text), choice.tip
     joints, _ = parse_urdf(text)
-    moving = {name: joint for name, joint in joints.items() if joint.kind != "fixed" and joint.mimic is None}
-    tip = _tip(joints, source) if tip is None else tip
-    driven = _driven(joints, tip, source)
-    if not driven:
-        raise SettingsError(source, f"no joint moves {shown(tip)}", f"a tip among {', '.join(sorted(_ends(joints)))}")
-    kinematics = Kinematics.from_urdf(text, driven, tip, tool)
+    kinematics = Kinematics.from_urdf(text, choice.joints, tip, tool)
     elements = {element.get("name", ""): element for element in root.findall("joint")}
-    stated, names = _stated(root), axis_names(driven, source)
+    stated, names = _stated(root), axis_names(choice.joints)
     axes, beyond = list[AxisDraft](), list[tuple[str, str]]()
-    for name in driven:
-        kind = actuation if actuation is not None else _actuation(name, stated, source)
-        axis, missing = _axis(names[name], joints[name], elements[name], kind)
+    for name in choice.joints:
+        actuation = ACTUATIONS[kind] if kind is not None else _actuation(name, stated, source)
+        axis, missing = _axis(names[name], joints[name], elements[name], actuation)
         axes.append(axis)
         beyond += missing
-    beyond += [(f"joints beside the chain to {tip}:", joint) for joint in sorted(set(moving) - set(driven))]
+    mimics = {name: joint.mimic for name, joint in joints.items()}
+    for name, joint in sorted(joints.items()):
+        if joint.kind != "fixed" and joint.mimic is None and name not in choice.joints:
+            beyond.append((f"joints beside the chain to {tip}, which rest at zero:", name))
+        elif joint.mimic is not None and followed(name, mimics) is None:
+            beyond.append(("mimic of a joint that does not exist:", f"{name} ({joint.mimic.master})"))
     if any(axis.actuation == "force" for axis in axes) and not has_masses(kinematics):
         raise SettingsError(source, "force axes, and no masses", "<inertial> of the moved links", "Or use --kind servo.")
-    return MachineDraft(source, tuple(axes), text, tip, tool, tuple(summarised(beyond)))
-
-
-def _ends(joints: Mapping[str, Joint]) -> set[str]:
-    return {joint.child for joint in joints.values()} - {joint.parent for joint in joints.values()}
-
-
-def _driven(joints: Mapping[str, Joint], link: str, source: str) -> tuple[str, ...]:
-    """Joints that move ``link`` themselves or through passive joints, from the base."""
-    by_child = {joint.child: joint for joint in joints.values()}
-    mimics = {name: joint.mimic for name, joint in joints.items()}
-    links = {*by_child, *(joint.parent for joint in joints.values())}
-    if link not in links:
-        raise SettingsError(f"{source}: tip", f"unknown link {shown(link)}", nearest(link, links))
-    found: list[str] = []
-    while link in by_child:
-        joint = by_child[link]
-        if joint.kind != "fixed":
-            found.append(resolved(joint.name, mimics).master)
-        link = joint.parent
-    return tuple(dict.fromkeys(reversed(found)))
-
-
-def _tip(joints: Mapping[str, Joint], source: str) -> str:
-    """The end of the longest chain; where it branches behind its last joint, the last link before that."""
-    moved = {end: _driven(joints, end, source) for end in sorted(_ends(joints))}
-    chosen = choose_tip(moved, source)
-    ends = [end for end, chain in moved.items() if chain == chosen]
-    if len(ends) == 1:
-        return ends[0]
-    by_child = {joint.child: joint for joint in joints.values()}
-    paths = []
-    for end in ends:
-        path = [end]
-        while path[-1] in by_child:
-            path.append(by_child[path[-1]].parent)
-        paths.append(path[::-1])
-    common: list[str] = [links[0] for links in zip(*paths, strict=False) if len({*links}) == 1]
-    return common[-1]
+    if not any(axis.actuation == "force" for axis in axes):
+        beyond += [("inertia with a negative principal moment, which no body has, of", link) for link in indefinite_links(text)]
+    assumed = tuple(line for axis in axes for line in axis.assumed)
+    return MachineDraft(source, tuple(axes), text, tip, tool, tuple(summarised(beyond)), assumed)
 
 
 def _stated(root: Element) -> dict[str, set[str]]:
@@ -112,19 +152,30 @@ def _actuation(joint: str, stated: Mapping[str, set[str]], source: str) -> Actua
     names = sorted(stated.get(joint, ()))
     if len(names) != 1:
         found = f"{' and '.join(names)} commands" if names else "no <ros2_control> or <transmission> states how it is commanded"
-        remedy = "Add --kind servo (positions), velocity or force for all axes."
-        raise SettingsError(f"{source}: joint {shown(joint)}", found, "one command interface a joint", remedy)
+        raise UnknownDriveError(f"{source}: joint {shown(joint)}", found, "one command interface a joint")
     return INTERFACES[names[0]]
 
 
 def _axis(name: str, joint: Joint, element: Element, actuation: Actuation) -> tuple[AxisDraft, list[tuple[str, str]]]:
-    where, notes = f"urdf: joint {shown(joint.name)}", list[tuple[str, str]]()
-    values = {key: _attribute(element, key, where) for key in ("limit.velocity", "dynamics.damping", "dynamics.friction")}
-    gain = 1.0
+    where = f"urdf: joint {shown(joint.name)}"
+    keys = ("limit.velocity", "limit.effort", "dynamics.damping", "dynamics.friction")
+    values = {key: _attribute(element, key, where) for key in keys}
+    if joint.limits[0] >= joint.limits[1]:
+        low, high = joint.limits
+        if low > high:
+            raise SettingsError(f"{where}: limit", f"[{low:g}, {high:g}]", "lower below upper", "Swap lower and upper.")
+        either = "its type to fixed" if joint.prismatic else "its type to continuous, which has no end stops"
+        remedy = f"Change {either}, or state lower and upper."
+        raise SettingsError(f"{where}: limit", f"lower and upper are {low:g}", "lower below upper", remedy)
+    unit, gain = ("N", "m/s") if joint.prismatic else ("N·m", "rad/s"), 1.0
+    notes = limit_notes(joint.name, ("force", values["limit.effort"], unit[0]))
     if actuation == "velocity":
         gain = values["limit.velocity"]
         if gain <= 0.0:
-            raise SettingsError(f"{where}: limit", "no velocity", "the speed at full command [rad/s or m/s]")
+            remedy = f'Write <limit velocity="…"/> of {joint.name}, or use --kind servo.'
+            raise SettingsError(f"{where}: limit", "no velocity", f"the speed at full command [{unit[1]}]", remedy)
+    else:
+        notes += limit_notes(joint.name, ("speed", values["limit.velocity"], unit[1]))
     effects = []
     friction = (("viscous_friction", "coefficient", "dynamics.damping"), ("coulomb_friction", "force", "dynamics.friction"))
     for effect, parameter, key in friction:
@@ -132,12 +183,10 @@ def _axis(name: str, joint: Joint, element: Element, actuation: Actuation) -> tu
             effects.append(KnownEffect(effect, name, {parameter: values[key]}))
         elif values[key] > 0.0:
             notes.append((f"{key.rpartition('.')[2]} inside the control loop of", joint.name))
-    limits = None
-    if not all(math.isfinite(end) for end in joint.limits):
-        most = WITHOUT_STOPS["prismatic" if joint.prismatic else "revolute"]
-        limits = (-most, most)
+    limits = stops(*joint.limits, joint.prismatic)
     about = f"{joint.kind} joint of the URDF"
-    return AxisDraft(name, joint.name, actuation, about, gain, None, limits, tuple(effects)), notes
+    assumed = without_stops(name, limits, joint.prismatic)
+    return AxisDraft(name, joint.name, actuation, about, gain, None, limits, tuple(effects), assumed), notes
 
 
 def _attribute(element: Element, place: str, where: str) -> float:

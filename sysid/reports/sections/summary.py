@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid import display
-from sysid.gap.headline import headline
+from sysid.gap.headline import headline, left_out_sentence
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
 from sysid.reports import words
@@ -77,7 +77,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "held_out": gap.held_out_recordings,
         "repaired": gap.repaired,
         "next": [] if only else list(gap.next_experiment),
-        "sure": _still_open(gap),
+        "sure": [*_still_open(gap), *(note for note in gap.notes if note == left_out_sentence(machine.left_out))],
     }
 
 
