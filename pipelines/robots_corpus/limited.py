@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -58,22 +59,34 @@ def run(command: Sequence[str], limits: Limits, cwd: Path | None = None, env: di
             shell, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, cwd=cwd, start_new_session=True,
             env=os.environ | ONE_THREAD | {"COLUMNS": "10000"} | (env or {}),
         )  # fmt: skip
-        pid, status, usage = _wait(process.pid, begin + limits.wall)
+        status, seconds, memory = _wait(process.pid, begin + limits.wall)
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         text = out.read().decode("utf-8", "replace")
-    assert pid == process.pid
     kept = text if len(text) <= 2 * _KEPT else f"{text[:_KEPT]}\n…\n{text[-_KEPT:]}"
-    seconds = usage.ru_utime + usage.ru_stime
-    return Done(process.returncode, kept, round(seconds, 2), round(time.monotonic() - begin, 2), round(usage.ru_maxrss / 1024))
+    return Done(process.returncode, kept, round(seconds, 2), round(time.monotonic() - begin, 2), round(memory / 1024))
 
 
-def _wait(pid: int, until: float) -> tuple[int, int, os.struct_rusage]:  # type: ignore[name-defined]
-    """As ``os.wait4``; the process group is killed at ``until``."""
+def _wait(pid: int, until: float) -> tuple[int, float, float]:
+    """Exit status, processor time [s] and largest resident set [KiB] of a process; its group is killed at ``until``."""
+    largest = 0.0
     while time.monotonic() < until:
-        found = os.wait4(pid, os.WNOHANG)
-        if found[0]:
-            return found
+        largest = max(largest, _resident(pid))
+        found, status, usage = os.wait4(pid, os.WNOHANG)
+        if found:
+            break
         time.sleep(0.01)
-    os.killpg(pid, signal.SIGKILL)
-    return os.wait4(pid, 0)
+    else:
+        os.killpg(pid, signal.SIGKILL)
+        _, status, usage = os.wait4(pid, 0)
+    return status, usage.ru_utime + usage.ru_stime, largest or float(usage.ru_maxrss)
+
+
+def _resident(pid: int) -> float:
+    """The largest resident set so far [KiB]. The resource usage also counts that of the process which started it."""
+    try:
+        text = Path(f"/proc/{pid}/status").read_text("utf-8")
+    except OSError:
+        return 0.0
+    match = re.search(r"VmHWM:\s+(\d+)", text)
+    return float(match[1]) if match else 0.0
