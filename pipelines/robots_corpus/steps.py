@@ -35,8 +35,8 @@ def part(module: str, arguments: Sequence[object], limits: Limits) -> dict[str, 
     done = run(command, limits, env={"PYTHONPATH": str(PIPELINES)})
     if done.code == 0 and not done.broke:
         found: dict[str, Any] = json.loads(done.text.strip().splitlines()[-1])
-        return found | {"seconds": done.wall}
-    return {"broke": _what_broke(done), "seconds": done.wall}
+        return found | {"seconds": done.seconds}
+    return {"broke": _what_broke(done), "seconds": done.seconds}
 
 
 def _what_broke(done: Done) -> str:
@@ -66,9 +66,9 @@ def log(robot: Robot, row: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     sysid, out = [sys.executable, "-m", "sysid.cli", "--workspace", str(workspace)], folder / "gap.json"
     ingest = run([*sysid, "ingest", str(dataset)], INGEST)
     if ingest.code != 0:
-        return {"broke": f"ingest: {_what_broke(ingest)}", "seconds": made["seconds"] + ingest.wall}
+        return {"broke": f"ingest: {_what_broke(ingest)}", "seconds": made["seconds"] + ingest.seconds}
     gap = run([*sysid, "gap", NAME, "--localise", "--json", str(out)], GAP)
-    seconds = {"nominal": made["seconds"], "ingest": ingest.wall, "gap": gap.wall}
+    seconds = {"nominal": made["seconds"], "ingest": ingest.seconds, "gap": gap.seconds}
     if gap.code != 0:
         return {"broke": f"gap: {_what_broke(gap)}", "seconds": sum(seconds.values())}
     found = json.loads(out.read_text("utf-8"))

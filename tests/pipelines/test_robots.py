@@ -317,13 +317,21 @@ def test_steps_are_repeated_only_when_asked_for(
     robots: SimpleNamespace, made: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = list[str]()
-    monkeypatch.setattr(robots.main, "read", lambda robot, folder: calls.append("init") or row("read"))
-    steps = {"check": lambda *_: calls.append("check") or {"seconds": 1.0}, "log": lambda *_: {"broke": "x", "seconds": 1.0}}
-    monkeypatch.setattr(robots.main, "AFTER", steps | {"export": lambda *_: calls.append("export") or {}})
+
+    def noted(name: str, result: dict[str, Any]) -> Callable[..., dict[str, Any]]:
+        def step(*_: object) -> dict[str, Any]:
+            calls.append(name)
+            return dict(result)
+
+        return step
+
+    after = {"check": noted("check", {"seconds": 1.0}), "log": noted("log", {"broke": "x", "seconds": 1.0})}
+    monkeypatch.setattr(robots.main, "read", noted("init", row("read")))
+    monkeypatch.setattr(robots.main, "AFTER", after | {"export": noted("export", {})})
     robot = made(arm(), "a.urdf")
     for again in (False, False, True):
         found = robots.main.run_robot(robot, robots.main.STEPS, tmp_path / "work", again)
-    assert calls == ["init", "check"] * 2, "nothing is exported without a log"
+    assert calls == ["init", "check", "log"] * 2, "nothing is exported without a log"
     assert json.loads((tmp_path / "work" / robot.key / "row.json").read_text("utf-8")) == found
     assert robots.main.steps_of("log,init") == ["init", "log"]
     with pytest.raises(ValueError, match="no step 'logs'; expected some of init, check, log, export"):
