@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
 from sysid.export.drive_module import MODULE
+from sysid.export.link_inertia import NOTE
 from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
@@ -76,6 +77,7 @@ class MjcfTarget:
         "`robot.json` states the mode of each axis. `native`: its actuator takes the command. `command`: it takes what the "
         "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model. "
         "`friction` (of an arm): `mujoco_arm.py` sets the friction of its joint before each step.",
+        NOTE,
     )
 
     def names(self, plant: Plant) -> MachineNames:

@@ -18,6 +18,7 @@ from sysid.export.names import MachineNames, Names
 from sysid.export.urdf_text import APART, machine_names
 from sysid.machine.kinematics import Joint, Kinematics
 from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -59,7 +60,7 @@ def add_bodies(spec: Any, plant: Plant, names: MachineNames, inertias: LinkInert
     root = spec.worldbody.add_body(name=names.links[kinematics.chain[0].parent], pos=place, quat=quaternion(turn))
     spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
     least = (SMALL_MASS, SMALL_INERTIA) if inertias is None else (TINY_MASS, TINY_INERTIA)
-    known = link_inertias(plant.machine.urdf_text) if inertias is None else inertias
+    known = link_inertias(urdf_tree(plant.machine.urdf_text)) if inertias is None else inertias
     _Tree(spec, plant, names, kinematics, known, least).add(root, kinematics.chain[0].parent)
 
 

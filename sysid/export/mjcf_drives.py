@@ -26,6 +26,8 @@ FASTEST = 1e3
 VELOCITY_NATIVE = ("input_delay", "first_order_lag", "gain_error", "nominal_gain", "internal_leakage")
 POSITION_NATIVE = ("input_delay", "first_order_lag", "second_order_lag")
 FORCE_NATIVE = ("viscous_friction", "coulomb_friction")
+#: An end stop that is never reached [rad or m].
+FAR = 1e6
 #: Impedance of stops and dry friction: the hardest that MuJoCo has.
 HARD = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
 Mode = Literal["native", "command", "drive_model"]
@@ -117,12 +119,11 @@ def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, 
     parts = dict(axis["command"][entry.prefix :])
     follows = entry.mode == "drive_model"
     servo = axis["actuation"] == "position" and "second_order_lag" not in parts
-    if not follows and (axis["low"] is not None or axis["high"] is not None):
-        ends = (-1e6 if axis["low"] is None else axis["low"], 1e6 if axis["high"] is None else axis["high"])
-        if servo:  # which goes where its set-point is
-            actuator.ctrlrange, actuator.ctrllimited = ends, mujoco.mjtLimited.mjLIMITED_TRUE
-        else:
-            limit(moved.element, [end + moved.zero for end in ends], step)
+    ends = [-math.inf if axis["low"] is None else axis["low"], math.inf if axis["high"] is None else axis["high"]]
+    if not follows and not servo:
+        limit(moved.element, [end + moved.zero for end in ends], step)
+    elif not follows and _stops(ends):  # a servo goes where its set-point is
+        actuator.ctrlrange, actuator.ctrllimited = _stops(ends), mujoco.mjtLimited.mjLIMITED_TRUE
     if axis["actuation"] == "force" and not follows:
         _force(axis, moved, actuator, step)
         return
@@ -141,11 +142,17 @@ def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, 
 
 
 def limit(element: Any, ends: list[float], step: float) -> None:
-    """Hard ends of a joint or tendon."""
+    """Hard ends of a joint or tendon, infinite where there is none."""
     import mujoco
 
-    element.range, element.limited = ends, mujoco.mjtLimited.mjLIMITED_TRUE
-    element.solref_limit, element.solimp_limit = [2.0 * step, 1.0], HARD
+    if stops := _stops(ends):
+        element.range, element.limited = stops, mujoco.mjtLimited.mjLIMITED_TRUE
+        element.solref_limit, element.solimp_limit = [2.0 * step, 1.0], HARD
+
+
+def _stops(ends: list[float]) -> list[float]:
+    """Both ends of a range that has one, the other far away; none of a range without."""
+    return [min(max(end, -FAR), FAR) for end in ends] if any(map(math.isfinite, ends)) else []
 
 
 def dry_friction(element: Any, force: float, step: float) -> None:

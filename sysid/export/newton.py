@@ -14,6 +14,7 @@ from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
+from sysid.export.link_inertia import NOTE
 from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
 from sysid.export.support import support_of
@@ -57,6 +58,7 @@ class NewtonTarget:
         "and the end effector is computed from the frames of the stage.",
         "Joints with a `PhysicsDriveAPI` follow the drive model: after each sample, their target is `state.structure` minus "
         "the joint's offset. A force axis with a `NewtonActuator` takes its command as feedforward.",
+        NOTE,
     )
 
     def names(self, plant: Plant) -> MachineNames:

@@ -14,6 +14,7 @@ from sysid.effects import Effect
 from sysid.errors import SettingsError
 from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
+from sysid.export.link_inertia import NOTE, link_inertias
 from sysid.export.names import MachineNames, Names, scoped
 from sysid.export.shipped_run import write_drive_model
 from sysid.export.support import support_of
@@ -27,7 +28,9 @@ FILE, VERSION = "model.sdf", "1.11"
 #: Joint that is added, from the world to the first link.
 ANCHOR = "world_joint"
 #: Mass [kg] and inertia [kg·m²] of a link whose URDF has none, in place of Gazebo's 1 kg.
-SMALL_MASS, SMALL_INERTIA = "0.001", "1e-06"
+SMALL_MASS, SMALL_INERTIA = 1e-3, 1e-6
+#: Least moment of a body, as a share of its largest one.
+THIN = 1e-6
 #: Elements of SDFormat that are written → their children (http://sdformat.org/spec?ver=1.11).
 CHILDREN: Mapping[str, tuple[str, ...]] = {
     "sdf": ("model",),
@@ -41,7 +44,6 @@ CHILDREN: Mapping[str, tuple[str, ...]] = {
     "dynamics": ("damping", "friction"),
     "mimic": ("multiplier", "offset", "reference"),
 }
-_MOMENTS = CHILDREN["inertia"]
 
 
 class SdfTarget:
@@ -55,6 +57,7 @@ class SdfTarget:
         f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
         "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "
         "`effects.csv`. Shapes are not copied.",
+        NOTE,
         f"`{MODULE}` computes the joints from the commands, for the set-points of a joint position controller.",
     )
 
@@ -97,9 +100,11 @@ def sdf_of(urdf: Element, name: str, anchor: str = ANCHOR) -> Element:
     """
     root = Element("sdf", {"version": VERSION})
     model = SubElement(root, "model", {"name": name})
+    inertias = link_inertias(urdf)
     parents = {str(part.get("link")): joint for joint in urdf.findall("joint") for part in joint.findall("child")}
     for link in urdf.findall("link"):
-        _link(model, link, parents.get(str(link.get("name"))))
+        name = str(link.get("name"))
+        _link(model, name, parents.get(name), inertias.get(name))
     for joint in urdf.findall("joint"):
         _joint(model, joint)
     first = next(str(link.get("name")) for link in urdf.findall("link") if str(link.get("name")) not in parents)
@@ -133,23 +138,22 @@ def _finite(tag: str, words: list[str]) -> None:
         raise SettingsError("sdf", f"<{tag}> {' '.join(words)}", f"{expected} finite numbers")
 
 
-def _link(model: Element, link: Element, joint: Element | None) -> None:
-    found = SubElement(model, "link", {"name": str(link.get("name"))})
+def _link(model: Element, name: str, joint: Element | None, inertia: tuple[Array, ...] | None) -> None:
+    found = SubElement(model, "link", {"name": name})
     if joint is not None and joint.get("type") != "floating":
         SubElement(found, "pose", {"relative_to": str(joint.get("name"))})
     elif joint is not None:  # two links without a joint between them
         SubElement(found, "pose", {"relative_to": _ends(joint)[0]}).text = _pose(joint.find("origin"))
+    mass, centre, moments = inertia or (np.array([SMALL_MASS]), np.zeros(3), np.zeros((3, 3)))
+    largest, least = float(np.abs(moments).max()), float(np.linalg.eigvalsh(moments)[0])
+    if least <= THIN * largest:  # a rod, a point: Gazebo needs moments about all axes
+        moments = moments + (THIN * largest or SMALL_INERTIA) * np.eye(3)
     inertial = SubElement(found, "inertial")
-    mass, moments, origin = (link.find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
-    massive = mass is not None and float(mass.get("value", "0")) > 0.0
-    turning = massive and moments is not None and any(float(moments.get(key, "0")) for key in _MOMENTS)
-    if massive and origin is not None:
-        _text(inertial, "pose", _pose(origin))
-    _text(inertial, "mass", str(mass.get("value")) if massive and mass is not None else SMALL_MASS)
-    inertia = SubElement(inertial, "inertia")
-    for key in _MOMENTS:
-        diagonal = SMALL_INERTIA if key in ("ixx", "iyy", "izz") else "0"
-        _text(inertia, key, str(moments.get(key, "0")) if turning and moments is not None else diagonal)
+    _text(inertial, "pose", " ".join(repr(float(x)) for x in (*centre, 0.0, 0.0, 0.0)))
+    _text(inertial, "mass", repr(float(mass[0])))
+    tensor = SubElement(inertial, "inertia")
+    for key in CHILDREN["inertia"]:
+        _text(tensor, key, repr(float(moments["xyz".index(key[1]), "xyz".index(key[2])])))
 
 
 def _joint(model: Element, joint: Element) -> None:

@@ -38,12 +38,8 @@ def own_urdf(plant: Plant) -> tuple[Element, dict[str, str]]:
         return _plain(plant)
     root = urdf_tree(text)
     root.set("name", root.get("name") or plant.machine.name)
-    links, joints = ({str(element.get("name")) for element in root.findall(tag)} for tag in ("link", "joint"))
+    joints = {joint.get("name") for joint in root.findall("joint")}
     for joint in root.findall("joint"):
-        for part in [*joint.findall("parent"), *joint.findall("child")]:
-            if str(part.get("link")) not in links:
-                SubElement(root, "link", {"name": str(part.get("link"))})
-                links.add(str(part.get("link")))
         for mimic in joint.findall("mimic"):
             if mimic.get("joint") not in joints:  # of a joint beside the chain, which rests
                 joint.remove(mimic)

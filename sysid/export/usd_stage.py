@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sysid.export.geometry import base_pose, tip_offset
 from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
 from sysid.export.names import MachineNames, Names, identifier
-from sysid.export.urdf_text import END_EFFECTOR, machine_names, urdf_of, xml_text
+from sysid.export.urdf_text import END_EFFECTOR, machine_names, urdf_of
 from sysid.machine.kinematics import origin_pose
 from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
@@ -79,7 +79,7 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
         UsdGeom.Scope.Define(stage, f"{ROOT}/{group}")
     urdf = urdf_of(plant, names)
     joints = _joints(urdf)
-    inertias, poses = link_inertias(xml_text(urdf)), _link_poses(joints, turn, place)
+    inertias, poses = link_inertias(urdf), _link_poses(joints, turn, place)
     for link, pose in poses.items():
         _link(stage, link, pose, inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3)))))
     base = next(link for link in poses if link not in {joint.child for joint in joints})

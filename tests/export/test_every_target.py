@@ -12,7 +12,6 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from test_mjcf_arm import dataset as arm_dataset
-from test_mjcf_arm import two_links
 from test_sdf import place_of
 
 from sysid.datasets.recording import Dataset, Recording
@@ -167,6 +166,16 @@ def sdf_agrees(plant: Plant, folder: Path) -> None:
     np.testing.assert_allclose(place_of(sdf, names.added[END_EFFECTOR], values)[:3, 3], state.ee[0], atol=1e-9)
 
 
+def possible_moments(inertial: Any) -> bool:
+    """Whether a body has these moments: all are positive, and none is above the sum of the others."""
+    moments = np.zeros((3, 3))
+    for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+        i, j = "xyz".index(key[1]), "xyz".index(key[2])
+        moments[i, j] = moments[j, i] = float(inertial.findtext(f"inertia/{key}"))
+    values = np.linalg.eigvalsh(moments)
+    return bool(values[0] > 0.0 and values[2] <= (values[0] + values[1]) * (1.0 + 1e-9))
+
+
 def xml_root(path: Path) -> Any:
     from defusedxml.ElementTree import parse
 
@@ -190,21 +199,31 @@ def test_every_machine_in_every_target(make: Any, target: Target, tmp_path: Path
     assert ("ee.x" in moved) == (plant.machine.urdf_text is not None)
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_an_arm_with_masses(target: Target, tmp_path: Path) -> None:
+def heavy(urdf: str) -> Plant:
+    """An arm: forces at its joints move links with masses."""
+    return plant_of(two_axes("force"), urdf)
+
+
+ARMS = {
+    "a root link called world": chain("world", mass=MASS),
+    "no end stops": chain(kinds=("continuous", "continuous"), mass=MASS),
+    "a slide": chain(kinds=("prismatic", "revolute"), mass=MASS),
+    "a finger that follows": chain(mass=MASS)
+    + link("finger", MASS)
+    + joint("finger_joint", "revolute", ("fore", "finger"), "0.1 0 0", inside='<mimic joint="lift_joint" multiplier="-0.5"/>'),
+    "a floating part": chain(mass=MASS) + link("part") + joint("float", "floating", ("fore", "part")),
+    "a mass without moments": chain(mass='<inertial><origin xyz="0.1 0 0.02"/><mass value="2"/></inertial>'),
+}
+
+
+@pytest.mark.parametrize("urdf", ARMS.values(), ids=ARMS)
+def test_arms_with_masses(urdf: str, tmp_path: Path) -> None:
     pytest.importorskip("pinocchio")
-    plant = two_links()
-    text = plant.machine.urdf_text
-    assert text is not None
-    renamed = {**plant.machine.files(), str(plant.machine.urdf): text.replace('"base"', '"world"')}
-    arm = Plant(machine_from_files(renamed, "arm"), plant.linkages, plant.effects, plant.streams)
-    if not target.arms:
-        with pytest.raises(SettingsError, match="force axes that move links with masses"):
-            export_plant(arm, arm_dataset(arm), target, tmp_path / "out", samples=1)
-        return
-    made = export_plant(arm, arm_dataset(arm), target, tmp_path / "out", samples=1)
+    plant = heavy(urdf)
+    made = export_plant(plant, arm_dataset(plant), target_named("mjcf"), tmp_path / "out", samples=1)
     assert made.replay is not None
     assert made.replay.agrees
+    assert {row.signal for row in made.replay.rows if row.motion > 1e-2} >= {"base_turn.command", "lift.command", "ee.x"}
 
 
 #: What hangs on the chain of a description that is incomplete or has parts that no axis moves.
@@ -214,6 +233,8 @@ PARTS = {
     "moments without a mass": link("part", '<inertial><inertia ixx="1" iyy="1" izz="1"/></inertial>')
     + joint("hold", "fixed", ("fore", "part")),
     "a mass of zero": link("part", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>')
+    + joint("hold", "fixed", ("fore", "part")),
+    "moments of no body": link("part", '<inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="1"/></inertial>')
     + joint("hold", "fixed", ("fore", "part")),
     "a mesh that is not there": link("part", '<visual><geometry><mesh filename="package://x/y.stl"/></geometry></visual>')
     + joint("hold", "fixed", ("fore", "part")),
@@ -237,8 +258,9 @@ def test_incomplete_descriptions(part: str, target: Target, tmp_path: Path) -> N
     made = exported(plant, target, tmp_path)
     if target.name == "sdf":
         sdf_agrees(plant, tmp_path)
-        for mass in xml_root(tmp_path / "out" / SDF_FILE).iter("mass"):
-            assert float(mass.text) > 0.0
+        for inertial in xml_root(tmp_path / "out" / SDF_FILE).iter("inertial"):
+            assert float(inertial.findtext("mass")) > 0.0
+            assert possible_moments(inertial)
     else:
         assert made.replay is not None
         assert made.replay.agrees

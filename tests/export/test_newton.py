@@ -19,6 +19,7 @@ from sysid.export.target import Start
 from sysid.export.usd_actuators import actuator_path
 from sysid.export.usd_stage import SCENE, joint_path, link_path, undeclared
 from sysid.machine import KnownEffect, machine_from_files
+from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant, nominal_plant
 from sysid.testing.probe import RATE_HZ
 
@@ -82,7 +83,7 @@ def palletiser() -> Plant:
 
 
 def test_masses_are_those_of_the_urdf(tmp_path: Path) -> None:
-    stage, inertias = opened(palletiser(), tmp_path), link_inertias(urdf())
+    stage, inertias = opened(palletiser(), tmp_path), link_inertias(urdf_tree(urdf()))
     assert len(inertias) == 5
     for link, (mass, centre, inertia) in inertias.items():
         prim = stage.GetPrimAtPath(link_path(link))
