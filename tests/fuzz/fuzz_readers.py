@@ -4,10 +4,10 @@
 
     python tests/fuzz/fuzz_readers.py [READER | TARGET …] [--seconds 120] [--work FOLDER]
 
-Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, recipes, names. Each runs in
-a process of its own, starting from the small logs of its format or from what the project ships, and ends early with the first
-input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 2 GiB. It is kept in
-``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.
+Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, MJCFs, recipes, names.
+Each runs in a process of its own, starting from the small logs of its format or from what the project ships, and ends early
+with the first input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 2 GiB.
+It is kept in ``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.
 """
 
 from __future__ import annotations

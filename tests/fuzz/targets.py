@@ -165,13 +165,13 @@ def _autolog() -> tuple[str, str, str]:
     return tuple((AUTOLOG / name).read_text("utf-8") for name in ("machine.toml", "autolog.urdf", "recipe.toml"))  # type: ignore[return-value]
 
 
-def _machine(toml: str, urdf: str) -> None:
+def _machine(toml: str, urdf: str, name: str = "autolog.urdf") -> None:
     from sysid.errors import SysidError
     from sysid.machine import machine_from_files
     from sysid.view.visuals import link_shapes
 
     try:
-        machine = machine_from_files({"machine.toml": toml, "autolog.urdf": urdf}, "input")
+        machine = machine_from_files({"machine.toml": toml, name: urdf}, "input")
         kinematics = machine.kinematics()
     except SysidError:
         return
@@ -196,6 +196,86 @@ def machine(data: bytes) -> None:
 def urdf(data: bytes) -> None:
     """A URDF, beside the ``machine.toml`` that ships."""
     _machine(_autolog()[0], _text(data))
+
+
+@functools.cache
+def _robot() -> Path:
+    """Where the input is: a folder with a part that it may include, and with a file beside it that it may not."""
+    place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)) / "robot"
+    (place / "sub").mkdir(parents=True)
+    (place.parent / "out.xml").write_text('<mujoco><worldbody><body name="outside"/></worldbody></mujoco>')
+    (place / "sub/part.xml").write_text('<mujoco><worldbody><body name="part"/></worldbody></mujoco>')
+    return place
+
+
+#: What an attribute of a robot is replaced by.
+_VALUES = ("0", "-1", "nan", "inf", "1e308", "1e-308", "", "0 0 0", "1 2 3", "x", "true", "2147483648", "1e-9 1 1 1 1 1 1")
+
+
+def _edited(data: bytes) -> bytes:
+    """A robot of the tests with attributes replaced and elements removed or doubled: its number, then three bytes an edit."""
+    from xml.etree.ElementTree import fromstring, tostring
+
+    files = _robots()
+    root = fromstring(files[data[0] % len(files)].read_bytes())
+    for place, key, value in zip(data[1::3], data[2::3], data[3::3], strict=False):
+        parents = [element for element in root.iter() if len(element)]
+        elements = [(parent, child) for parent in parents for child in parent]
+        if not elements:
+            break
+        parent, element = elements[place % len(elements)]
+        keys = list(element.attrib)
+        if key % 8 == 0:
+            parent.remove(element)
+        elif key % 8 == 1:
+            parent.append(element)
+        elif keys:
+            element.set(keys[key % len(keys)], _VALUES[value % len(_VALUES)])
+    return tostring(root)
+
+
+def mjcf(data: bytes) -> None:
+    """An MJCF, or edits of one: the draft of its machine in a confined process, and here what that process has taken."""
+    from sysid.cli.init_from import Choices, Drafted, drafted_files
+    from sysid.confined import Limits, confined
+    from sysid.errors import SysidError
+    from sysid.machine.sources import mjcf_model
+    from sysid.machine.sources.mjcf_files import joined_model
+
+    path = _robot() / "input.xml"
+    path.write_bytes(data if not data or data[:1] in b"<\n " else _edited(data))
+    limits = Limits(2**30, 5.0)
+    try:
+        joined = joined_model(path)
+        assert "outside" not in "".join(joined.texts.values())
+        confined(lambda report: drafted_files(path, "input", Choices()), path, limits, (Drafted,))
+    except SysidError as error:
+        if "cannot be read (" in str(error):  # not an error of ours
+            raise AssertionError(str(error)) from error
+        return
+    alone = mjcf_model.inside
+    mjcf_model.inside = lambda: True
+    try:
+        drafted = drafted_files(path, "input", Choices())
+    finally:
+        mjcf_model.inside = alone
+    _machine(drafted.files["machine.toml"], drafted.files["input.urdf"], "input.urdf")
+
+
+def _robots() -> list[Path]:
+    return [path for path in sorted((ROOT / "tests/helpers/robots").rglob("*.xml")) if path.stat().st_size < 16_000]
+
+
+def _mjcf_seeds() -> tuple[bytes, ...]:
+    names = ("sub/part.xml", "../out.xml", "input.xml")
+    others = "".join(f'<include file="{name}"/>' for name in names)
+    made = (
+        f"<mujoco>{others}</mujoco>",
+        '<mujoco><asset><model name="m" file="sub/part.xml"/><mesh file="../out.obj"/><texture type="2d" file="none.png"/>'
+        '</asset><worldbody><attach model="m" body="part" prefix="m"/><replicate count="2"><geom size="1"/></replicate>'
+        "</worldbody></mujoco>",
+    )
+    return (*(path.read_bytes() for path in _robots()), *map(str.encode, made), *(bytes([k, 9, 10, k]) for k in range(33, 50)))
 
 
 def recipe(data: bytes) -> None:
@@ -268,13 +348,15 @@ TARGETS: dict[str, Target] = {
     "network": Target(network, lambda: (_structure(),)),
     "machine": Target(machine, lambda: (_autolog()[0].encode(),)),
     "urdf": Target(urdf, lambda: (_autolog()[1].encode(), *(p.read_bytes() for p in sorted(ROOT.glob("datasets/*/*.urdf"))))),
+    "mjcf": Target(mjcf, _mjcf_seeds),
     "recipe": Target(recipe, _recipe_seeds),
     "names": Target(names, _name_seeds),
 }
 
 
 def forget() -> None:
-    """Remove the workspace of this process."""
-    if _workspace.cache_info().currsize:
-        shutil.rmtree(_workspace().parent, ignore_errors=True)
-        _workspace.cache_clear()
+    """Remove the folders of this process."""
+    for made in (_workspace, _robot):
+        if made.cache_info().currsize:
+            shutil.rmtree(made().parent, ignore_errors=True)
+            made.cache_clear()
