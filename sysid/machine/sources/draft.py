@@ -174,79 +174,78 @@ def draft_of(
             if found[-1].joints != group[0].joints or found[-1] is group[0]:
                 ends = listed([each.tip for each in group], most=4)
                 assumed.append(f"end effector {found[-1].tip}: the chain parts to {ends}; --tip chooses another")
-    if len(found) == 1 and found[0].base is None:
-        made = _tried(found[0], draft, where, kind)
-        return replace(made, assumed=(*assumed, *made.assumed))
-    raise _proposal(found, draft, where, kind)
+    attempts = [_attempt(choice, draft, kind) for choice in found]
+    if len(found) > 1 or found[0].base is not None:
+        raise _proposal(attempts, where)
+    if attempts[0].draft is None:
+        raise attempts[0].refusal()
+    return replace(attempts[0].draft, assumed=(*assumed, *attempts[0].draft.assumed))
 
 
-def _tried(
-    choice: ChainChoice, draft: Callable[[ChainChoice, str | None], MachineDraft], where: str, kind: str | None
-) -> MachineDraft:
-    """The draft of a choice.
+@dataclass(frozen=True)
+class _Attempt:
+    """A choice that was drafted, can be drafted with one of ``kinds``, or cannot because of ``error``.
 
-    Raises:
-        SettingsError: as ``draft``; where it does not state how joints are commanded, with a kind that has been tried.
+    Args:
+        unstated: whether the description does not state how its joints are commanded.
     """
+
+    choice: ChainChoice
+    draft: MachineDraft | None = None
+    kinds: tuple[str, ...] = ()
+    error: SettingsError | None = None
+    unstated: bool = False
+
+    def refusal(self, options: str = "") -> SettingsError:
+        """The error of a choice that is not drafted; ``options`` have to be added as well."""
+        error = self.error
+        assert error is not None
+        if self.kinds:
+            remedy = f"Add --kind {self.kinds[0]}. Kinds, each of all joints: {_kinds(self.kinds)}."
+            return SettingsError(error.where, error.found, error.expected, remedy)
+        options = " ".join(filter(None, (options, "--kind servo" if self.unstated else "")))
+        if not options or not error.remedy:
+            return error
+        return SettingsError(error.where, error.found, error.expected, f"{error.remedy} Then add {options}.")
+
+
+def _attempt(choice: ChainChoice, draft: Callable[[ChainChoice, str | None], MachineDraft], kind: str | None) -> _Attempt:
+    """A choice as the user has it; where the description does not state how joints are commanded, with each kind."""
     try:
-        return draft(choice, kind)
-    except UnknownDriveError as error:
-        kinds = _working_kinds(choice, draft)
-        remedy = f"Add --kind {kinds[0]}. Kinds, each of all joints: {_kinds(kinds)}."
-        raise SettingsError(error.where, error.found, error.expected, remedy) from None
-
-
-def _working_kinds(choice: ChainChoice, draft: Callable[[ChainChoice, str | None], MachineDraft]) -> list[str]:
-    """Kinds that a choice can be drafted with.
-
-    Raises:
-        SettingsError: the reason why it cannot be drafted with the first.
-    """
-    found, reasons = [], list[SettingsError]()
-    for kind in KINDS:
-        try:
-            draft(choice, kind)
-        except SettingsError as error:
-            reasons.append(error)
-        else:
-            found.append(kind)
-    if not found:
-        raise reasons[0]
-    return found
+        return _Attempt(choice, draft(choice, kind))
+    except UnknownDriveError as unknown:
+        working, reasons = list[str](), list[SettingsError]()
+        for each in KINDS:
+            try:
+                draft(choice, each)
+                working.append(each)
+            except SettingsError as error:
+                reasons.append(error)
+        return _Attempt(choice, kinds=tuple(working), error=unknown if working else reasons[0], unstated=True)
+    except SettingsError as error:
+        return _Attempt(choice, error=error)
 
 
 def _kinds(names: Iterable[str]) -> str:
     return ", ".join(f"{name} ({KINDS[name]})" for name in names)
 
 
-def _proposal(
-    choices: Sequence[ChainChoice], draft: Callable[[ChainChoice, str | None], MachineDraft], where: str, kind: str | None
-) -> SettingsError:
-    """The error that proposes the choices that can be drafted."""
-    working, reasons = list[tuple[ChainChoice, str | None]](), list[SettingsError]()
-    for choice in choices:
-        try:
-            try:
-                draft(choice, kind)
-                working.append((choice, None))
-            except UnknownDriveError:
-                working.append((choice, _working_kinds(choice, draft)[0]))
-        except SettingsError as error:
-            reasons.append(error)
+def _proposal(attempts: Sequence[_Attempt], where: str) -> SettingsError:
+    """The error that proposes the first of several choices, or of one with a held base, that can be drafted."""
+    working = [attempt for attempt in attempts if attempt.draft is not None or attempt.kinds]
     if not working:
-        then = f" Then add {choices[0].options()}." if reasons[0].remedy else ""
-        return SettingsError(reasons[0].where, reasons[0].found, reasons[0].expected, f"{reasons[0].remedy}{then}")
-    first, its_kind = working[0]
+        return attempts[0].refusal(attempts[0].choice.options())
+    first, kind = working[0].choice, next(iter(working[0].kinds), None)
+    choices = [attempt.choice for attempt in attempts]
     if len(choices) > 1:
-        count = len(choices[0].joints) if len({len(each.joints) for each in choices}) == 1 else "as many"
-        ends = listed([each.tip for each in choices], most=8)
-        found = f"{len(choices)} chains of {count} driven joints, to {ends}"
+        count = len(first.joints) if len({len(each.joints) for each in choices}) == 1 else "as many"
+        found = f"{len(choices)} chains of {count} driven joints, to {listed([each.tip for each in choices], most=8)}"
         found = f"{first.held}, and {found}" if first.held else found
         expected, more = "one machine: a chain of joints", " The other chains are machines of their own, each with its --tip."
     else:
         found, expected, more = first.held, "a base that is fixed to the world", ""
     if first.base is not None:
-        more = f"{more} {first.base} is held still then, as on a stand."
-    if its_kind is not None:
-        more = f"{more} Kinds: {_kinds(KINDS)}."
-    return SettingsError(where, found, expected, f"Add {first.options(its_kind)}.{more}")
+        more += f" {first.base} is held still then, as on a stand."
+    if kind is not None:
+        more += f" Kinds: {_kinds(KINDS)}."
+    return SettingsError(where, found, expected, f"Add {first.options(kind)}.{more}")

@@ -299,6 +299,8 @@ def _beside(model: Any, chain: Chain) -> list[Note]:
     for pair in joint_equalities(model):
         if {*pair} <= leading:
             notes.append(("coupling of two driven joints:", listed([joint_name(model, joint) for joint in pair])))
+    if model.opt.density or model.opt.viscosity:
+        notes.append(("forces of a fluid:", f"density {model.opt.density:g} kg/m³, viscosity {model.opt.viscosity:g} Pa·s"))
     for tendon in range(model.ntendon):
         if crossed_joints(model, tendon, joints):
             notes.append(("tendons across its joints:", str(model.tendon(tendon).name) or str(tendon)))

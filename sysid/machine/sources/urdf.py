@@ -5,7 +5,7 @@ Sources: URDF specification (ROS wiki, ``urdf/XML/joint``, ``urdf/XML/Transmissi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, tostring
 
 from sysid.errors import SettingsError, nearest
@@ -28,6 +28,7 @@ from sysid.machine.sources.draft import (
     without_stops,
 )
 from sysid.machine.urdf_tree import MOVING, indefinite_links, urdf_tree
+from sysid.names import listed
 from sysid.numbers import NonNegative, number
 
 #: Name of a ROS command interface → actuation.
@@ -115,9 +116,10 @@ def _draft(text: str, source: str, choice: ChainChoice, kind: str | None, tool: 
     kinematics = Kinematics.from_urdf(text, choice.joints, tip, tool)
     elements = {element.get("name", ""): element for element in root.findall("joint")}
     stated, names = _stated(root), axis_names(choice.joints)
+    actuations = [ACTUATIONS[kind] if kind is not None else _actuation(name, stated, source) for name in choice.joints]
+    _check_ranges([joints[name] for name in choice.joints])
     axes, beyond = list[AxisDraft](), list[tuple[str, str]]()
-    for name in choice.joints:
-        actuation = ACTUATIONS[kind] if kind is not None else _actuation(name, stated, source)
+    for name, actuation in zip(choice.joints, actuations, strict=True):
         axis, missing = _axis(names[name], joints[name], elements[name], actuation)
         axes.append(axis)
         beyond += missing
@@ -156,17 +158,26 @@ def _actuation(joint: str, stated: Mapping[str, set[str]], source: str) -> Actua
     return INTERFACES[names[0]]
 
 
+def _check_ranges(joints: Sequence[Joint]) -> None:
+    """Raise SettingsError where the ends of a range are not in order, with all joints of one mistake."""
+    for swapped in (True, False):
+        wrong = [j for j in joints if (j.limits[0] > j.limits[1] if swapped else j.limits[0] == j.limits[1])]
+        if not wrong:
+            continue
+        one, names = len(wrong) == 1, listed([shown(joint.name) for joint in wrong])
+        where, its = f"urdf: joint{'' if one else 's'} {names}: limit", "its" if one else "their"
+        if swapped:
+            ends = ", ".join(f"[{joint.limits[0]:g}, {joint.limits[1]:g}]" for joint in wrong)
+            raise SettingsError(where, ends, "lower below upper", "Swap lower and upper.")
+        kind = f"{its} type to fixed" if wrong[0].prismatic else f"{its} type to continuous, which has no end stops"
+        found = f"lower and upper are {', '.join(f'{joint.limits[0]:g}' for joint in wrong)}"
+        raise SettingsError(where, found, "lower below upper", f"Change {kind}, or state lower and upper.")
+
+
 def _axis(name: str, joint: Joint, element: Element, actuation: Actuation) -> tuple[AxisDraft, list[tuple[str, str]]]:
     where = f"urdf: joint {shown(joint.name)}"
     keys = ("limit.velocity", "limit.effort", "dynamics.damping", "dynamics.friction")
     values = {key: _attribute(element, key, where) for key in keys}
-    if joint.limits[0] >= joint.limits[1]:
-        low, high = joint.limits
-        if low > high:
-            raise SettingsError(f"{where}: limit", f"[{low:g}, {high:g}]", "lower below upper", "Swap lower and upper.")
-        either = "its type to fixed" if joint.prismatic else "its type to continuous, which has no end stops"
-        remedy = f"Change {either}, or state lower and upper."
-        raise SettingsError(f"{where}: limit", f"lower and upper are {low:g}", "lower below upper", remedy)
     unit, gain = ("N", "m/s") if joint.prismatic else ("N·m", "rad/s"), 1.0
     notes = limit_notes(joint.name, ("force", values["limit.effort"], unit[0]))
     if actuation == "velocity":
