@@ -25,6 +25,8 @@ from sysid.machine.rigid_body import RigidBody
 
 Array = npt.NDArray[np.float64]
 POSES = 20
+#: A largest entry below this is rounding: an axis along gravity needs no torque [N·m, N; kg·m², kg].
+NOTHING = 1e-6
 #: Ends of an axis without limits, and of one that reaches further [rad or m].
 WIDEST = math.pi
 
@@ -71,7 +73,7 @@ def compared(machine: Machine, peer: Peer) -> dict[str, float]:
     for key, name in (("torque", "torque"), ("mass", "mass_matrix")):
         size = max(float(np.abs(getattr(pose, key)).max()) for pose in there)
         most = max(float(np.abs(getattr(a, key) - getattr(b, key)).max()) for a, b in zip(here, there, strict=True))
-        found[name] = most / size if size > 0.0 else most
+        found[name] = most / max(size, NOTHING)
     return found
 
 

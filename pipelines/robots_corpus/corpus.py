@@ -50,7 +50,7 @@ class Robot:
     def key(self) -> str:
         """A name for its folder."""
         return re.sub(
-            r"[^A-Za-z0-9]+", "-", f"{self.package}-{self.file.removesuffix('.urdf').removesuffix('.xml')}-{self.kind}"
+            r"[^A-Za-z0-9_]+", "-", f"{self.package}-{self.file.removesuffix('.urdf').removesuffix('.xml')}-{self.kind}"
         )
 
 

@@ -29,7 +29,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Done:
-    """A finished command: ``seconds`` of processor time, ``memory`` its largest resident set [MiB], ``text`` both outputs."""
+    """A finished command.
+
+    Args:
+        text: both outputs.
+        seconds: of processor time; ``memory``: the largest resident sets of its processes [MiB].
+    """
 
     code: int
     text: str
@@ -59,12 +64,12 @@ def run(command: Sequence[str], limits: Limits, cwd: Path | None = None, env: di
             shell, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, cwd=cwd, start_new_session=True,
             env=os.environ | ONE_THREAD | {"COLUMNS": "10000"} | (env or {}),
         )  # fmt: skip
-        status, seconds, memory = _wait(process.pid, begin + limits.wall)
+        status, seconds, resident = _wait(process.pid, begin + limits.wall)
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         text = out.read().decode("utf-8", "replace")
     kept = text if len(text) <= 2 * _KEPT else f"{text[:_KEPT]}\n…\n{text[-_KEPT:]}"
-    return Done(process.returncode, kept, round(seconds, 2), round(time.monotonic() - begin, 2), round(memory / 1024))
+    return Done(process.returncode, kept, round(seconds, 2), round(time.monotonic() - begin, 2), round(resident / 1024))
 
 
 def _wait(pid: int, until: float) -> tuple[int, float, float]:
@@ -83,10 +88,14 @@ def _wait(pid: int, until: float) -> tuple[int, float, float]:
 
 
 def _resident(pid: int) -> float:
-    """The largest resident set so far [KiB]. The resource usage also counts that of the process which started it."""
+    """The largest resident sets so far of a process and of the processes that it started, together [KiB].
+
+    The resource usage would also count that of the process which started it.
+    """
     try:
         text = Path(f"/proc/{pid}/status").read_text("utf-8")
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text("utf-8").split()
     except OSError:
         return 0.0
     match = re.search(r"VmHWM:\s+(\d+)", text)
-    return float(match[1]) if match else 0.0
+    return (float(match[1]) if match else 0.0) + sum(_resident(int(child)) for child in children)

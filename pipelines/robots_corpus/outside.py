@@ -31,7 +31,9 @@ class Outside:
 
 OUTSIDE: Sequence[Outside] = (
     Outside(r"root element", "not a robot: another root element", lambda f: f["root"] not in ("robot", "mujoco")),
-    Outside(r"MuJoCo compiles", "MuJoCo does not compile it", lambda f: "compiles" in f and not f["compiles"]),
+    Outside(r"no file|a file below", "files of the model are missing", lambda f: bool(f.get("missing"))),
+    Outside(r"", "MuJoCo does not compile it", lambda f: "compiles" in f and not f["compiles"]),
+    Outside(r"allocate memory", "it asks for more memory than a process has", lambda f: f.get("arena", 0) > 10**9),
     Outside(r"loop", "closed loop", lambda f: f.get("loops", 0) > 0),
     Outside(r"no driven joint|no joint", "no joint to drive", lambda f: f.get("joints") == 0),
     Outside(r"no driven joint|no actuator", "no actuator", lambda f: f.get("actuators") == 0),
@@ -72,12 +74,14 @@ def _mjcf(path: Path) -> dict[str, Any]:
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        return {"compiles": False, "error": " ".join(str(error).split())[:300]}
+        text = " ".join(str(error).split())
+        return {"compiles": False, "missing": "opening file" in text, "error": text[:300]}
     joints, on = [int(kind) for kind in model.jnt_type], [int(kind) for kind in model.actuator_trntype]
     kinds, trn, eq, dyn = mujoco.mjtJoint, mujoco.mjtTrn, mujoco.mjtEq, mujoco.mjtDyn
     laws = (dyn.mjDYN_NONE, dyn.mjDYN_INTEGRATOR, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT, dyn.mjDYN_MUSCLE)
     return {
         "compiles": True,
+        "arena": int(model.narena),
         "joints": sum(kind in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE) for kind in joints),
         "ball": joints.count(kinds.mjJNT_BALL),
         "free": joints.count(kinds.mjJNT_FREE),

@@ -170,11 +170,10 @@ def _remove_free_joint(root: Element, match: re.Match[str]) -> bool:
 
 
 def _change_type(root: Element, match: re.Match[str]) -> bool:
-    joint = next((j for j in root.findall("joint") if j.get("name") == match["joint"]), None)
-    if joint is None or joint.get("type") == match["type"]:
-        return False
-    joint.set("type", match["type"])
-    return True
+    joints = [j for j in root.findall("joint") if j.get("name") in names_in(match["joints"]) and j.get("type") != match["type"]]
+    for joint in joints:
+        joint.set("type", match["type"])
+    return bool(joints)
 
 
 def _swap_limits(root: Element, match: re.Match[str]) -> bool:
@@ -251,7 +250,7 @@ EDITS: Sequence[tuple[str, Edit]] = (
     (rf"Remove from <actuator> [^.]*such as (?P<names>{_LISTED})", _tree_edit(_remove_actuators)),
     (r"actuator (?P<names>'[^']+').*Remove it from <actuator>", _tree_edit(_remove_actuators)),
     (r"Remove the joint and its values in keyframes: (?P<body>\S+) is fixed to the world", _tree_edit(_remove_free_joint)),
-    (r"joint '(?P<joint>[^']+)'.*?Change its type to (?P<type>\w+)", _tree_edit(_change_type)),
+    (rf"joints? (?P<joints>{_LISTED}): .*?Change (?:its|their) type to (?P<type>\w+)", _tree_edit(_change_type)),
     (r"joint '(?P<joint>[^']+)'.*?Swap lower and upper", _tree_edit(_swap_limits)),
     (r"(?P<key>\w+)='(?P<found>[^']*)'.*Write (?P=key)=\"(?P<value>[^\"]*)\"", _write_attribute),
     (r"without commas", _without_commas),

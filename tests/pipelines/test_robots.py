@@ -110,6 +110,12 @@ FREE = (
             ['"lift" type="revolute"'],
             ["continuous"],
         ),
+        (
+            "urdf: joints 'pan' and 'lift': limit: 0, 0; expected y. Change their type to continuous, or state both.",
+            arm(),
+            ['type="revolute"'],
+            ['"pan" type="continuous"', '"lift" type="continuous"'],
+        ),
         ("urdf: joint 'pan': limit; expected y. Swap lower and upper.", arm(), ['lower="-2"'], ['lower="2"', 'upper="-2"']),
         (
             "<origin>: rpy='0, 1 2': a comma; expected y. Write rpy=\"0 1 2\".",
