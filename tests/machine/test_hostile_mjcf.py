@@ -243,6 +243,14 @@ def test_when_a_mass_depends_on_a_mesh(tmp_path: Path, compiler: str, geom: str,
     np.testing.assert_array_equal(left.body_inertia, load_mjcf(without).body_inertia)
 
 
+@pytest.mark.parametrize("armature", ["-1", "inf", "nan"])
+def test_an_impossible_inertia(tmp_path: Path, armature: str) -> None:
+    path = written(tmp_path, ARM.format(meshdir="", geom="").replace("<joint ", f'<joint armature="{armature}" '))
+    error = refusal(path, read_mjcf)
+    assert error.where == f"{path}: joint 'a'"
+    assert error.found.endswith("at the reference pose")
+
+
 def test_contacts_that_are_switched_on_elsewhere(tmp_path: Path) -> None:
     apart = 'name="g" contype="0" conaffinity="0"'
     other = '<geom name="floor" size="1"/>'

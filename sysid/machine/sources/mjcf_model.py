@@ -69,6 +69,7 @@ def read_mjcf(path: Path, assets: Sequence[Path] | None = ()) -> ReadModel:
     """
     joined = _tried(path, assets, contacts=False)
     model = _compile(joined, _specification(joined, contacts=False))
+    _check_inertias(model, joined)
     notes = [(f"{file.kind} without its file:", visible(file.name, MAX_NAME)) for file in joined.missing]
     return ReadModel(model, tuple(summarised(notes)))
 
@@ -161,6 +162,18 @@ def _placed(joined: JoinedModel, message: str) -> str:
         return f"line {line}" if file == joined.source else f"line {line} of {file.name}"
 
     return re.sub(r"\bline (\d{1,9})\b", place, message)
+
+
+def _check_inertias(model: Any, joined: JoinedModel) -> None:
+    """Check that the inertia of each joint at the reference pose is positive and finite, as a negative ``armature`` is not.
+
+    Raises:
+        InputError: it is not.
+    """
+    for joint, dof in zip(model.dof_jntid, model.dof_M0, strict=True):
+        if not 0.0 < dof < math.inf:
+            where = f"{joined.source}: joint {shown(joint_name(model, int(joint)))}"
+            raise InputError(where, f"inertia {dof:g} at the reference pose", "a positive number", "Check masses and armature.")
 
 
 def _check_stand_ins(spec: Any, joined: JoinedModel, contacts: bool) -> None:
