@@ -104,7 +104,7 @@ def _within_bounds(draft: MachineDraft, name: str) -> tuple[MachineDraft, str, M
                 check_known_effect(machine, effect, None)
                 kept.append(effect)
             except SettingsError as error:
-                beyond.append(f"{effect.name} of {axis.name}: {error.found}, beyond {error.expected}")
+                beyond.append(f"{effect.name} of {axis.name}: {error.found}, where the effect has {error.expected}")
         axes.append(replace(axis, effects=tuple(kept)))
     if beyond:
         draft = replace(draft, axes=tuple(axes), left_out=(*draft.left_out, *beyond))

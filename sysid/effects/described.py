@@ -86,10 +86,10 @@ def _check_target(machine: Machine, effect: Effect, target: str, streams: Collec
 
 def _check_value(item: KnownEffect, parameter: Parameter, where: str) -> None:
     value = np.atleast_1d(np.asarray(item.parameters[parameter.name], dtype=np.float64))
-    low, high = parameter.bounds
-    if value.shape != (len(parameter.components),) or not np.all((value >= low) & (value <= high)):
+    (low, high), count = parameter.bounds, len(parameter.components)
+    if value.shape != (count,) or not np.all((value >= low) & (value <= high)):
         raise SettingsError(
             f"{where} {item.name} on {item.target}",
             f"{parameter.name} = {item.parameters[parameter.name]}",
-            f"{len(parameter.components)} number(s) in [{low}, {high}] {parameter.unit}",
+            f"{'a number' if count == 1 else f'{count} numbers'} in [{low}, {high}] {parameter.unit}",
         )

@@ -20,7 +20,7 @@ EFFECT = '\n[[effects]]\nname = "valve_deadband"\ntarget = "a"\nparameters = { p
         ("valve_deadband", "valve_dedband", "unknown effect 'valve_dedband'; expected 'valve_deadband'?"),
         ('target = "a"', 'target = "aa"', "unknown axis 'aa'; expected 'a'?"),
         ("positive =", "positiv =", "'positiv' is no parameter: 'positive'?"),
-        ("negative = 0.1", "negative = 7.0", "negative = 7.0; expected 1 number(s) in [0.0, "),
+        ("negative = 0.1", "negative = 7.0", "negative = 7.0; expected a number in [0.0, "),
     ],
 )
 def test_mistakes_in_effects_stop_the_ingest(tmp_path: Path, before: str, after: str, message: str) -> None:

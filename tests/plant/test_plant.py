@@ -170,9 +170,9 @@ def test_both_sides_of_a_play_are_two_effects() -> None:
         (KnownEffect("gain_error", "wrist", {"ratio": 1.0}), "target 'wrist' is position-actuated; expected velocity"),
         (KnownEffect("gain_error", "boom", {"ration": 1.0}), "gain_error: parameters {ration}; expected {ratio}"),
         (KnownEffect("gain_error", "boom", {}), "gain_error: parameters {}; expected {ratio}"),
-        (KnownEffect("gain_error", "boom", {"ratio": 50.0}), "on boom: ratio = 50.0; expected 1 number(s) in [0.05, 20.0]"),
-        (KnownEffect("gain_error", "boom", {"ratio": [1.0, 1.0]}), "ratio = [1.0, 1.0]; expected 1 number(s)"),
-        (KnownEffect("gain_error", "boom", {"ratio": float("nan")}), "ratio = nan; expected 1 number(s)"),
+        (KnownEffect("gain_error", "boom", {"ratio": 50.0}), "on boom: ratio = 50.0; expected a number in [0.05, 20.0]"),
+        (KnownEffect("gain_error", "boom", {"ratio": [1.0, 1.0]}), "ratio = [1.0, 1.0]; expected a number"),
+        (KnownEffect("gain_error", "boom", {"ratio": float("nan")}), "ratio = nan; expected a number"),
         (KnownEffect("gain_error", "boom", {"ratio": 1.0}, "drive"), "side 'drive'; expected no side"),
         (KnownEffect("backlash", "boom", {"width": 0.01}, "strukture"), "side 'strukture'; expected 'structure'?"),  # type: ignore[arg-type]
         (KnownEffect("gripper_sway", "boom", {"length": 0.2, "damping_ratio": 0.1}), "target 'boom'; expected 'tool'"),
@@ -181,7 +181,7 @@ def test_both_sides_of_a_play_are_two_effects() -> None:
         (KnownEffect("sensor_bias", "slew.cylinder", {"bias": 0.01}), "target 'slew.cylinder'; expected"),
         (KnownEffect("clock_offset", "mocap", {"offset": 0.01}), "unknown target 'mocap'; expected no stream is known"),
         (KnownEffect("pump_flow_limit", "boom", {"limit": 1.0}), "target 'boom'; expected 'machine'"),
-        (KnownEffect("base_misalignment", "base", {"translation": 0.1, "rotation": [0, 0, 0]}), "expected 3 number(s)"),
+        (KnownEffect("base_misalignment", "base", {"translation": 0.1, "rotation": [0, 0, 0]}), "expected 3 numbers"),
     ],
     ids=lambda value: "" if isinstance(value, str) else value.name,
 )  # fmt: skip
