@@ -65,11 +65,11 @@ SEEDS ?= 0:1
 arms: $(READY)
 	$(BIN)/python pipelines/electric_arms.py --seeds $(SEEDS) --workers $(WORKERS) --work $(WORKSPACE)/electric_arms
 
-# Robot models of other people, from packages of the index (2 GB in the workspace): read, checked, simulated, exported.
-# ONLY=panda takes those with that in their path.
+# Robot models of other people, from packages of the index (2 GB in the workspace): read, compared, simulated, exported.
+# ONLY=panda takes the models with that in their path, and publishes nothing. It continues where it was stopped.
 ONLY ?=
 robots: $(READY)
-	$(BIN)/python pipelines/robots.py --only '$(ONLY)' --workers $(WORKERS) --work $(WORKSPACE)/robots
+	$(BIN)/python pipelines/robots.py $(if $(ONLY),--only '$(ONLY)',--all --publish) --workers $(WORKERS) --work $(WORKSPACE)/robots
 
 # A Dask scheduler on tcp://127.0.0.1:8786 with WORKERS worker processes, until Ctrl-C.
 cluster: $(READY)

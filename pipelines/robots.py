@@ -1,7 +1,7 @@
 """Robot models of others, as packages of the Python package index ship them, read and used as a user would: `make robots`.
 
     python pipelines/robots.py [--only PATTERN] [--steps init,check,log,export] [--workers N] [--work FOLDER] [--again]
-    python pipelines/robots.py --all --publish           (reports/robots/; --all reads the other models of the packages too)
+    python pipelines/robots.py --all --publish           (writes reports/robots/; --all reads the packages' other models too)
 
 Every model of robots_corpus/corpus.toml is described by `sysid init --from`. A refusal's remedy is followed to the letter.
 What is read is compared with an independent reader (MuJoCo for MJCF, Pinocchio for URDF): tip, gravity torque, mass matrix.
@@ -81,6 +81,8 @@ def run_all(robots: Sequence[Robot], steps: Sequence[str], work: Path, workers: 
 
 def main(given: argparse.Namespace) -> None:
     steps, wanted = steps_of(given.steps), packages()
+    if given.publish and (given.only or len(steps) < len(STEPS)):
+        raise ValueError("--publish with --only or --steps: expected all models and steps in a published result")
     roots = fetch(wanted, given.work)
     chosen = partial(filter, lambda robot: fnmatch.fnmatch(f"{robot.package}/{robot.file}", f"*{given.only}*"))
     rows = run_all(list(chosen(listed(wanted, roots))), steps, given.work / "models", given.workers, given.again)

@@ -35,7 +35,7 @@ OUTSIDE: Sequence[Outside] = (
     Outside(r"", "MuJoCo does not compile it", lambda f: "compiles" in f and not f["compiles"]),
     Outside(r"allocate memory", "it asks for more memory than a process has", lambda f: f.get("arena", 0) > 10**9),
     Outside(r"loop", "closed loop", lambda f: f.get("loops", 0) > 0),
-    Outside(r"no driven joint|no joint", "no joint to drive", lambda f: f.get("joints") == 0),
+    Outside(r"no driven joint|no joint|no link", "no joint to drive", lambda f: f.get("joints") == 0),
     Outside(r"no driven joint|no actuator", "no actuator", lambda f: f.get("actuators") == 0),
     Outside(r"ball joint", "ball joint", lambda f: f.get("ball", 0) > 0),
     Outside(r"muscle", "muscles", lambda f: f.get("muscles", 0) > 0),
