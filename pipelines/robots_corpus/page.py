@@ -89,8 +89,9 @@ def _names(rows: Iterable[Row]) -> list[str]:
     return sorted({row["package"] for row in rows})
 
 
-def _brief(row: Row) -> dict[str, Any]:
-    return {key: row[key] for key in ("package", "file", "status", "reason", "remedies", "wrong", "broke")}
+def _brief(row: Row) -> dict[str, str]:
+    what = [*row["wrong"], *row["broke"].values(), *([row["reason"]] if kind(row) == NOT_READ else [])]
+    return {"package": row["package"], "file": row["file"], "what": "; ".join(what)}
 
 
 AT_ONCE, FOLLOWED, NOT_READ, OUTSIDE = "read", "refused, read after its remedy", "refused, not read", "outside"
@@ -163,12 +164,13 @@ def model_table(rows: Sequence[Row]) -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    text = "; ".join(f"`{step['followed']}`" for step in row["remedies"]) if row["read"] else row["reason"]
+    done = [*(f"`{step['followed']}`" for step in row["remedies"]), *(f"noted: {what}" for what in row["noted"])]
+    text = "; ".join(done) if row["read"] else row["reason"]
     figures = [f"{row['checked'][key]:.1g}" if key in row["checked"] else "" for key in SAME]
     above = row["localised"].get("above")
     wrong = [*row["wrong"], *(f"{step}: {what}" for step, what in row["broke"].items())]
     counts = Counter(text.partition(":")[0] for text in row["exports"].values())
-    exports = ", ".join(f"{many} {what}" for what, many in counts.items())
+    exports = ", ".join(f"{what} {many}" for what, many in counts.items())
     return (
         f"{row['package']}: {short(row['file'])}",
         kind(row),
@@ -200,15 +202,16 @@ def page(result: Mapping[str, Any]) -> str:
     )
     parts = [
         "# Robot models of others",
-        f"Written by `{result['command']}` (`make robots` measures without writing this page), {result['date']}, commit "
-        f"{result['commit']}, {result['machine']}. All figures are in [`result.json`](result.json).",
+        f"Written by `make robots`, which runs `{result['command']}`, {result['date']}, commit {result['commit']}, "
+        f"{result['machine']}. All figures are in [`result.json`](result.json).",
         f"Packages: {packages}. Their models are not copied: [`pipelines/robots_corpus/corpus.toml`]"
         "(../../pipelines/robots_corpus/corpus.toml) has their names, versions and licences.",
         "## Summary",
         table(result),
         "- **read**: `sysid init OUT --from FILE` makes a machine of it without further options. **refused**: it asks for"
         " something; a program followed its remedy to the letter, up to three times. **outside**: an independent reader"
-        " confirms that the model is no open chain of driven joints.",
+        " confirms that the model is no open chain of driven joints. A URDF that does not say how its joints are commanded is"
+        " always refused once: `--kind` says it.",
         "- The **tip** is compared in metres, the **torque** against gravity and the **mass matrix** relative to their largest"
         " entry, at 20 random poses within the limits: with MuJoCo for MJCF (without rotor inertias), with Pinocchio on the"
         f" original text of a URDF. Equal is up to {SAME['tip_m']:g} m and {SAME['torque']:g}.",
@@ -236,16 +239,12 @@ def page(result: Mapping[str, Any]) -> str:
             ),
         ]
         if others["wrong"]:
-            cells = [(f"{r['package']}: {short(r['file'])}", _cell(_why(r))) for r in others["wrong"]]
+            cells = [(f"{r['package']}: {short(r['file'])}", _cell(r["what"])) for r in others["wrong"]]
             parts += [
                 "Refused without a remedy that works, or different without a note:",
                 markdown(("model", "what"), cells, "ll"),
             ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _why(row: Row) -> str:
-    return "; ".join([*row["wrong"], *row["broke"].values(), *([row["reason"]] if kind(row) == NOT_READ else [])])
 
 
 def _distinct(refusals: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:

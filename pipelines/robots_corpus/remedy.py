@@ -86,7 +86,8 @@ def edit_of(message: str, robot_file: str, mirror: Mirror) -> str:
             after = edit(before, match)
             if after != before:
                 path.write_text(after, "utf-8")
-                return f"{match[0]} ({Path(file).name})"
+                words = re.search(r"\b(?:Remove|Change|Swap|Write|Add)\b.*", match[0])
+                return f"{(words or match)[0]} ({Path(file).name})"
     return ""
 
 

@@ -153,7 +153,9 @@ def test_edits(
 ) -> None:  # fmt: skip
     robot = made(before, "a.xml")
     mirror = robots.mirror.Mirror(robot.root, tmp_path / "mirror")
-    assert robots.remedy.edit_of(message, robot.file, mirror)
+    followed = robots.remedy.edit_of(message, robot.file, mirror)
+    assert followed.endswith("(a.xml)")
+    assert followed.removesuffix(" (a.xml)") in message
     after = (tmp_path / "mirror" / robot.file).read_text("utf-8")
     assert [text for text in gone if text in after] == []
     assert [text for text in there if text not in after] == []
@@ -309,7 +311,10 @@ def test_rows_and_their_counts(robots: SimpleNamespace) -> None:
                  "| refused, not read | 1 |", "| outside: closed loop | 1 |", "| largest difference: torque | 0.002 |",
                  "| different without a note | 1 |", "| traceback, crash, or a limit reached | 1 |"):  # fmt: skip
         assert line in table
-    page = robots.page.page(result | {"others": robots.page.swept([row("outside", reason="z", outside="no actuator")])})
+    further = [row("outside", reason="z", outside="no actuator"), row("refused", reason="e.urdf: no way"), row("read")]
+    page = robots.page.page(result | {"others": robots.page.swept(further)})
+    assert "| p | 1 | 0 | 1 | 1 |" in page
+    assert "| p: b/c.urdf | e.urdf: no way |" in page
     assert "| mjcf | 1 | 0 | 0 | 0 |" in page
     assert "| lut | 0 | 0 | 1 | 0 |" in page
     assert "a\\|b; expected &lt;c>" in page
