@@ -17,11 +17,10 @@ from sysid.export.effect_table import write_effect_table
 from sysid.export.link_inertia import NOTE
 from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
-from sysid.export.support import support_of
-from sysid.export.target import Simulation, Start, Support
+from sysid.export.target import Simulation, Start, Support, support_of
 from sysid.export.urdf_text import END_EFFECTOR, joint_values
-from sysid.export.usd_actuators import actuator_path, is_native, write_drive
-from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, usd_names, write_bodies
+from sysid.export.usd_actuators import actuator_path, is_native, write_drive, write_follower
+from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, mimics, usd_names, write_bodies
 from sysid.plant import Plant
 from sysid.signals import point_signals
 
@@ -57,7 +56,8 @@ class NewtonTarget:
         f"For the replay the stage is opened again: `{MODULE}` moves the joints, native axes with the stage's numbers, "
         "and the end effector is computed from the frames of the stage.",
         "Joints with a `PhysicsDriveAPI` follow the drive model: after each sample, their target is `state.structure` minus "
-        "the joint's offset. A force axis with a `NewtonActuator` takes its command as feedforward.",
+        "the joint's offset. A force axis with a `NewtonActuator` takes its command as feedforward. A sliding joint that "
+        "follows a turning one, or the reverse, has such a drive in place of a mimic, with the target of its `<mimic>`.",
         NOTE,
     )
 
@@ -73,6 +73,9 @@ class NewtonTarget:
         joints = write_bodies(stage, plant, names, steps)
         for axis in drive_data(plant, rate_hz)["axes"]:
             write_drive(stage, axis, names.axes[axis["name"]], joints[names.joint(axis["name"])], steps)
+        for joint in joints.values():
+            if joint.mimic is not None and not mimics(joint, joints):
+                write_follower(stage, joint, steps)
         stage.GetRootLayer().customLayerData = {"plant": plant.reference or plant.machine.name, "sample": 1.0 / rate_hz}
         stage.GetRootLayer().Export(str(folder / FILE))
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
+from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.names import MachineNames
 from sysid.plant import Plant
 
@@ -30,6 +31,22 @@ class Support:
 
     kind: SupportKind
     how: str
+
+
+def support_of(effect: Effect, native: Mapping[str, str], composed: Mapping[str, str], plugin: str) -> Support:
+    """How a target represents an effect: by elements of its format, else by the drive model.
+
+    Args:
+        native, composed: name of an effect → its element or elements.
+        plugin: how the drive model represents the others.
+    """
+    if effect.name in native:
+        return Support("native", native[effect.name])
+    if effect.name in composed:
+        return Support("composed", composed[effect.name])
+    if effect.name in WITHOUT_PART:
+        return Support("not_representable", WITHOUT_PART[effect.name])
+    return Support("plugin", plugin)
 
 
 @dataclass(frozen=True)

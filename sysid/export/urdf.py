@@ -15,8 +15,7 @@ from sysid.export.drive_module import MODULE
 from sysid.export.effect_table import write_effect_table
 from sysid.export.names import MachineNames, Names
 from sysid.export.shipped_run import load_module, true_signals, write_drive_model
-from sysid.export.support import support_of
-from sysid.export.target import Simulation, Start, Support
+from sysid.export.target import Simulation, Start, Support, support_of
 from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, joint_values, urdf_names, urdf_of, xml_text
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant

@@ -27,14 +27,14 @@ def is_native(axis: dict[str, Any]) -> bool:
 def write_drive(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry, steps_per_second: int) -> None:
     """Drive of an axis, ``name`` in the stage, and the passive dynamics of its joint."""
     if not is_native(axis):
-        _follower(stage, joint, steps_per_second)
+        write_follower(stage, joint, steps_per_second)
     elif axis["actuation"] == "force":
         _force(stage, axis, name, joint)
     else:
         _delayed(stage, axis, name, joint, steps_per_second)
 
 
-def _follower(stage: Any, joint: JointEntry, steps_per_second: int) -> None:
+def write_follower(stage: Any, joint: JointEntry, steps_per_second: int) -> None:
     """A drive to the target position, critically damped against the armature; solvers integrate it implicitly."""
     from pxr import UsdPhysics
 

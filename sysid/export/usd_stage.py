@@ -6,6 +6,7 @@ UsdPhysics measures the angles of joints in degrees, and their gains and damping
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -87,13 +88,14 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
     anchor[:3, :3], anchor[:3, 3] = turn, place
     for joint in [JointEntry(names.added[ANCHOR], "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
         _joint(stage, joint)
-    _follow(stage, joints)
+    by_name = {joint.name: joint for joint in joints}
+    _follow(stage, by_name)
     kinematics = plant.machine.kinematics()
     if kinematics is not None:
         point = UsdGeom.Xform.Define(stage, f"{link_path(names.links[kinematics.tip])}/{END_EFFECTOR}")
         point.AddTranslateOp().Set(Gf.Vec3d(*map(float, tip_offset(plant, kinematics))))
         point.GetPrim().ApplyAPI("NewtonSiteAPI")
-    return {joint.name: joint for joint in joints}
+    return by_name
 
 
 def link_path(link: str) -> str:
@@ -215,11 +217,16 @@ def _joint(stage: Any, entry: JointEntry) -> None:
             joint.CreateUpperLimitAttr(high)
 
 
-def _follow(stage: Any, joints: list[JointEntry]) -> None:
+def mimics(joint: JointEntry, joints: Mapping[str, JointEntry]) -> bool:
+    """Whether a joint follows another of its own kind, as NewtonMimicAPI requires: it has no units for others."""
+    return joint.mimic is not None and joint.angular == joints[joint.mimic[0]].angular
+
+
+def _follow(stage: Any, joints: Mapping[str, JointEntry]) -> None:
     from pxr import Sdf
 
-    for joint in joints:
-        if joint.mimic is not None:
+    for joint in joints.values():
+        if joint.mimic is not None and mimics(joint, joints):
             leader, offset, ratio = joint.mimic
             prim = stage.GetPrimAtPath(joint.path)
             prim.ApplyAPI("NewtonMimicAPI")

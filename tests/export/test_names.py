@@ -183,6 +183,20 @@ def test_names_of_tables(tmp_path: Path) -> None:
     assert [stored[f"axis_{name}"]["name"] for name in target_named("simulink").names(plant).axes.values()] == list(AXES)
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_names_of_fmi(variant: str, tmp_path: Path) -> None:
+    """Names that are no identifiers are those of the flat convention."""
+    from fmpy import read_model_description
+    from fmpy.validation import validate_fmu
+
+    target_named("fmu").write(hostile(*VARIANTS[variant]), RATE, tmp_path)
+    assert validate_fmu(str(tmp_path / "Machine.fmu")) == []
+    description = read_model_description(tmp_path / "Machine.fmu")
+    assert description.variableNamingConvention == "flat"
+    assert {f"{name}.command" for name in AXES} <= {variable.name for variable in description.modelVariables}
+    assert {"ee.x", "tool.z"} <= {unknown.variable.name for unknown in description.initialUnknowns}
+
+
 def test_references_follow_a_renamed_part() -> None:
     """Elements of ROS and Gazebo name joints and links; a root called ``world`` is another name below the measured frame."""
     more = (

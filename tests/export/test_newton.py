@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from palletiser import JOINTS, urdf
 from test_drive_model import probe_plant
+from test_every_target import gripper
 from test_targets import recording
 
 from sysid.export.link_inertia import link_inertias
@@ -125,6 +126,16 @@ def test_native_axes_replay_with_the_numbers_of_the_stage(tmp_path: Path) -> Non
         attribute.Set(kept)
     stage.Save()
     assert replayed(plant, tmp_path).agrees
+
+
+def test_a_slide_that_follows_a_hinge_has_a_drive(tmp_path: Path) -> None:
+    """A mimic of the schemas is between joints of one kind: its units are those of both."""
+    stage = opened(gripper(), tmp_path)
+    left, thumb = (stage.GetPrimAtPath(joint_path(name)).GetAppliedSchemas() for name in ("left_joint", "thumb_joint"))
+    assert "PhysicsDriveAPI:linear" in left
+    assert "NewtonMimicAPI" not in left
+    assert "NewtonMimicAPI" in thumb
+    assert not any(name.startswith("PhysicsDriveAPI") for name in thumb)
 
 
 def test_a_delayed_servo(tmp_path: Path) -> None:
