@@ -26,7 +26,7 @@ from sysid.machine.rigid_body import RigidBody
 Array = npt.NDArray[np.float64]
 POSES = 20
 #: A largest entry below this is rounding: an axis along gravity needs no torque [N·m, N; kg·m², kg].
-NOTHING = 1e-6
+NOTHING = 1e-4
 #: Ends of an axis without limits, and of one that reaches further [rad or m].
 WIDEST = math.pi
 

@@ -127,6 +127,8 @@ def table(result: Mapping[str, Any]) -> str:
     lines += [(f"largest difference: {key.replace('_', ' ')}", f"{value:.2g}") for key, value in worst(rows).items()]
     lines.append(("different without a note", str(sum(bool(row["wrong"]) for row in rows))))
     lines.append(("log ingested and localised", str(sum(bool(row["localised"]) for row in rows))))
+    if missing := sum(row["read"] and len(row["seconds"]) <= len(_AFTER) for row in rows):
+        lines.append(("log or exports not tried in this run", str(missing)))
     lines.append(("traceback, crash, or a limit reached", str(sum(bool(row["broke"]) for row in rows))))
     lines.append(("largest processor time of init", f"{max((row['seconds']['init'] for row in rows), default=0.0):.1f} s"))
     lines.append(("largest memory of init", f"{max((row['memory_mib'] for row in rows), default=0.0):.0f} MiB"))
