@@ -11,24 +11,28 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from command_line import run
 from test_mjcf_arm import dataset as arm_dataset
 from test_sdf import place_of
 
+from robots import robot
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.export import Export, export_plant
+from sysid.export.page import lacking
 from sysid.export.sdf import FILE as SDF_FILE
 from sysid.export.target import Target
 from sysid.export.targets import TARGETS, target_named
 from sysid.export.urdf_text import END_EFFECTOR
-from sysid.machine import KnownEffect, machine_from_files
+from sysid.machine import KnownEffect, load_machine, machine_from_files
+from sysid.machine.rigid_body import moves_masses
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant, nominal_plant
 from sysid.plant.stepper import Stepper
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
 Array = npt.NDArray[np.float64]
-RATE, ROWS = 100.0, 150
+RATE, SECONDS = 100.0, 1.5
 #: A solid ball.
 MASS = '<inertial><mass value="1.5"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
 
@@ -136,17 +140,21 @@ MACHINES = {make.__name__: make for make in (servo, valves, continuous, sliding,
 
 def recording(plant: Plant, name: str) -> Recording:
     """Waves of commands, and what the plant makes of them."""
-    t, stepper = np.arange(ROWS) / RATE, Stepper(plant, RATE)
-    size = {"velocity": 0.6, "position": 0.5, "force": 3.0}
-    commands = np.column_stack(
-        [size[a.actuation] * np.sin(2.0 * np.pi * (0.7 + 0.3 * k) * t) for k, a in enumerate(plant.machine.axes)]
-    )
-    joints = [stepper.reset(np.zeros(len(plant.machine.axes)), commands=commands[0]).joints[0].copy()]
+    rate = plant.machine.rate_hz
+    t, stepper = np.arange(round(SECONDS * rate)) / rate, Stepper(plant, rate)
+    size, columns, start = {"velocity": 0.6, "position": 0.5, "force": 3.0}, [], []
+    for k, axis in enumerate(plant.machine.axes):
+        low, high = axis.limits or (-2.0, 2.0)
+        start.append(min(max(0.0, low + 0.3 * (high - low)), high - 0.3 * (high - low)) if np.isfinite(high - low) else 0.0)
+        wave = min(size[axis.actuation], 0.2 * (high - low)) * np.sin(2.0 * np.pi * (0.7 + 0.3 * k) * t)
+        columns.append(start[k] + wave if axis.actuation == "position" else wave)
+    commands = np.column_stack(columns)
+    joints = [stepper.reset(np.array(start), commands=commands[0]).joints[0].copy()]
     joints += [stepper.step(command).joints[0].copy() for command in commands[1:]]
     table = {"time": t}
     for k, axis in enumerate(plant.machine.axis_names):
         table |= {f"{axis}.command": commands[:, k], f"{axis}.joint": np.array(joints)[:, k]}
-    return Recording(name, pd.DataFrame(table), RATE)
+    return Recording(name, pd.DataFrame(table), rate)
 
 
 def exported(plant: Plant, target: Target, folder: Path, force: bool = False) -> Export:
@@ -224,6 +232,23 @@ def test_arms_with_masses(urdf: str, tmp_path: Path) -> None:
     assert made.replay is not None
     assert made.replay.agrees
     assert {row.signal for row in made.replay.rows if row.motion > 1e-2} >= {"base_turn.command", "lift.command", "ee.x"}
+
+
+@pytest.mark.parametrize("name", ["servo_arm", "velocity_crane", "torque_arm"])
+def test_a_machine_from_an_mjcf(name: str, tmp_path: Path) -> None:
+    """As ``init --from`` writes it, with what the MJCF says of lags, loads and friction."""
+    assert run("init", tmp_path / "mine", "--name", "mine", "--from", robot(name)) == 0
+    plant = nominal_plant(load_machine(tmp_path / "mine/datasets/mine/machine.toml"))
+    massive = moves_masses(plant.machine)
+    data = arm_dataset(plant) if massive else Dataset.of(plant.machine, [recording(plant, "r0")], {"r0": "held_out"})
+    for target in TARGETS:
+        if massive and not target.arms:
+            continue
+        folder = tmp_path / target.name
+        lacks = bool(lacking(plant, target))
+        made = export_plant(plant, data, target, folder, force=lacks, samples=1)
+        assert (made.replay is None) == (target.name == "sdf")
+        assert made.replay is None or lacks or made.replay.agrees, target.name
 
 
 #: What hangs on the chain of a description that is incomplete or has parts that no axis moves.
