@@ -8,6 +8,7 @@ Source: URDF specification (ROS wiki, ``urdf/XML/joint``, element ``mimic``).
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
@@ -57,7 +58,9 @@ def resolved(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic:
     while (step := mimics[name]) is not None:
         where = f"urdf: joint {name!r}: mimic"
         if step.master not in mimics:
-            raise SettingsError(where, f"unknown joint {step.master!r}", nearest(step.master, mimics))
+            close = difflib.get_close_matches(step.master, mimics, n=1, cutoff=0.0)[0]
+            remedy = f'Write joint="{close}", if that is the one, or remove the <mimic>.'
+            raise SettingsError(where, f"unknown joint {step.master!r}", nearest(step.master, mimics), remedy)
         ratio, offset = ratio * step.ratio, ratio * step.offset + offset
         name = step.master
         if name in seen:

@@ -46,10 +46,13 @@ NUMBERS: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "limit": {**dict.fromkeys(ENDS, (1, Finite)), **dict.fromkeys(("effort", "velocity"), (1, NonNegative))},
     "mimic": {"multiplier": (1, Finite), "offset": (1, Finite)},
     "dynamics": {"damping": (1, NonNegative), "friction": (1, NonNegative)},
+    "mesh": {"scale": (3, Finite)},
+}
+#: Kind of shape → attributes that it needs, and their values.
+SHAPES: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "box": {"size": (3, Positive)},
     "cylinder": {"radius": (1, Positive), "length": (1, Positive)},
     "sphere": {"radius": (1, Positive)},
-    "mesh": {"scale": (3, Finite)},
 }
 _XACRO = "Run xacro first: xacro FILE > robot.urdf."
 
@@ -75,8 +78,8 @@ def xml_root(text: str) -> Element:
 def urdf_tree(text: str) -> Element:
     """The root element of a URDF.
 
-    Removed are axis, limits, dynamics and mimic of joints that do not move, and end stops of more than 10⁹ rad or m, as of
-    exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes continuous.
+    Removed are axis, limits, dynamics and mimic of joints that do not move, shapes without an extent, and end stops of more
+    than 10⁹ rad or m, as of exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes continuous.
 
     Raises:
         SettingsError: not XML, a DTD, another root, a xacro; too deep or too large; a number that is invalid, not finite or of
@@ -92,6 +95,8 @@ def urdf_tree(text: str) -> Element:
     _check_names(root)
     for joint in root.findall("joint"):
         _remove_meaningless(joint)
+    for link, shape in invalid_shapes(root):
+        link.remove(shape)
     for part in root:
         where = f"urdf: {part.tag} {shown(part.get('name', ''))}" if part.tag in ("joint", "link") else "urdf"
         for element in part.iter():
@@ -165,6 +170,27 @@ def _remove_meaningless(joint: Element) -> None:
         else:
             for end in unlimited:
                 limit.set(end, repr(-LARGEST if end == "lower" else LARGEST))
+
+
+def invalid_shapes(root: Element) -> list[tuple[Element, Element]]:
+    """Visual and collision elements without an extent or a place, each with its link: nothing can be drawn of them."""
+    shapes = [(link, shape) for link in root.findall("link") for shape in link if shape.tag in ("visual", "collision")]
+    return [(link, shape) for link, shape in shapes if not _has_extent(shape)]
+
+
+def _has_extent(shape: Element) -> bool:
+    try:
+        for element in shape.iter():
+            _check_numbers(element, "")
+            for key, (count, kind) in SHAPES.get(str(element.tag), {}).items():
+                words = element.get(key, "").split()
+                if len(words) != count:
+                    return False
+                for word in words:
+                    number(word, kind, "")
+    except SettingsError:
+        return False
+    return True
 
 
 def _is_stop(text: str | None) -> bool:

@@ -367,6 +367,24 @@ def test_a_servo_may_have_a_scale(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "assumed: command of elbow in N·m: the control of actuator_1 is 0.05 times that" in out
 
 
+SHAPES = (
+    "<sphere/>",
+    '<sphere radius="0.00"/>',
+    '<box size="1 1"/>',
+    '<cylinder radius="1" length="-1"/>',
+    '<mesh scale="x"/>',
+)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_shape_without_an_extent_is_left_out(shape: str, tmp_path: Path) -> None:
+    visual = f'<collision><geometry>{shape}</geometry></collision><visual><geometry><sphere radius="1"/></geometry></visual>'
+    machine = drafted(tmp_path, arm(inertial=BODY.format(1.0) + visual), "--kind", "servo")
+    assert machine.left_out[-1] == "shapes without an extent of l2"
+    assert machine.urdf_text is not None
+    assert [len(urdf_tree(machine.urdf_text).findall(f"link/{kind}")) for kind in ("collision", "visual")] == [0, 1]
+
+
 def test_names_that_give_one_axis_name_are_numbered(tmp_path: Path) -> None:
     text = arm().replace('"j1"', '"a/b"').replace('"j2"', '"a b"')
     assert drafted(tmp_path, text, "--kind", "servo").axis_names == ("a_b", "a_b_2")

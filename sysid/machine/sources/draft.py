@@ -234,7 +234,8 @@ def _proposal(attempts: Sequence[_Attempt], where: str) -> SettingsError:
     """The error that proposes the first of several choices, or of one with a held base, that can be drafted."""
     working = [attempt for attempt in attempts if attempt.draft is not None or attempt.kinds]
     if not working:
-        return attempts[0].refusal(attempts[0].choice.options())
+        told = [attempt for attempt in attempts if attempt.error is not None and attempt.error.remedy] or attempts
+        return told[0].refusal(told[0].choice.options())
     first, kind = working[0].choice, next(iter(working[0].kinds), None)
     choices = [attempt.choice for attempt in attempts]
     if len(choices) > 1:

@@ -92,10 +92,14 @@ class Chains:
         choice = self._choice(body, tip)
         if choice.joints:
             return choice
-        front = next((each for each in reversed(path_to(self.model, body)) if self._choice(each).joints), None)
-        remedy = "" if front is None else f"Add --tip {shlex.quote(body_name(self.model, front))}, which is in front of it."
+        remedy = self._in_front(body)
         found, expected = choice.held or "no driven joint moves it", "the end of a chain of driven joints"
         raise SettingsError(f"{self.source}: tip {shown(tip)}", found, expected, remedy)
+
+    def _in_front(self, body: int) -> str:
+        """The remedy that takes the end of a chain in front of a body; empty where there is none."""
+        front = next((each for each in reversed(path_to(self.model, body)) if self._choice(each).joints), None)
+        return "" if front is None else f"Add --tip {shlex.quote(body_name(self.model, front))}, which is in front of it."
 
     def _choice(self, body: int, tip: str | None = None) -> ChainChoice:
         """The chain to a body behind the last of its joints that nothing drives; the tip is behind it as far as it is fixed."""
@@ -164,8 +168,8 @@ class Chains:
             return ChainJoint(joint, actuators[0])
         follows = _coupling(model, joint, {j for j in joints if j in self.leading}, self.source)
         if follows is None and joint not in self.leading:
-            where, front = f"{self.source}: joint {shown(joint_name(model, joint))}", int(model.jnt_bodyid[joint])
-            remedy = f"Add --tip {shlex.quote(body_name(model, int(model.body_parentid[front])))}, which is in front of it."
+            where = f"{self.source}: joint {shown(joint_name(model, joint))}"
+            remedy = self._in_front(int(model.body_parentid[int(model.jnt_bodyid[joint])]))
             found = "it follows a joint beside the chain"
             raise SettingsError(where, found, "a joint with an actuator, or that follows one of the chain", remedy)
         return ChainJoint(joint, None, follows)

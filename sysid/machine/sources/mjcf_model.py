@@ -30,6 +30,15 @@ DESCRIPTION_LIMITS = Limits(2**30, 20.0, "a robot description", "leave out of it
 #: Largest length of MuJoCo's message that is repeated.
 _MESSAGE = 300
 
+#: Words of MuJoCo's message → what to do.
+_REMEDIES = {
+    "larger than mjMINVAL": 'Give the body an <inertial>, or write <compiler boundmass="1e-6" boundinertia="1e-9"/>.',
+    "repeated name": "Rename one of the two elements, and what refers to it.",
+    "unrecognized element": "Remove it, or write it as the XML reference of the installed version of MuJoCo has it.",
+    "unrecognized attribute": "Remove it, or write it as the XML reference of the installed version of MuJoCo has it.",
+    "not found": "Give this file to MuJoCo through the one that includes it, if it is a part of a model.",
+}
+
 #: File → its device, number, size [B] and time of change [ns].
 FileStates = dict[str, tuple[int, ...]]
 #: Path, folders and whether contacts count → files of a model that was compiled in a confined process.
@@ -146,7 +155,8 @@ def _of_mujoco(joined: JoinedModel, work: Callable[[], T]) -> T:
     except Exception as error:
         found = visible(" ".join(_placed(joined, str(error) or type(error).__name__).split()), _MESSAGE)
         if isinstance(error, ValueError) and "allocate memory" not in found:
-            raise InputError(joined.source, found, "an MJCF that MuJoCo compiles") from None
+            remedy = next((text for words, text in _REMEDIES.items() if words in found), "")
+            raise InputError(joined.source, found, "an MJCF that MuJoCo compiles", remedy) from None
         remedy = "Check the sizes and counts that it states."
         raise InputError(joined.source, f"MuJoCo fails on it ({found})", "an MJCF that MuJoCo compiles", remedy) from None
 

@@ -6,6 +6,7 @@ Sources: URDF specification (ROS wiki, ``urdf/XML/joint``, ``urdf/XML/Transmissi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from xml.etree.ElementTree import Element, tostring
 
 from sysid.errors import SettingsError, nearest
@@ -27,7 +28,7 @@ from sysid.machine.sources.draft import (
     summarised,
     without_stops,
 )
-from sysid.machine.urdf_tree import MOVING, indefinite_links, urdf_tree
+from sysid.machine.urdf_tree import MOVING, indefinite_links, invalid_shapes, urdf_tree, xml_root
 from sysid.names import listed
 from sysid.numbers import NonNegative, number
 
@@ -48,7 +49,7 @@ def urdf_draft(
     Raises:
         SettingsError: not a URDF, several chains, no actuation stated, or what ``machine.toml`` cannot express.
     """
-    described = urdf_tree(text)
+    whole, described = text, urdf_tree(text)
     if base is not None:
         text = _held(described, base, source)
     tree = _Tree(text, source)
@@ -60,7 +61,9 @@ def urdf_draft(
         own = text if choice.base is None else _held(urdf_tree(text), choice.base, source)
         return _draft(own, source, choice, its_kind, tool)
 
-    return draft_of(ends, draft, tree.choice, source, kind)
+    made = draft_of(ends, draft, tree.choice, source, kind)
+    flat = summarised(("shapes without an extent of", link.get("name", "")) for link, _ in invalid_shapes(xml_root(whole)))
+    return replace(made, left_out=(*made.left_out, *flat))
 
 
 class _Tree:
