@@ -25,7 +25,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from committed import markdown, provenance, write_result, write_tables
-from sysid.cli.init_from import drafted_files
+from sysid.cli.init_from import Choices, drafted_files
 from sysid.cli.output import Printer
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
@@ -246,7 +246,7 @@ def solve(case: Case, work: Path) -> list[dict[str, Any]]:
 
 def machine_of(path: Path, rate_hz: float) -> Machine:
     """The description that ``sysid init --from`` drafts, with the noise of the sensors and the rate of the recordings."""
-    files = dict(drafted_files(path, path.stem, None, None, None).files)
+    files = dict(drafted_files(path, path.stem, Choices()).files)
     del files["recipe.toml"]
     names = machine_from_files(files, path.stem).axis_names
     lines = [f"rate_hz = {rate_hz}" if line.startswith("rate_hz") else line for line in files["machine.toml"].splitlines()]

@@ -11,7 +11,7 @@ import pandas as pd
 from plant_data import ROLES
 from robots import robot
 
-from sysid.cli.init_from import drafted_files
+from sysid.cli.init_from import Choices, drafted_files
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Machine, machine_from_files
 
@@ -22,7 +22,7 @@ NOISE = 2e-4
 
 def machine_of(name: str, tip: str | None = None, tool: str | None = None) -> Machine:
     """The machine that ``init --from`` makes of a robot, with the noise of its joint sensors."""
-    files = dict(drafted_files(robot(name), name, None, tip, tool).files)
+    files = dict(drafted_files(robot(name), name, Choices(tip=tip, tool=tool)).files)
     del files["recipe.toml"]
     joints = machine_from_files(files, name).axis_names
     files["machine.toml"] += "\n[noise]\n" + "".join(f'"{joint}.joint" = {NOISE}\n' for joint in joints)
