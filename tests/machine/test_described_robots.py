@@ -281,6 +281,14 @@ def test_no_gravity_is_refused_for_forces_and_noted_for_servos(tmp_path: Path, c
     assert any(line.startswith("no gravity") for line in machine.left_out)
 
 
+@pytest.mark.parametrize("gravity", ["0 0 0", "0 0 -981", "0 0 -3.7", "9.81 0 0", "0 0 9.81"])
+def test_another_gravity_is_never_taken_for_ours(gravity: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    option = f'<option gravity="{gravity}"/>'
+    assert 'Write <option gravity="0 0 -9.81">' in refusal(tmp_path, MJCF.format(option=option, rest=MOTORS, end=""), capsys)
+    machine = drafted(tmp_path, MJCF.format(option=option, rest=SERVOS.format(80, 4), end=""))
+    assert any(line.startswith("gravity [") for line in machine.left_out)
+
+
 @pytest.mark.parametrize(
     ("flag", "gone"),
     [("damper", "viscous_friction"), ("frictionloss", "coulomb_friction"), ("constraint", "coulomb_friction")],

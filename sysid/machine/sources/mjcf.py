@@ -46,6 +46,8 @@ _OSCILLATES = 0.6
 _RATIOS, _SLOWEST = (0.03, 4.0), 0.5
 #: Share of gravity below which a body counts as weightless, and that may act sideways: a tenth of what a force is compared to.
 _WEIGHTLESS = 1e-3
+#: Smallest and largest gravity on the Earth's surface [m/s²], at high mountains of the Equator and at the poles (WGS 84).
+_GRAVITY = (9.76, 9.84)
 
 
 def mjcf_draft(
@@ -264,7 +266,7 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
         SettingsError: forces include weight that the model does not have.
     """
     gravity = np.asarray(model.opt.gravity, dtype=np.float64)
-    down = gravity[2] < 0.0 and abs(gravity[:2]).max() < _WEIGHTLESS * abs(gravity[2])
+    down = _GRAVITY[0] <= -gravity[2] <= _GRAVITY[1] and abs(gravity[:2]).max() < _WEIGHTLESS * abs(gravity[2])
     bodies = [body for body in range(chain.bodies[0], model.nbody) if model.body_mass[body] > 0.0]
     compensated = any(abs(float(model.body_gravcomp[body])) > _WEIGHTLESS for body in bodies)
     if down and not compensated:
@@ -277,11 +279,11 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
         found, remedy = 'no gravity (<flag gravity="disable">)', 'Remove <flag gravity="disable">, if the machine has weight.'
     else:
         found = f"gravity {gravity.tolist()} m/s²"
-        remedy = 'Write <option gravity="0 0 -9.81">, in a model whose z points up, if the machine has weight.'
+        remedy = 'Write <option gravity="0 0 -9.81">, in a model in SI units whose z points up, if the machine has weight.'
     if any(drive.actuation == "force" for drive in drives) and (turning or not down):
-        expected = "gravity along −z of the world, which the nominal plant has, and no compensation"
+        expected = "Earth's gravity along −z of the world, which the nominal plant has, and no compensation"
         raise SettingsError(f"{source}: {shown('option')}", found, expected, remedy)
-    return [f"{found} (the nominal plant has weight along −z)"]
+    return [f"{found} (the nominal plant has Earth's gravity along −z)"]
 
 
 def _beside(model: Any, chain: Chain) -> list[Note]:
