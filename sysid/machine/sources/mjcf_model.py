@@ -137,6 +137,8 @@ def _specification(joined: JoinedModel, contacts: bool) -> Any:
     spec = _of_mujoco(joined, lambda: mujoco.MjSpec.from_file(joined.path, vfs=folder))
     if joined.missing:
         _check_stand_ins(spec, joined, contacts)
+    if not contacts:  # room for constraints of a simulation, which is gigabytes in some models
+        spec.memory = spec.njmax = spec.nconmax = -1
     return spec
 
 
