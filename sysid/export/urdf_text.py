@@ -15,7 +15,8 @@ import numpy.typing as npt
 from sysid.export.geometry import base_pose, stretched, tip_offset
 from sysid.export.names import MachineNames, Names
 from sysid.machine.kinematics import Kinematics, rotation_about
-from sysid.machine.urdf_tree import urdf_tree
+from sysid.machine.mimic import followed
+from sysid.machine.urdf_tree import MOVING, urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -33,15 +34,16 @@ _JOINTS = (("joint", "name"), ("joint/mimic", "joint"), ("transmission/joint", "
 
 def own_urdf(plant: Plant) -> tuple[Element, dict[str, str]]:
     """The URDF of the machine, or a plain one, without effects; and axis → its joint there."""
-    text = plant.machine.urdf_text
-    if text is None or plant.machine.kinematics() is None:
+    text, kinematics = plant.machine.urdf_text, plant.machine.kinematics()
+    if text is None or kinematics is None:
         return _plain(plant)
     root = urdf_tree(text)
     root.set("name", root.get("name") or plant.machine.name)
-    joints = {joint.get("name") for joint in root.findall("joint")}
+    mimics = {name: joint.mimic for name, joint in kinematics.joints.items()}
     for joint in root.findall("joint"):
-        for mimic in joint.findall("mimic"):
-            if mimic.get("joint") not in joints:  # of a joint beside the chain, which rests
+        leader = followed(joint.get("name", ""), mimics)
+        if leader is None or kinematics.joints[leader.master].kind not in MOVING:  # beside the chain: it rests
+            for mimic in joint.findall("mimic"):
                 joint.remove(mimic)
     return root, {axis.name: str(axis.joint) for axis in plant.machine.axes}
 

@@ -142,11 +142,11 @@ def recording(plant: Plant, name: str) -> Recording:
     """Waves of commands, and what the plant makes of them."""
     rate = plant.machine.rate_hz
     t, stepper = np.arange(round(SECONDS * rate)) / rate, Stepper(plant, rate)
-    size, columns, start = {"velocity": 0.6, "position": 0.5, "force": 3.0}, [], []
+    size, columns, start = {"velocity": 0.6, "force": 3.0}, [], []
     for k, axis in enumerate(plant.machine.axes):
         low, high = axis.limits or (-2.0, 2.0)
         start.append(min(max(0.0, low + 0.3 * (high - low)), high - 0.3 * (high - low)) if np.isfinite(high - low) else 0.0)
-        wave = min(size[axis.actuation], 0.2 * (high - low)) * np.sin(2.0 * np.pi * (0.7 + 0.3 * k) * t)
+        wave = size.get(axis.actuation, min(0.5, 0.2 * (high - low))) * np.sin(2.0 * np.pi * (0.7 + 0.3 * k) * t)
         columns.append(start[k] + wave if axis.actuation == "position" else wave)
     commands = np.column_stack(columns)
     joints = [stepper.reset(np.array(start), commands=commands[0]).joints[0].copy()]
@@ -267,6 +267,8 @@ PARTS = {
     "a floating part": link("part", MASS) + joint("float", "floating", ("fore", "part"), "0 0 0.2"),
     "a part that slides on a plane": link("part", MASS) + joint("plane", "planar", ("fore", "part"), "0 0 0.2"),
     "a mimic of nothing": link("part") + joint("slave", "revolute", ("fore", "part"), inside='<mimic joint="absent"/>'),
+    "a mimic of what does not move": link("part") + joint("slave", "revolute", ("fore", "part"), inside='<mimic joint="end"/>'),
+    "a mimic of itself": link("part") + joint("slave", "revolute", ("fore", "part"), inside='<mimic joint="slave"/>'),
     "a fixed joint with an axis of zero": link("part") + joint("hold", "fixed", ("fore", "part"), inside='<axis xyz="0 0 0"/>'),
 }
 
@@ -289,6 +291,8 @@ def test_incomplete_descriptions(part: str, target: Target, tmp_path: Path) -> N
     else:
         assert made.replay is not None
         assert made.replay.agrees
+    if target.name == "urdf" and "slave" in part:
+        assert urdf_tree((tmp_path / "out/robot.urdf").read_text("utf-8")).find("joint/mimic") is None
     if target.name == "urdf":
         assert urdf_tree((tmp_path / "out/robot.urdf").read_text("utf-8")).find("link[@name='part']") is not None
 
