@@ -20,6 +20,10 @@ MAX_DEPTH = 64
 MAX_BYTES = 8 * 2**20
 _LARGEST = 2**63
 
+#: Encodings of XML files that are read, and the place where one is declared.
+_ENCODINGS = ("utf-8-sig", "us-ascii", "ascii", "utf-16", "iso-8859-1", "latin-1", "windows-1252")
+_DECLARED = re.compile(rb"\s*<\?xml[^>]{0,200}?encoding\s*=\s*[\"']([A-Za-z0-9._-]{1,40})[\"']")
+_DECLARATION = re.compile(r"\s*<\?xml[^>]*\?>")
 #: A word, a quoted text or a single sign of TOML.
 _TOKEN = re.compile(r"[\w-]+|\"[^\"\n]*\"|'[^'\n]*'|\S")
 
@@ -71,6 +75,36 @@ def read_text(path: Path) -> str:
         ValueError: not UTF-8, larger than :data:`MAX_BYTES`, or no regular file (a device, a pipe).
         OSError: missing, or not readable.
     """
+    try:
+        return _content(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"not UTF-8 text ({error.reason})") from None
+
+
+def read_xml(path: Path) -> str:
+    """An XML file in the encoding that it declares, or UTF-8, without its declaration.
+
+    Raises:
+        ValueError: another encoding, or as of :func:`read_text`.
+        OSError: missing, or not readable.
+    """
+    content = _content(path)
+    stated = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    if (declared := _DECLARED.match(content)) is not None:
+        stated = declared[1].decode("ascii").lower()
+        stated = "utf-8-sig" if stated == "utf-8" else stated
+    if stated not in _ENCODINGS:
+        raise ValueError(f"encoding {stated[:40]!r}, where UTF-8, UTF-16 and ISO 8859-1 are read")
+    try:
+        text = content.decode(stated)
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"not text in {stated.removesuffix('-sig')} ({error.reason}), and no other encoding is declared"
+        ) from None
+    return _DECLARATION.sub("", text, count=1)
+
+
+def _content(path: Path) -> bytes:
     # O_NONBLOCK: do not wait for the writer of a pipe.
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         state = os.fstat(file.fileno())
@@ -81,10 +115,7 @@ def read_text(path: Path) -> str:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         raise ValueError(f"more than {MAX_BYTES} bytes")
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"not UTF-8 text ({error.reason})") from None
+    return content
 
 
 def _bounded(value: Any) -> Any:

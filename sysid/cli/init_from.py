@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from sysid.errors import InputError, SettingsError
 from sysid.foreign import shown
+from sysid.parse import read_xml
 
 if TYPE_CHECKING:
     from sysid.machine import Machine
@@ -63,12 +64,14 @@ def drafted_files(path: Path, name: str, choices: Choices) -> Drafted:
         InputError: no such file, or neither a URDF nor an MJCF.
         SettingsError: it contains what ``machine.toml`` cannot express.
     """
-    from sysid.config import settings_text
     from sysid.machine.sources.toml_text import recipe_text
 
     if not path.is_file():
         raise InputError(path, "no such file", "a URDF or an MJCF file")
-    text = settings_text(path, "a URDF or an MJCF file")
+    try:
+        text = read_xml(path)
+    except ValueError as error:
+        raise InputError(path, str(error), "a URDF or an MJCF file", "Save it as UTF-8.") from None
     if _root(text, path) == "mujoco":
         from sysid.machine.sources.mjcf import mjcf_draft
 

@@ -393,6 +393,36 @@ def test_a_shape_without_an_extent_is_left_out(shape: str, tmp_path: Path) -> No
     assert [len(urdf_tree(machine.urdf_text).findall(f"link/{kind}")) for kind in ("collision", "visual")] == [0, 1]
 
 
+def test_limits_of_controls_are_told(tmp_path: Path) -> None:
+    drives = """<actuator><position name="s" joint="shoulder" kp="80" kv="4" ctrlrange="-0.5 1.5"/>
+    <motor name="e" joint="elbow" gear="20" ctrlrange="-1 1" forcerange="-2 2"/></actuator>"""
+    held = '<equality><joint joint1="elbow" polycoef="0.5 0 0 0 0"/></equality>'
+    assert drafted(tmp_path, flagged("", drives + held)).left_out == (
+        "setpoint limit of shoulder (-0.5 to 1.5 rad)",
+        "friction loss inside the control loop of shoulder",
+        "force limit of elbow (20 N·m)",
+        "equality that holds elbow",
+    )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "iso-8859-1", "utf-16", "windows-1252"])
+def test_an_encoding_is_read_as_declared(encoding: str, tmp_path: Path) -> None:
+    stated = encoding.removesuffix("-sig")
+    for k, text in enumerate((arm().replace('name="r"', 'name="Straße"'), flagged(""))):
+        path = tmp_path / f"robot{k}"
+        path.write_bytes(f'<?xml version="1.0" encoding="{stated}"?>\n<!-- Prüfstand -->{text}'.encode(encoding))
+        kind = ("--kind", "servo") if k == 0 else ()
+        assert run("init", tmp_path / f"mine{k}", "--name", "mine", "--from", path, *kind) == 0
+
+
+def test_another_encoding_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "robot.urdf"
+    for content in (b'<?xml version="1.0" encoding="ebcdic"?><robot/>', b"<robot name='\xff'/>"):
+        path.write_bytes(content)
+        assert run("init", tmp_path / "mine", "--name", "mine", "--from", path) == 2
+        assert "Save it as UTF-8." in " ".join(capsys.readouterr().err.split())
+
+
 def test_names_that_give_one_axis_name_are_numbered(tmp_path: Path) -> None:
     text = arm().replace('"j1"', '"a/b"').replace('"j2"', '"a b"')
     assert drafted(tmp_path, text, "--kind", "servo").axis_names == ("a_b", "a_b_2")

@@ -30,7 +30,15 @@ from sysid.machine.sources.draft import (
     without_stops,
 )
 from sysid.machine.sources.mjcf_actuator import Drive, drive_of
-from sysid.machine.sources.mjcf_chain import Chain, ChainJoint, Chains, crossed_joints, joint_equalities, named_point
+from sysid.machine.sources.mjcf_chain import (
+    Chain,
+    ChainJoint,
+    Chains,
+    crossed_joints,
+    equalities_off,
+    joint_equalities,
+    named_point,
+)
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
@@ -46,6 +54,8 @@ _OSCILLATES = 0.6
 _RATIOS, _SLOWEST = (0.03, 4.0), 0.5
 #: Share of gravity below which a body counts as weightless, and that may act sideways: a tenth of what a force is compared to.
 _WEIGHTLESS = 1e-3
+#: Difference of a setpoint limit and an end stop that counts as none [rad or m].
+_SAME = 1e-3
 #: Smallest and largest gravity on the Earth's surface [m/s²], at high mountains of the Equator and at the poles (WGS 84).
 _GRAVITY = (9.76, 9.84)
 
@@ -159,6 +169,11 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     notes += [("spring of", its)] if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]) else []
     notes += [("damping above first order of", its)] if np.any(model.dof_dampingpoly[dof]) else []
     notes += limit_notes(its, ("force", _force_limit(model, drive), "N" if straight else "N·m"))
+    controls = _controls(model, drive) if drive.control == "position" else None
+    if controls is not None and (controls[0] > low + _SAME or controls[1] < high - _SAME):
+        unit = "m" if straight else "rad"
+        notes.append(("setpoint limit of", f"{its} ({controls[0]:.6g} to {controls[1]:.6g} {unit})"))
+    notes += [("activation limit of actuator", actuator)] if driven and model.actuator_actlimited[drive.actuator] else []
     inertia, effects = None, list[KnownEffect]()
     if drive.actuation == "force":
         armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
@@ -192,13 +207,25 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
 
 
 def _force_limit(model: Any, drive: Drive) -> float:
-    """The smaller limit of the force of a joint and of its actuator, at the joint [N·m or N]; 0 for none."""
-    ends = list[float]()
+    """The smallest limit of the force of a joint, of its actuator and of its control, at the joint [N·m or N]; 0 for none."""
+    ends, actuator = list[float](), drive.actuator
     if model.jnt_actfrclimited[drive.joint]:
         ends.append(float(np.abs(model.jnt_actfrcrange[drive.joint]).max()))
-    if drive.actuator != NO_ACTUATOR and model.actuator_forcelimited[drive.actuator]:
-        ends.append(float(np.abs(model.actuator_forcerange[drive.actuator]).max()) * abs(_gear(model, drive.actuator)))
+    if actuator != NO_ACTUATOR and model.actuator_forcelimited[actuator]:
+        ends.append(float(np.abs(model.actuator_forcerange[actuator]).max()) * abs(_gear(model, actuator)))
+    if drive.control == "force" and (controls := _controls(model, drive)) is not None:
+        ends.append(max(map(abs, controls)))
     return min(ends, default=0.0)
+
+
+def _controls(model: Any, drive: Drive) -> tuple[float, float] | None:
+    """Ends of the range of a control in the unit of the command; None where it is not limited."""
+    if drive.actuator == NO_ACTUATOR or not model.actuator_ctrllimited[drive.actuator]:
+        return None
+    low, high = sorted(
+        float(end) / drive.scale for end in model.actuator_ctrlrange[int(model.actuator_ctrladr[drive.actuator])]
+    )
+    return low, high
 
 
 def _loop(model: Any, drive: Drive, name: str, damping: float) -> tuple[list[KnownEffect], list[Note]]:
@@ -301,6 +328,10 @@ def _beside(model: Any, chain: Chain) -> list[Note]:
     for pair in joint_equalities(model):
         if {*pair} <= leading:
             notes.append(("coupling of two driven joints:", listed([joint_name(model, joint) for joint in pair])))
+    for k in () if equalities_off(model) else range(model.neq):
+        locks = int(model.eq_type[k]) == mujoco_library().mjtEq.mjEQ_JOINT and int(model.eq_obj2id[k]) < 0
+        if locks and model.eq_active0[k] and int(model.eq_obj1id[k]) in joints:
+            notes.append(("equality that holds", joint_name(model, int(model.eq_obj1id[k]))))
     if model.opt.density or model.opt.viscosity:
         notes.append(("forces of a fluid:", f"density {model.opt.density:g} kg/m³, viscosity {model.opt.viscosity:g} Pa·s"))
     for tendon in range(model.ntendon):

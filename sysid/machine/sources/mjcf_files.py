@@ -21,7 +21,7 @@ from xml.sax.saxutils import quoteattr
 
 from sysid.errors import InputError
 from sysid.foreign import MAX_NAME, shown, visible
-from sysid.parse import read_text
+from sysid.parse import read_xml
 
 #: Nested elements; MuJoCo reads 500.
 MAX_DEPTH = 200
@@ -290,7 +290,7 @@ def _parsed(path: Path, where: object) -> _Element:
 
     what = "an MJCF file"
     try:
-        text = read_text(path)
+        text = read_xml(path)
     except FileNotFoundError:
         raise InputError(where, "no such file", what, "Check the path.") from None
     except IsADirectoryError:

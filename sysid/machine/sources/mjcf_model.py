@@ -132,9 +132,10 @@ def _states(files: Sequence[str] | FileStates) -> FileStates:
 def _specification(joined: JoinedModel, contacts: bool) -> Any:
     mujoco = mujoco_library()
     folder = mujoco.MjVfs()
+    model = joined.path if joined.path.endswith(".xml") else f"{joined.path}.xml"  # by which MuJoCo chooses the format
     for place, text in joined.texts.items():
-        folder[place] = text.encode()
-    spec = _of_mujoco(joined, lambda: mujoco.MjSpec.from_file(joined.path, vfs=folder))
+        folder[model if place == joined.path else place] = text.encode()
+    spec = _of_mujoco(joined, lambda: mujoco.MjSpec.from_file(model, vfs=folder))
     if joined.missing:
         _check_stand_ins(spec, joined, contacts)
     if not contacts:  # room for constraints of a simulation, which is gigabytes in some models
