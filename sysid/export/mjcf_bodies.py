@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from sysid.export.geometry import base_pose, stretched, tip_offset
 from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, LinkInertias, link_inertias
+from sysid.export.mjcf_drives import HARD
 from sysid.export.names import MachineNames, Names
 from sysid.export.urdf_text import APART, machine_names
 from sysid.machine.kinematics import Joint, Kinematics
@@ -109,6 +110,7 @@ class _Tree:
             equality = self.spec.add_equality(name=f"{added.name}_follows", name1=added.name, name2=names[master])
             equality.type, equality.objtype = _mujoco().mjtEq.mjEQ_JOINT, _mujoco().mjtObj.mjOBJ_JOINT
             equality.data[:5] = [drive.offset, drive.ratio, 0.0, 0.0, 0.0]
+            equality.solref, equality.solimp = [2.0 * self.spec.option.timestep, 1.0], HARD
 
 
 def _plain_bodies(spec: Any, plant: Plant, names: MachineNames) -> None:

@@ -130,12 +130,19 @@ def gripper() -> Plant:
     return plant_of(two_axes("position"), chain() + fingers)
 
 
+def linkage() -> Plant:
+    """A passive joint on the chain, under the weight of the links behind it."""
+    knee = joint("knee", "revolute", ("fore", "shin"), "0.3 0 0", "0 1 0", '<mimic joint="lift_joint" multiplier="-1.2"/>')
+    links = chain(mass=MASS).replace('<parent link="fore"/>', '<parent link="shin"/>')
+    return plant_of(two_axes("position"), links + link("shin", MASS) + knee)
+
+
 def without_urdf() -> Plant:
     axes = two_axes("velocity", gain=0.5, joint_type="revolute", limits=[-2.0, 2.0])
     return plant_of([axes[0], axes[1] | {"joint_type": "prismatic"}])
 
 
-MACHINES = {make.__name__: make for make in (servo, valves, continuous, sliding, planar, gripper, without_urdf)}
+MACHINES = {make.__name__: make for make in (servo, valves, continuous, sliding, planar, gripper, linkage, without_urdf)}
 
 
 def recording(plant: Plant, name: str) -> Recording:
