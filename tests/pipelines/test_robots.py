@@ -385,6 +385,7 @@ FURTHER = ("kuka_iiwa", "suite/hopper", "ur5e")
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_robots_of_others(robots: SimpleNamespace, tmp_path: Path) -> None:
     """Read, or refused with a remedy that works, or outside as another reader confirms; equal to MuJoCo or Pinocchio."""
     wanted = [package for package in robots.corpus.packages() if package.name in SUBSET]
