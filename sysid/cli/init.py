@@ -102,7 +102,8 @@ def init(
         out.line(f"kept  {directory / relative}")
     left_out, assumed = ((), ()) if drafted is None else (drafted.left_out, drafted.assumed)
     if drafted is not None:
-        out.line(f"{len(drafted.axes)} axes, {listed(drafted.axes)}, to the end effector {drafted.tip}")
+        count = "1 axis" if len(drafted.axes) == 1 else f"{len(drafted.axes)} axes"
+        out.line(f"{count}, {listed(drafted.axes)}, to the end effector {drafted.tip}")
     for line in left_out:
         out.line(f"left out: {line}")
     for line in assumed:

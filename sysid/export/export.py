@@ -85,6 +85,8 @@ def export_plant(
         ExcitationError: no held-out recording can be replayed.
     """
     check_folder(folder)
+    # The dataset may have another rate than that from which the plant comes; files and replay have one.
+    plant = replace(plant, machine=replace(plant.machine, rate_hz=dataset.machine.rate_hz))
     if moves_masses(plant.machine) and not target.arms:
         where = f"export of {plant.reference or plant.machine.name} to {target.name}"
         arms = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
@@ -121,7 +123,7 @@ def check_folder(folder: Path) -> None:
 def _write(
     plant: Plant, dataset: Dataset, target: Target, half: Path, folder: Path, samples: int, seed: int
 ) -> Export:  # fmt: skip
-    rate = dataset.machine.rate_hz
+    rate = plant.machine.rate_hz
     files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half))
     simulation = target.simulation(plant, half)
     found = None if simulation is None else _replayed(plant, simulation, dataset, target.resolution)

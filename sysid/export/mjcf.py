@@ -47,6 +47,7 @@ _ELEMENTS = {
     "joint_offset": "actuator `biasprm` and `range`, subtracted from the joint's sensor",
 }
 _COMPOSED = {
+    "force_constant_error": "armature, friction and constant force of the joint, divided by it; of an arm actuator `gainprm`",
     "backlash": "second joint of the drive, tendon limited to the width, dry friction of the joint (velocity axes, one side)",
     "link_length_error": "`pos` of the bodies of the link",
     "tip_offset": "`pos` of the site `ee`",
@@ -128,12 +129,12 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, most: Elements) 
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     names, posed = model_names(plant), plant.machine.kinematics() is not None
     add_bodies(spec, plant, names.machine)
-    axes = []
+    axes, passive = [], passive_joints(plant, names.machine)
     for axis in data["axes"]:
         name = names.machine.joint(axis["name"])
         entry, joint = drive_entry(plant, axis, data["pump_limit"] is not None, most), spec.joint(name)
         moved = moved_by(spec, names, entry, axis, joint, step)
-        add_drive(spec, axis, moved, entry, step)
+        add_drive(spec, axis, moved, entry, step, bool(passive))
         if entry.backlash is not None:
             heavier_drive(moved, spec.actuator(axis["name"]))
         about = {"axis": axis["name"], "mode": entry.mode, "reason": entry.reason, "prefix": entry.prefix, "joint": name}
@@ -153,7 +154,7 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, most: Elements) 
         tip = spec.body(names.machine.links[str(plant.machine.tip)])
         gimbal = add_tool(names, tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
     found = {"plant": plant.reference, "substeps": substeps, "posed": posed, "swings": swings, "gimbal": gimbal}
-    return spec, {**found, "axes": axes, "passive": passive_joints(plant, names.machine)}
+    return spec, {**found, "axes": axes, "passive": passive}
 
 
 class MujocoSimulation:

@@ -20,7 +20,8 @@ ARMATURE = 1e6
 #: A step of the integrator leaves 1/(1 + FAST) of a commanded change of speed. The faster the servo, the deeper it presses the
 #: joint into its end stop; at ten the rest of a change is below 1 % after two steps.
 FAST = 10.0
-#: The same of an axis without an end stop in its joint: a position servo, or one that follows the drive model.
+#: The same of an axis without an end stop in its joint: a position servo, or one that follows the drive model. Not in a model
+#: with passive joints: the constraint that couples them does not see the implicit damping, and is the later the larger it is.
 FASTEST = 1e3
 #: Effects of the command stage that an actuator has, in the order of the chain.
 VELOCITY_NATIVE = ("input_delay", "first_order_lag", "gain_error", "nominal_gain", "internal_leakage")
@@ -109,8 +110,13 @@ class Moved:
     zero: float
 
 
-def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, step: float) -> None:
-    """Add the actuator of an axis to an ``MjSpec`` and complete what it moves; ``step`` of the integrator [s]."""
+def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, step: float, coupled: bool) -> None:
+    """Add the actuator of an axis to an ``MjSpec`` and complete what it moves.
+
+    Args:
+        step: of the integrator [s].
+        coupled: whether the model has passive joints.
+    """
     import mujoco
 
     kind = mujoco.mjtTrn.mjTRN_TENDON if moved.tendon else mujoco.mjtTrn.mjTRN_JOINT
@@ -128,7 +134,7 @@ def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, 
         _force(axis, moved, actuator, step)
         return
     moved.element.armature = ARMATURE
-    damping = (FASTEST if servo or follows else FAST) * ARMATURE / step
+    damping = (FASTEST if (servo or follows) and not coupled else FAST) * ARMATURE / step
     if follows:
         _set(actuator, damping, 0.0, 0.0, -damping)
     elif axis["actuation"] == "velocity":

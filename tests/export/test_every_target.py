@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,8 @@ def sdf_agrees(plant: Plant, folder: Path) -> None:
         return
     joints = np.resize([0.3, -0.4], len(plant.machine.axes))
     state = Stepper(plant, RATE).reset(joints)
-    values = {names.joint(axis): float(state.joints[0, k]) for k, axis in enumerate(plant.machine.axis_names)}
+    moved = kinematics.drives.items()
+    values = {names.joints[joint]: drive.ratio * float(state.joints[0, drive.column]) + drive.offset for joint, drive in moved}
     sdf = xml_root(folder / "out" / SDF_FILE)
     np.testing.assert_allclose(place_of(sdf, names.added[END_EFFECTOR], values)[:3, 3], state.ee[0], atol=1e-9)
 
@@ -312,3 +314,13 @@ def test_the_validator_of_fmpy_finds_nothing(make: Any, tmp_path: Path) -> None:
     plant = make()
     target_named("fmu").write(plant, RATE, tmp_path)
     assert validate_fmu(str(tmp_path / "Machine.fmu")) == []
+
+
+@pytest.mark.parametrize("name", ["fmu", "lut", "json", "mjcf"])
+def test_a_dataset_of_another_rate_is_replayed_at_its_rate(name: str, tmp_path: Path) -> None:
+    plant = valves()
+    slower = replace(plant, machine=replace(plant.machine, rate_hz=50.0))
+    data = Dataset.of(slower.machine, [recording(slower, "r0")], {"r0": "held_out"})
+    found = export_plant(plant, data, target_named(name), tmp_path / "out", samples=1)
+    assert found.replay is not None
+    assert found.replay.agrees
