@@ -25,7 +25,7 @@ EFFECT = Effect(
                 Parameter(
                     "stribeck_velocity",
                     "drive/s",
-                    (1e-5, 0.05),
+                    (1e-5, 1.0),
                     (0.003, 0.01, 0.03),
                     0.05,
                     "63 % of the excess is gone",

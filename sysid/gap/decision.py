@@ -23,9 +23,10 @@ Given models of one stage (sets of effects) under shared variances:
    effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
-5. *Named*: in all acceptable sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value. Where errors do not accumulate, that interval includes what the discrepancy could do in its place,
-   and the named effects have to be worth their price without those that may be absent.
+5. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
+   around its known value, and no value lies at a bound of its range. Where errors do not accumulate, that interval includes
+   what the discrepancy could do in its place, and the named effects have to be worth their price without those that may be
+   absent.
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
    one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
@@ -70,6 +71,7 @@ PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on recordings left out of the fit it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
 FILTERS = "noise of its measured input explains a change of its size"
+AT_BOUND = "a value ends at a bound of its range, so that something else is missing"
 UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
 REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
 PERIODIC = "a disturbance that is periodic in time explains the error better"
@@ -432,6 +434,8 @@ def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[
         return NOT_EXCITED
     if any(beyond_rate(c, f) for f in models for c in f.candidates if c.key == candidate.key):
         return TOO_FAST
+    if any(at_bound(c, f) for f in models for c in f.candidates if c.key == candidate.key):
+        return AT_BOUND
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):

@@ -13,12 +13,17 @@ from sysid.gap.thresholds import EXPLAINED, Z
 from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
+#: Distance from a bound at which a fit stops, as a share of the bound, or of the negligible change where it is zero.
+AT = 1e-3
 
 
 def at_bound(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether a value of an effect lies at a bound other than its nominal value."""
-    pairs = zip(candidate.unknowns, model.values_of(candidate), strict=True)
-    return any(value in u.bounds and value != u.nominal for u, value in pairs)
+    """Whether a value of an effect lies at a bound, to within :data:`AT`, where it is neither nominal nor absent."""
+    return any(
+        abs(value - bound) <= AT * (abs(bound) or u.negligible) and value not in (u.nominal, absent)
+        for u, value, absent in zip(candidate.unknowns, model.values_of(candidate), candidate.absent, strict=True)
+        for bound in u.bounds
+    )
 
 
 def near_known(candidate: Candidate, model: ModelFit) -> bool:

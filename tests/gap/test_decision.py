@@ -98,6 +98,29 @@ def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None
             assert "region of practical equivalence" in found.near_misses[0].lacks
 
 
+def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
+    """Each parameter of the catalogue, at each end of its range; where it is absent, or as the plant has it, it is no bound."""
+    tried = 0
+    for candidate in OFFERED.values():
+        inside = np.array(candidate.starts[0]) + 1e-3
+        for k, (unknown, absent) in enumerate(zip(candidate.unknowns, candidate.absent, strict=True)):
+            for end in unknown.bounds:
+                values = inside.copy()
+                values[k] = end
+                made = replace(model(candidate), values=values)
+                found = decide([NOTHING, made], ALL)
+                if end in (unknown.nominal, absent):
+                    assert not any(near.lacks == decision.AT_BOUND for near in found.near_misses)
+                    continue
+                tried += 1
+                assert (found.named, found.tied) == ((), ()), f"{candidate.label}: {unknown.key} = {end}"
+                assert [near.lacks for near in found.near_misses] == [decision.AT_BOUND]
+                values[k] = end - 0.01 * np.sign(end) * max(abs(end), 1e-3)
+                clear = decide([NOTHING, replace(made, values=values)], ALL)
+                assert not any(near.lacks == decision.AT_BOUND for near in clear.near_misses)
+    assert tried > 40
+
+
 def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     sure, unsure = (decide([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
