@@ -58,6 +58,11 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     entry(out, SHARE, "", True)
     if links:
         entry(out, f"{LINKS} {', '.join(links)}.", "", True)
+    for effect in result.effects:
+        if effect.aliases:
+            others = ", ".join(effect_place(name, target, dataset.machine) for name, target in effect.aliases)
+            place = effect_place(effect.name, effect.target, dataset.machine)
+            entry(out, f"{place}: {others} in its place changes the recordings in the same way.", "", True)
     reasons: dict[str, list[str]] = {}
     for item in shown:
         if item.kind == "adjusted":

@@ -121,7 +121,8 @@ class Effect:
             :func:`sysid.effects.catalogue.confusions` combines both sides.
         generalises: simpler effects that are special cases of it: it has to predict clearly better.
         instead_of: effects of the same target in whose place it is compared, once a search without it has ended. It has to
-            divide the variance that they leave by the price of an effect (:mod:`sysid.gap.alternatives`).
+            divide the variance that they leave by the price of an effect, or to predict as well with fewer effects
+            (:mod:`sysid.gap.alternatives`).
         need: required excitation, as a count.
         actuations: kinds of axis that can have it (empty: not an axis effect).
         memory: step time [s] → number of state values of the step.
@@ -134,6 +135,7 @@ class Effect:
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
         of_links: it acts by the torque of links with masses; without them it is absent, and an axis of an arm has no free run.
+        in_links: on an arm, the adjusted inertial parameters of its links contain it: it is compared on other axes.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
     """
@@ -166,6 +168,7 @@ class Effect:
     fitted: bool = True
     described_only: bool = False
     of_links: bool = False
+    in_links: bool = False
     surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:

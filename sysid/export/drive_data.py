@@ -101,14 +101,24 @@ def _axis(plant: Plant, model: Model, i: int) -> dict[str, Any]:
         found["linkage"] = {"low": float(row[TABLE_LOW]), "step": float(row[TABLE_STEP]), "joints": joints}
     if axis.actuation == "force":
         spring = effect_slots(plant, "flexible_drive", name)
+        # Forces in units of the command: a drive that makes less of it moves as if everything else were larger.
+        constant = effect_slots(plant, "force_constant_error", name).get("ratio", 1.0)
+        frictions = [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, name))]
         found |= {
-            "mass": float(row[GAIN]) * effect_slots(plant, "inertia_error", name).get("ratio", 1.0),
-            "bias": effect_slots(plant, "load_bias", name).get("force", 0.0),
-            "frictions": [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, name))],
+            "mass": float(row[GAIN]) * effect_slots(plant, "inertia_error", name).get("ratio", 1.0) / constant,
+            "bias": effect_slots(plant, "load_bias", name).get("force", 0.0) / constant,
+            "frictions": [(law, _divided(law, values, constant)) for law, values in frictions],
             "rotor": "flexible_drive" if spring else "rigid_drive",
             "spring": spring,
         }
     return found
+
+
+def _divided(law: str, values: dict[str, float], constant: float) -> dict[str, float]:
+    """Slots of a friction with its forces divided by a constant; speeds and exponents stay."""
+    parameters = [parameter for form in effect_named(law).forms for parameter in form.parameters if parameter.scale == "force"]
+    forces = {slot for parameter in parameters for group in parameter.components for slot in group}
+    return {slot: value / constant if slot in forces else value for slot, value in values.items()}
 
 
 def _command(plant: Plant, name: str) -> list[Part]:

@@ -37,6 +37,7 @@ BLOCKS = {
     "coulomb_friction": "Coulomb friction of a force axis",
     "inertia_error": "inertia of a force axis",
     "load_bias": "constant force of a force axis",
+    "force_constant_error": "divides inertia, friction and constant force of a force axis",
 }
 #: Points on each side of zero.
 POINTS = 1000

@@ -1,9 +1,9 @@
 """An arm in MuJoCo: force axes that move links with masses.
 
 The plant states the commands u of a motion: ``u = scale·Y(q, v, a)·π + (inertia + rotor)·a + friction + bias`` on each axis,
-``scale`` its force constant. In MuJoCo all of it is divided by ``scale``: π are the masses, centres and inertias of the bodies,
-the payload is a body of its own, the inertia of the rotor is the armature of the joint, friction that of the joint, and the
-actuator turns a command into a true force.
+``scale`` its force constant; ``force_constant_error`` multiplies u beside it. In MuJoCo all of it is divided by ``scale``: π
+are the masses, centres and inertias of the bodies, the payload is a body of its own, the inertia of the rotor is the armature
+of the joint, friction that of the joint, and the actuator turns a command into a true force.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: f
         limit(joint, [end + offset for end in axis.limits], step)
     actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = 1.0 / scale
+    actuator.gainprm[0] = effect_slots(plant, "force_constant_error", axis.name).get("ratio", 1.0) / scale
     actuator.biasprm[0] = -effect_slots(plant, "load_bias", axis.name).get("force", 0.0) / scale
     mode = "native" if native else "friction"
     about = {"axis": axis.name, "joint": joint.name, "mode": mode, "scale": scale, "offset": offset}

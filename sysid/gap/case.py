@@ -239,8 +239,11 @@ def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
-    """Whether the plant has what the effect acts by: links with masses, gravity on a link about its own joint, an inertia."""
-    if candidate.effect.of_links and not moves_masses(plant.machine):
+    """Whether the plant has what the effect acts by: links with masses, gravity on a link about its own joint, an inertia.
+
+    An effect that the adjusted parameters of links contain is compared without links only.
+    """
+    if (candidate.effect.of_links, candidate.effect.in_links)[moves_masses(plant.machine)]:
         return False
     if candidate.effect is link_mass_error.EFFECT:
         return bool(scales.loads.get(candidate.target))

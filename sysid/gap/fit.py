@@ -60,7 +60,7 @@ class Fit:
         """Which of ``unknowns`` belong to one of the fitted candidates."""
         at = 0
         for known in self.candidates:
-            if known is candidate:
+            if known.label == candidate.label:
                 return slice(at, at + len(known.unknowns))
             at += len(known.unknowns)
         raise KeyError(candidate.label)

@@ -17,6 +17,7 @@ from sysid.effects import (
     first_order_lag,
     flexible_drive,
     flow_saturation,
+    force_constant_error,
     gain_curve,
     gain_error,
     input_delay,
@@ -107,7 +108,8 @@ def position_stage(u, p, b, s, m, size, load, dt):
 
 @inlined
 def force_stage(u, p, b, s, m, inertia, dt):
-    """Force [N or N·m] held over a step → mean speed of the drive; the state takes the speed after it."""
+    """Command [N or N·m] held over a step → mean speed of the drive; the state takes the speed after it."""
+    u = force_constant_error.step(u, p, b + AT.force_constant_error)
     mass, v = inertia * p[b + AT.inertia_error], s[m + STATE.speed]
     if p[b + AT.flexible_drive] >= flexible_drive.ABSENT:
         after = _against_friction(v, u, v, dt / mass, p, b)
@@ -166,12 +168,12 @@ def _against_friction(free, u, v, mobility, p, b):
 
 @inlined
 def force_at_motion(v, a, load, p, b, inertia):
-    """Force that the model needs for a measured motion of the motor: speed ``v`` and acceleration ``a``.
+    """Command [N or N·m] that the model needs for a measured motion of the motor: speed ``v`` and acceleration ``a``.
 
     ``a`` is that of the centre of mass of motor and load, where a spring is between them. ``load``: torque of the links, which
     the transmission carries; it causes friction here and is not contained.
     """
-    return (
+    force = (
         inertia * p[b + AT.inertia_error] * a
         + coulomb_friction.force(v, p, b + AT.coulomb_friction)
         + viscous_friction.force(v, p, b + AT.viscous_friction)
@@ -180,6 +182,7 @@ def force_at_motion(v, a, load, p, b, inertia):
         + load_dependent_friction.force(v, load, p, b + AT.load_dependent_friction, b + AT.smooth_coulomb_friction)
         + p[b + AT.load_bias]
     )
+    return force / p[b + AT.force_constant_error]
 
 
 @inlined

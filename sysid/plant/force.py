@@ -123,7 +123,7 @@ class ForceInputs:
         for lane, theta in enumerate(thetas):
             links = link_torque(model, theta, self.recording, axis)
             motion = self.position, self.speed, self.acceleration
-            full = model.inverse(theta, axis, *motion, 1.0 / self.rate_hz, links.carried) + links.whole
+            full = model.inverse(theta, axis, *motion, 1.0 / self.rate_hz, links.carried) + links.commanded
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]

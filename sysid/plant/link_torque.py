@@ -47,14 +47,21 @@ class LinkTorque:
     Args:
         carried: of the links, by the transmission.
         rotor: of an inertia of the rotor beside that of machine.toml, which is ahead of the transmission.
+        constant: torque of the drive over its command.
     """
 
     carried: Array
     rotor: Array
+    constant: float = 1.0
 
     @property
     def whole(self) -> Array:
         return self.carried + self.rotor
+
+    @property
+    def commanded(self) -> Array:
+        """Part of the command that makes these torques."""
+        return self.whole / self.constant
 
 
 def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> LinkTorque:
@@ -71,7 +78,7 @@ def link_torque(model: Model, theta: Array, recording: Recording, axis: str) -> 
         if motion is not None:
             carried, rotor = model.rigid.torque(*motion, parameters) * scales, motion[2] * rotors
         known = recording.derived[_TORQUE] = (key, np.ascontiguousarray(carried.T), np.ascontiguousarray(rotor.T))
-    return LinkTorque(known[1][i], known[2][i])
+    return LinkTorque(known[1][i], known[2][i], float(force_constants(model, theta)[i]))
 
 
 def static_torque(model: Model, theta: Array, joints: Array) -> Array:
@@ -103,6 +110,11 @@ def rotors_and_scales(model: Model, theta: Array) -> tuple[Array, Array]:
     """Inertia of each rotor beside that of machine.toml [kg·m²], and measured over true force of the links, (A,) each."""
     places = np.arange(model.axes) * AXIS_WIDTH + AT.inertial_error + PARAMETERS
     return theta[places], theta[places + 1]
+
+
+def force_constants(model: Model, theta: Array) -> Array:
+    """Force of each axis over its command, (A,)."""
+    return np.asarray(theta[np.arange(model.axes) * AXIS_WIDTH + AT.force_constant_error])
 
 
 def payload_parameters(rigid: RigidBody, mass: float, first_moment: Array) -> Array:

@@ -170,7 +170,7 @@ class Model:
         return out
 
     def inverse(self, theta: Array, axis: str, x: Array, v: Array, a: Array, dt: float, load: Array | None = None) -> Array:
-        """Force that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m].
+        """Command that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m].
 
         ``load``: torque of the links on it (n,), which is not contained but causes friction; zero by default.
         """

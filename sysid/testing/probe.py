@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import Effect
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
-from sysid.plant.link_torque import static_torque
+from sysid.plant.link_torque import force_constants, static_torque
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -272,7 +272,7 @@ def _slow_force(model: Model, theta: Array, recording: Recording, place: EffectP
     position, carried = joints[:, i].copy(), static_torque(model, theta, joints)[:, i].copy()
     speed = np.diff(position, prepend=position[:1]) / dt
     friction = model.inverse(theta, place.target, position, speed, np.zeros_like(speed), dt, carried)
-    return np.asarray(friction + carried)[:, None]
+    return np.asarray(friction + carried / force_constants(model, theta)[i])[:, None]
 
 
 def _straight(recording: Recording, model: Model, axis: str) -> Recording:

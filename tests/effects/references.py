@@ -147,6 +147,7 @@ def force_axis(
     load: float = 0.0,
     stribeck: tuple[float, float, float] = (0.0, 0.0, 1.0),
     slope: float = 1e-5,
+    constant: float = 1.0,
 ) -> Array:
     """Position of a mass from rest, (n,), by a stiff solver; dry friction regularised over ``slope`` [m/s]."""
     static, dynamic, film = stribeck
@@ -156,7 +157,7 @@ def force_axis(
         side = 0 if v > 0 else 1
         dry = coulomb[side] + dynamic + (static - dynamic) * math.exp(-((v / film) ** 2))
         friction = dry * math.tanh(v / slope) + viscous[side] * v
-        return [v, (u - friction - load) / mass]
+        return [v, (constant * u - friction - load) / mass]
 
     state = np.zeros(2)
     out = np.empty(len(force))

@@ -216,6 +216,7 @@ FORCE = [
     ("viscous_friction", {"coefficient": 3.0}, {"viscous": (3.0, 3.0)}),
     ("viscous_friction", {"positive": 2.0, "negative": 6.0}, {"viscous": (2.0, 6.0)}),
     ("inertia_error", {"ratio": 1.7}, {"mass": 3.4}),
+    ("force_constant_error", {"ratio": 0.8}, {"constant": 0.8}),
     ("load_bias", {"force": -0.7}, {"load": -0.7}),
     (
         "stribeck_friction",

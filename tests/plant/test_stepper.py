@@ -117,6 +117,7 @@ ALL = {
     "stribeck_friction": {"static_force": 0.5, "coulomb_force": 0.2, "stribeck_velocity": 0.02},
     "smooth_coulomb_friction": {"force": 0.3, "width": 0.05},
     "inertia_error": {"ratio": 1.2},
+    "force_constant_error": {"ratio": 0.9},
     "flexible_drive": {"frequency": 5.0, "damping_ratio": 0.1, "inertia_ratio": 1.5},
     "load_bias": {"force": -0.2},
     "backlash": {"width": 0.01},

@@ -79,6 +79,7 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("smooth_coulomb_friction", "slide", {"force": 18.0, "width": 0.15, "exponent": 1.5}),
     KnownEffect("flexible_drive", "slide", {"frequency": 6.0, "damping_ratio": 0.05, "inertia_ratio": 1.5}),
     KnownEffect("inertia_error", "slide", {"ratio": 1.25}),
+    KnownEffect("force_constant_error", "slide", {"ratio": 0.85}),
     KnownEffect("load_bias", "slide", {"force": -4.0}),
     KnownEffect("sensor_scale", "boom.joint", {"scale": 1.02}),
     KnownEffect("sensor_scale", "slew.joint", {"scale": 1.03}),

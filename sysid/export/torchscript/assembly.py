@@ -148,7 +148,8 @@ class _Assembly:
         name = axis["name"]
         laws = [_FRICTION[law](self.at(law, name)) for law, _ in axis["frictions"]]
         inertia = float(self.compiled.arrays.axes[self.plant.machine.axis_names.index(name), GAIN])
-        common = (self.dt, inertia, self.at("inertia_error", name), self.at("load_bias", name), laws)
+        constant, ratio, bias = (self.at(effect, name) for effect in ("force_constant_error", "inertia_error", "load_bias"))
+        common = (self.dt, inertia, constant, ratio, bias, laws)
         if axis["rotor"] == "rigid_drive":
             return force_parts.RigidDrive(*common)
         spring = axis["spring"]

@@ -60,16 +60,22 @@ class SmoothCoulombFriction(Friction):
 
 
 class RigidDrive(nn.Module):
-    """One mass under a force: ``ratio_at`` and ``bias_at`` are the columns of its inertia ratio and its constant load."""
+    """One mass under a force.
 
-    def __init__(self, dt: float, inertia: float, ratio_at: int, bias_at: int, laws: list[Friction]) -> None:
+    ``constant_at``, ``ratio_at`` and ``bias_at`` are the columns of its force constant, inertia ratio and constant load.
+    """
+
+    def __init__(
+        self, dt: float, inertia: float, constant_at: int, ratio_at: int, bias_at: int, laws: list[Friction]
+    ) -> None:  # fmt: skip
         super().__init__()
-        self.dt, self.inertia, self.ratio_at, self.bias_at = dt, inertia, ratio_at, bias_at
+        self.dt, self.inertia, self.constant_at, self.ratio_at, self.bias_at = dt, inertia, constant_at, ratio_at, bias_at
         self.laws: Any = nn.ModuleList(laws)
         self.width = 1
 
-    def forward(self, force: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, command: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Mean speed of the step, and the state: speed."""
+        force = self.force(command, theta)
         v, mass = torch.nan_to_num(state[:, 0]), self.mass(theta)
         after = self.against_friction(v, force, v, self.dt / mass, theta)
         turns = (v != 0.0) & (torch.sign(after) != torch.sign(v))
@@ -82,6 +88,9 @@ class RigidDrive(nn.Module):
         back = self.against_friction(rest, force, rest, (self.dt - stop) / mass, theta)
         mean = torch.where(turns, (v * stop + back * (self.dt - stop)) / self.dt, v + after)
         return 0.5 * mean, torch.where(turns, back, after)[:, None]
+
+    def force(self, command: Tensor, theta: Tensor) -> Tensor:
+        return command * parameter(theta, self.constant_at, 1.0)
 
     def mass(self, theta: Tensor) -> Tensor:
         return self.inertia * parameter(theta, self.ratio_at, 1.0)
@@ -102,13 +111,22 @@ class FlexibleDrive(RigidDrive):
     """Motor and load on a spring; ``at``: frequency, damping_ratio, inertia_ratio. ``count``: sub-steps of a step."""
 
     def __init__(
-        self, dt: float, inertia: float, ratio_at: int, bias_at: int, laws: list[Friction], at: int, count: int
-    ) -> None:  # fmt: skip
-        super().__init__(dt, inertia, ratio_at, bias_at, laws)
+        self,
+        dt: float,
+        inertia: float,
+        constant_at: int,
+        ratio_at: int,
+        bias_at: int,
+        laws: list[Friction],
+        at: int,
+        count: int,
+    ) -> None:
+        super().__init__(dt, inertia, constant_at, ratio_at, bias_at, laws)
         self.at, self.count, self.width = at, count, 3
 
-    def forward(self, force: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, command: Tensor, state: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Mean speed of the load, and the state: speed of the motor, twist, speed of the load."""
+        force = self.force(command, theta)
         ratio, short = theta[:, self.at + 2], self.dt / self.count
         root = torch.sqrt(1.0 + ratio)
         omega, damping = 2.0 * math.pi * theta[:, self.at] * root, theta[:, self.at + 1] * root

@@ -75,7 +75,9 @@ def axis_rows(model: Model, problem: Problem, recordings: Sequence[Recording], t
             inertia, at = model.machine.axis(name).inertia, places[j] * AXIS_WIDTH + AT.inertia_error
             rotor = (inertia or 0.0) * theta[at] * own.acceleration
             friction = friction_columns(own.speed, own.acceleration, nominal.carried, inertia is not None)
-            table = np.column_stack([own.raw - nominal.whole - rotor, nominal.carried, rotor, friction, slopes[j]])
+            table = np.column_stack(
+                [nominal.constant * own.raw - nominal.whole - rotor, nominal.carried, rotor, friction, slopes[j]]
+            )
             there = ~np.isnan(measured[:, j])
             used = np.flatnonzero(table.any(axis=0))
             filtered = np.zeros((int(there.sum()), table.shape[1]))

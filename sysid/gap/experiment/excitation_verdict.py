@@ -260,6 +260,8 @@ class _Reasons:
             return "a force axis is compared by its force at measured motion, independent of compliance ahead of the sensor"
         if effect is inertia_error.EFFECT and self.machine.axis(target).inertia is None:
             return "machine.toml states no inertia of its rotor, which is adjusted without a name"
+        if effect.in_links and moves_masses(self.machine):
+            return "the adjusted parameters of its links contain it"
         if effect is flexible_drive.EFFECT:
             return "its force responds to its motion like that of a rigid drive, up to the frequencies that the motion contains"
         if effect is link_mass_error.EFFECT:

@@ -302,7 +302,7 @@ def test_effects_inside_and_registries_are_refused() -> None:
     adapter = adapt_simulator(Said(lambda n: pd.DataFrame({"slide.joint": np.zeros(n)})), dataset)
     with pytest.raises(SettingsError, match="simulator Said: coulomb_friction acts inside; expected an input or output effect"):
         adapter.with_effects([KnownEffect("coulomb_friction", "slide", {"force": 1.0})])
-    assert any("moved by force: coulomb_friction" in note for note in adapter.notes([]))
+    assert any("slide is moved by force: " in note and "coulomb_friction" in note for note in adapter.notes([]))
     dataset = dataset_of(nominal(), 5.0)
     with pytest.raises(SettingsError, match="simulator crane model: cannot be stored"):
         find_gap(dataset, Opaque(), add=True)
