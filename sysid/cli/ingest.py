@@ -82,6 +82,7 @@ def ingest(
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
     from sysid.cli.datasets import describe
+    from sysid.cli.gap_tables import entry
     from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
     from sysid.datasets.plausibility import check_plausibility
@@ -102,7 +103,7 @@ def ingest(
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
     for line in dataset.machine.left_out:
-        out.line(f"left out of machine.toml: {line}")
+        entry(out, f"left out of machine.toml: {line}", "", True)
     found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")

@@ -281,9 +281,10 @@ def test_a_urdf_without_interfaces_needs_a_kind(tmp_path: Path, capsys: pytest.C
     machine = drafted(tmp_path, path, "--kind", "hydraulic", "--json", str(tmp_path / "made.json"))
     assert [axis.gain for axis in machine.axes] == [1.5, 0.2]
     assert json.loads((tmp_path / "made.json").read_text())["left_out"] == [
-        "force limit of turn (1 N·m) and push/pull (1 N)",
+        "force limit 1 N·m of turn",
         "damping inside the control loop of turn",
         "friction inside the control loop of turn",
+        "force limit 1 N of push/pull",
     ]
 
 

@@ -130,7 +130,7 @@ def without_stops(axis: str, limits: tuple[float, float] | None, prismatic: bool
 
 def limit_notes(joint: str, *limits: tuple[str, float, str]) -> list[tuple[str, str]]:
     """Limits of a drive that ``machine.toml`` does not contain: what it limits, value, unit; 0 is none."""
-    return [(f"{of} limit of", f"{joint} ({value:.6g} {unit})") for of, value, unit in limits if value > 0.0]
+    return [(f"{of} limit {value:.6g} {unit} of", joint) for of, value, unit in limits if value > 0.0]
 
 
 def draft_of(
@@ -234,8 +234,8 @@ def _proposal(attempts: Sequence[_Attempt], where: str) -> SettingsError:
     """The error that proposes the first of several choices, or of one with a held base, that can be drafted."""
     working = [attempt for attempt in attempts if attempt.draft is not None or attempt.kinds]
     if not working:
-        told = [attempt for attempt in attempts if attempt.error is not None and attempt.error.remedy] or attempts
-        return told[0].refusal(told[0].choice.options())
+        answered = [attempt for attempt in attempts if attempt.error is not None and attempt.error.remedy] or attempts
+        return answered[0].refusal(answered[0].choice.options())
     first, kind = working[0].choice, next(iter(working[0].kinds), None)
     choices = [attempt.choice for attempt in attempts]
     if len(choices) > 1:

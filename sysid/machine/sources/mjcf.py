@@ -172,7 +172,7 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     controls = _controls(model, drive) if drive.control == "position" else None
     if controls is not None and (controls[0] > low + _SAME or controls[1] < high - _SAME):
         unit = "m" if straight else "rad"
-        notes.append(("setpoint limit of", f"{its} ({controls[0]:.6g} to {controls[1]:.6g} {unit})"))
+        notes.append((f"setpoint limit {controls[0]:.6g} to {controls[1]:.6g} {unit} of", its))
     notes += [("activation limit of actuator", actuator)] if driven and model.actuator_actlimited[drive.actuator] else []
     inertia, effects = None, list[KnownEffect]()
     if drive.actuation == "force":
