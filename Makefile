@@ -69,7 +69,7 @@ arms: $(READY)
 # ONLY=panda takes the models with that in their path, and publishes nothing. It continues where it was stopped.
 ONLY ?=
 robots: $(READY)
-	$(BIN)/python pipelines/robots.py $(if $(ONLY),--only '$(ONLY)',--all --publish) --workers $(WORKERS) --work $(WORKSPACE)/robots
+	$(BIN)/python pipelines/read_robots.py $(if $(ONLY),--only '$(ONLY)',--all --publish) --workers $(WORKERS) --work $(WORKSPACE)/robots
 
 # A Dask scheduler on tcp://127.0.0.1:8786 with WORKERS worker processes, until Ctrl-C.
 cluster: $(READY)

@@ -40,7 +40,7 @@ def robots() -> Iterator[SimpleNamespace]:
     """The parts of the pipeline, and the pipeline as ``main``: tests/helpers has another module named ``robots``."""
     sys.path.insert(0, PIPELINES)
     parts = {name: importlib.import_module(f"robots_corpus.{name}") for name in MODULES}
-    spec = importlib.util.spec_from_file_location("robots_pipeline", Path(PIPELINES) / "robots.py")
+    spec = importlib.util.spec_from_file_location("robots_pipeline", Path(PIPELINES) / "read_robots.py")
     assert spec is not None
     assert spec.loader is not None
     main = importlib.util.module_from_spec(spec)

@@ -1,7 +1,7 @@
 """Robot models of others, as packages of the Python package index ship them, read and used as a user would: `make robots`.
 
-    python pipelines/robots.py [--only PATTERN] [--steps init,check,log,export] [--workers N] [--work FOLDER] [--again]
-    python pipelines/robots.py --all --publish           (writes reports/robots/; --all reads the packages' other models too)
+    python pipelines/read_robots.py [--only PATTERN] [--steps init,check,log,export] [--workers N] [--work FOLDER] [--again]
+    python pipelines/read_robots.py --all --publish           (writes reports/robots/; --all: the other models too)
 
 Every model of robots_corpus/corpus.toml is described by `sysid init --from`. A refusal's remedy is followed to the letter.
 What is read is compared with an independent reader (MuJoCo for MJCF, Pinocchio for URDF): tip, gravity torque, mass matrix.
@@ -86,7 +86,7 @@ def main(given: argparse.Namespace) -> None:
     roots = fetch(wanted, given.work)
     chosen = partial(filter, lambda robot: fnmatch.fnmatch(f"{robot.package}/{robot.file}", f"*{given.only}*"))
     rows = run_all(list(chosen(listed(wanted, roots))), steps, given.work / "models", given.workers, given.again)
-    command = f"python pipelines/robots.py{' --all' if given.all else ''} --publish"
+    command = f"python pipelines/read_robots.py{' --all' if given.all else ''} --publish"
     result = provenance(command, SEED, PACKAGES) | {"packages": {p.name: f"{p.version}, {p.licence}" for p in wanted}}
     if given.all:
         further = list(chosen(others(wanted, roots)))
