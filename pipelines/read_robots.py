@@ -6,7 +6,8 @@
 Every model of robots_corpus/corpus.toml is described by `sysid init --from`. A refusal's remedy is followed to the letter.
 What is read is compared with an independent reader (MuJoCo for MJCF, Pinocchio for URDF): tip, gravity torque, mass matrix.
 Then a short log of the machine's own nominal simulation is ingested and localised, and every export target is tried.
-Each model has a folder in the work folder; a step that has a result there is not repeated, unless ``--again`` is given.
+Each model has a folder in the work folder; a step that has a result there is not repeated, unless ``--again`` is given:
+after a change of the code. ``commits`` of the result are those that read the models.
 
 Order of reading of robots_corpus/: corpus, limited, mirror, remedy, outside, reading; peers, check; nominal, exports, steps;
 page.
@@ -24,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from committed import provenance, write_result
+from committed import commit_of, provenance, write_result
 from robots_corpus.corpus import SEED, Robot, fetch, listed, others, packages
 from robots_corpus.page import line, page, published, swept, table
 from robots_corpus.reading import read
@@ -58,7 +59,7 @@ def run_robot(robot: Robot, steps: Sequence[str], work: Path, again: bool) -> di
     row: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
     for step in steps:
         if step == "init" and (again or not row):
-            row = read(robot, folder)
+            row = read(robot, folder) | {"commit": commit_of(ROOT)}
         elif step != "init" and row.get("read") and (again or step not in row) and (step != "export" or _has_log(row)):
             row[step] = AFTER[step](robot, row, folder)
         path.with_suffix(".part").write_text(json.dumps(row, indent=1), "utf-8")
@@ -91,7 +92,7 @@ def main(given: argparse.Namespace) -> None:
     if given.all:
         further = list(chosen(others(wanted, roots)))
         result["others"] = swept(run_all(further, ["init", "check"], given.work / "others", given.workers, given.again))
-    result["models"] = published(rows)
+    result |= {"commits": sorted({row["commit"] for row in rows if row.get("commit")}), "models": published(rows)}
     write_result(given.work / "result.json", result)
     print(table(result))
     if given.publish:

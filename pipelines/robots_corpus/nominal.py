@@ -33,8 +33,8 @@ REST, RISE = 1.0, 2.0
 SHARE, LARGEST, SPEED = 0.3, 0.5, 0.5
 #: Standard deviation of the joint sensors [rad or m].
 NOISE = 1e-4
-#: Runs until the start agrees with the commands: a loaded servo rests beside its command.
-SETTLED = 3
+#: A loaded servo rests beside its command: most runs until the start does so, and the change below which it does [rad or m].
+SETTLING, SETTLED = 30, 1e-7
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,15 @@ def recording(model: Model, number: int) -> pd.DataFrame:
 def simulated(model: Model, time: Array, commands: Array, joints: Array) -> Array:
     """Joints (n, A) of the plant's free run; those of force axes stay."""
     found, rest = joints.copy(), round(0.8 * REST * model.machine.rate_hz)
-    for _ in range(SETTLED):
-        start = found.copy()
+    for _ in range(SETTLING):
+        start, before = found.copy(), found[rest].copy()
         start[:rest] = found[rest]
         run = free_run(model, Recording("run", table(model.machine, time, commands, start), model.machine.rate_hz))
         for k, axis in enumerate(model.machine.axes):
             if axis.actuation != "force":
                 found[:, k] = run[f"{axis.name}.joint"].to_numpy()
+        if np.abs(found[rest] - before).max() < SETTLED:
+            break
     return found
 
 

@@ -278,6 +278,7 @@ def test_the_nominal_log_stays_within_the_limits(robots: SimpleNamespace, made: 
         assert len(table) == round(robots.nominal.SECONDS * machine.rate_hz)
         assert table["shoulder.joint"].abs().max() < 1.5
         assert table["shoulder.joint"].max() - table["shoulder.joint"].min() > 0.2
+        assert abs(table["shoulder.joint"][0] - table["shoulder.command"][0]) < 0.02, "it rests where its weight lets it rest"
         still = table[table["time"] < robots.nominal.REST]["shoulder.joint"]
         assert still.max() - still.min() < 10.0 * robots.nominal.NOISE
     assert (tables[0]["shoulder.command"] - tables[1]["shoulder.command"]).abs().max() > 0.1
