@@ -61,7 +61,7 @@ STRIBECK_GUESS = {"static_force": 25.0, "coulomb_force": 15.0, "stribeck_velocit
 COUNT = 0.1 * position_of(0.5, drive_of(load_recipe(AUTOLOG).axis("boom")))
 
 #: Effects of no machine of the bench: pipelines/electric_arms.py compares them.
-ELSEWHERE = {"smooth_coulomb_friction", "flexible_drive", "second_order_lag"}
+ELSEWHERE = {"smooth_coulomb_friction", "flexible_drive", "second_order_lag", "force_constant_error"}
 
 ROWS: tuple[Row, ...] = (
     Row("input_delay", "boom", VALVES, {"axes.boom.valve.delay": 0.12}, BOOM, {"delay": 0.05}, {"delay": 0.12}),

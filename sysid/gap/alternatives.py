@@ -47,13 +47,17 @@ def search_alternatives(data: Data, theta: Array, candidates: Sequence[Candidate
         others = [c for c in plain if c.effect.name not in forms[0].effect.instead_of]
         model, fit = found.decision.model, _in_place(data, theta, found.decision.model, forms[-1])
         before = _left(data, model)
-        if not divides(before, _left(data, fit)) and not _fewer(_fewest(data, theta, before, fit), model):
+        few = _fewest(data, theta, before, fit)
+        if not divides(before, _left(data, fit)) and not _fewer(few, model):
             found = _beside(data, theta, found, fit)
             continue
-        instead = search([*others, *forms])
-        other, chosen = instead.decision.model, any(c.effect.name == effect for c in instead.decision.named)
-        if chosen and (divides(model.left, other.left) or (_fewer(other, model) and not clearly_worse(other, model))):
-            found = instead
+        # Beside the alternative, richer forms of the others may win; the smallest set is compared by itself then.
+        for some in ([*others, *forms], list(few.candidates)):
+            instead = search(some)
+            other, chosen = instead.decision.model, any(c.effect.name == effect for c in instead.decision.named)
+            if chosen and (divides(model.left, other.left) or (_fewer(other, model) and not clearly_worse(other, model))):
+                found = instead
+                break
     return found
 
 
