@@ -29,10 +29,15 @@ def committed() -> list[dict[str, Any]]:
 
 def test_every_effect_has_a_machine_that_shows_it(module: ModuleType, committed: list[dict[str, Any]]) -> None:
     # Links: tests/plant/test_link_torque.py; what only a description adds: tests/effects/test_references.py.
-    # Smooth friction, flexible drives and servos of second order: pipelines/electric_arms.py. Force constants, which the bench's
-    # drives do not have: tests/gap/test_force_constant.py.
+    # Smooth friction, flexible drives, servos of second order: pipelines/electric_arms.py. Force constants, which drives of
+    # the bench do not have: tests/gap/test_force_constant.py.
     names = {effect.name for effect in CATALOGUE if not effect.of_links and not effect.described_only}
-    assert {row.effect for row in module.ROWS} == names - {"smooth_coulomb_friction", "flexible_drive", "second_order_lag", "force_constant_error"}
+    assert {row.effect for row in module.ROWS} == names - {
+        "smooth_coulomb_friction",
+        "flexible_drive",
+        "second_order_lag",
+        "force_constant_error",
+    }
     assert [(row["effect"], row["target"], row["machine"]) for row in committed] == [
         (row.effect, row.target, row.machine_name) for row in module.ROWS
     ]
