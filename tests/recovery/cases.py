@@ -17,20 +17,23 @@ KNOWN = (
 )
 
 
+#: Friction of the slide that the simulation knows. A film of oil shows while something viscous lets it creep; a force constant
+#: differs from an inertia by the friction beside it.
+FRICTION = {
+    "stribeck_friction": (KnownEffect("viscous_friction", "slide", {"coefficient": 400.0}),),
+    "force_constant_error": (
+        KnownEffect("coulomb_friction", "slide", {"force": 18.0}),
+        KnownEffect("viscous_friction", "slide", {"coefficient": 35.0}),
+    ),
+}
 #: Effects of the weight: their machine has masses.
 WEIGHED = ("load_dependent_flow", "joint_compliance")
 
 
 def base(effect: KnownEffect) -> Plant:
-    """The simulation that lacks ``effect``. The boom's joint and the tool are seen by motion capture.
-
-    A film of oil shows while the slide creeps: something viscous holds it back then.
-    """
+    """The simulation that lacks ``effect``. The boom's joint and the tool are seen by motion capture."""
     if effect.target == "slide":
-        creeping = (
-            (KnownEffect("viscous_friction", "slide", {"coefficient": 400.0}),) if effect.name == "stribeck_friction" else ()
-        )
-        return nominal(*creeping, machine=slide())
+        return nominal(*FRICTION.get(effect.name, ()), machine=slide())
     known = (item for item in KNOWN if item.name != effect.name or item.target != effect.target)
     return nominal(*known, machine=loaded_arm() if effect.name in WEIGHED else None, streams=CAPTURE)
 
