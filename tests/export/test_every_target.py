@@ -13,10 +13,10 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from command_line import run
+from robots import robot
 from test_mjcf_arm import dataset as arm_dataset
 from test_sdf import place_of
 
-from robots import robot
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.export import Export, export_plant
