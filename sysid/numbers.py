@@ -7,6 +7,7 @@ The ranges are wide: only mistakes of units, sign or typing are refused.
 from __future__ import annotations
 
 import functools
+import math
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -69,6 +70,11 @@ def interval(low: float, high: float, where: object) -> tuple[float, float]:
     if not low < high:
         raise SettingsError(where, f"[{low:g}, {high:g}]", "the lower end below the upper end")
     return low, high
+
+
+def end_stops(low: float, high: float) -> tuple[float, float]:
+    """The ends of a range, infinite where they are at or beyond :data:`LARGEST`, which stands for no end stop."""
+    return -math.inf if low <= -LARGEST else low, math.inf if high >= LARGEST else high
 
 
 @functools.cache

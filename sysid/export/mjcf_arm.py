@@ -21,7 +21,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
 from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
-from sysid.export.mjcf_drives import HARD, dry_friction, limit
+from sysid.export.mjcf_drives import dry_friction, limit
 from sysid.export.shipped_run import load_module
 from sysid.export.standalone import mujoco_arm
 from sysid.export.standalone.force_parts import (
@@ -130,8 +130,6 @@ def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict
         load = spec.body(names.links[kinematics.tip]).add_body(name=names.added[PAYLOAD], pos=centre)
         load.explicitinertial, load.mass, load.ipos = True, mass, np.zeros(3)
         load.fullinertia = [*[TINY_INERTIA] * 3, 0.0, 0.0, 0.0]
-    for equality in spec.equalities:
-        equality.solref, equality.solimp = [2.0 * step, 1.0], HARD
     axes = [_axis(spec, plant, i, found, names.joint(plant.machine.axes[i].name), step) for i in range(len(plant.machine.axes))]
     sensors = sensor_readings(compile_plant(plant))
     return spec, {"substeps": substeps, "axes": axes, "passive": passive_joints(plant, names), "sensors": sensors}

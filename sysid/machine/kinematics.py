@@ -17,7 +17,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.mimic import Mimic, followed, parse_mimic, resolved
 from sysid.machine.urdf_tree import ENDS, KINDS, MOVING, urdf_tree
-from sysid.numbers import LARGEST, Finite, NonNegative, number
+from sysid.numbers import Finite, NonNegative, end_stops, number
 
 Array = npt.NDArray[np.float64]
 
@@ -211,7 +211,7 @@ def _parse_joint(element: Element) -> Joint:
     low, high = -math.inf, math.inf
     if limit is not None and kind in ("revolute", "prismatic"):
         low, high = (number(limit.get(end, "0"), Finite, f"{where}: {end}") for end in ENDS)
-        low, high = -math.inf if low <= -LARGEST else low, math.inf if high >= LARGEST else high
+        low, high = end_stops(low, high)
     origin = origin_pose(element.find("origin"), where)
     return Joint(name, kind, parent, child, origin, axis / norm, (low, high), parse_mimic(element, name))
 

@@ -42,7 +42,7 @@ from sysid.machine.sources.mjcf_chain import (
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
-from sysid.numbers import LARGEST
+from sysid.numbers import end_stops
 
 #: A kind of part that ``machine.toml`` does not contain, and the name of one.
 Note = tuple[str, str]
@@ -162,7 +162,7 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     straight = int(model.jnt_type[joint]) == mujoco_library().mjtJoint.mjJNT_SLIDE
     damping, friction = float(model.dof_damping[dof] + _actuators(model, drive, "damping")), float(model.dof_frictionloss[dof])
     low, high = (float(end) for end in model.jnt_range[joint]) if model.jnt_limited[joint] else (-math.inf, math.inf)
-    low, high = -math.inf if low <= -LARGEST else low, math.inf if high >= LARGEST else high
+    low, high = end_stops(low, high)
     limits, notes = stops(low, high, straight), list[Note]()
     assumed = without_stops(name, limits, straight)
     actuator = actuator_name(model, drive.actuator) if driven else ""

@@ -65,9 +65,8 @@ class Chains:
                 raise SettingsError(f"{source}: base", f"unknown body {shown(base)}", nearest(base, bodies))
             self.held = bodies[base]
         single = mujoco_library().mjtJoint
-        self._single = (int(single.mjJNT_SLIDE), int(single.mjJNT_HINGE))
         equalities = joint_equalities(model)
-        own = [j for j in range(model.njnt) if int(model.jnt_type[j]) in self._single]
+        own = [j for j in range(model.njnt) if int(model.jnt_type[j]) in (int(single.mjJNT_SLIDE), int(single.mjJNT_HINGE))]
         driven = {j for j in own if j in self.drivers or undriven}
         if undriven:  # of two coupled joints without actuators the second leads
             driven -= {pair[0] for pair in equalities if not {*pair} & self.drivers.keys()}
