@@ -48,7 +48,8 @@ def ui(location: str, out: Path | None, show_it: bool, serve: bool, port: int, j
 
 
 def _pages(workspace: Workspace, built: Built, out: Path | None) -> dict[str, Page]:
-    """URL path → page; reading the first one builds the site again."""
+    """URL path → page; reading the first one builds the site again, once for all requests that wait for it."""
+    import time
     from functools import partial
 
     from sysid.root import Root
@@ -57,14 +58,19 @@ def _pages(workspace: Workspace, built: Built, out: Path | None) -> dict[str, Pa
     root = Root(built.index.parent)
     one_at_a_time = threading.Lock()
     pages: dict[str, Page] = {}
+    begun = 0.0
 
     def add(found: Built) -> None:
         for path in (*found.made, *found.kept):
             pages.setdefault(f"/{path}", partial(root.read, path))
 
     def first() -> bytes:
+        nonlocal begun
+        asked = time.monotonic()
         with one_at_a_time:
-            add(build_site(workspace, out))
+            if begun <= asked:
+                begun = time.monotonic()
+                add(build_site(workspace, out))
             return root.read("index.html")
 
     pages["/"] = pages["/index.html"] = first
