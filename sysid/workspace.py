@@ -221,13 +221,17 @@ class Workspace:
         """
         return self.root.output(f"{_results(dataset)}/{path}" if dataset is not None else path)
 
+    def gap_folder(self, dataset: Dataset) -> Path:
+        """Folder of the gap result of this dataset version."""
+        return self.root.path(f"{_results(dataset)}/gap")
+
     def keep_gap(self, dataset: Dataset, result: GapResult) -> Path:
         """Store a gap result; it replaces the earlier one of the dataset version."""
-        return save_gap(self.root.path(f"{_results(dataset)}/gap"), result)
+        return save_gap(self.gap_folder(dataset), result)
 
     def gap(self, dataset: Dataset) -> GapResult | None:
         """The stored gap result of this dataset version."""
-        return load_gap(self.root.path(f"{_results(dataset)}/gap"))
+        return load_gap(self.gap_folder(dataset))
 
     def tests(self, result: GapResult, plant: Plant) -> bool:
         """Whether ``plant`` is the one that a gap result tests: the same version, or one of the same files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,7 @@ from sysid.cli.gap_mujoco import repaired_path, write_model
 from sysid.cli.gap_tables import entry
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.own_simulator import MUJOCO, open_simulator
-from sysid.cli.tables import show_gap, show_localised, show_repair, show_world
+from sysid.cli.tables import show_gap, show_localised, show_missing, show_repair, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
@@ -123,6 +124,7 @@ def gap(
 
         workspace = open_workspace(location)
         tested = open_simulator(simulator, dataset, assets) if simulator is not None else workspace.plant(dataset, plant)
+        folder = None if localise else workspace.gap_folder(dataset)
         result = find_gap(
             dataset,
             tested,
@@ -135,6 +137,7 @@ def gap(
             progress=progress,
             planning=Planning(),
             tasks=search_tasks(location, cluster, workers) if isinstance(tested, Plant) else None,
+            keep=None if localise else partial(workspace.keep_gap, dataset),
         )
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")
@@ -143,14 +146,12 @@ def gap(
         if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
             fit = command("fit", "actuator", dataset.name, workspace=location)
             out.line(f"{axis.name}: no linkage, so its joint is not simulated; {fit} fits one.")
-    folder = None
     if localise:
         show_localised(out, result, dataset)
-        page = write_report(workspace.output("localise.html", dataset), workspace.report_inputs(dataset, result))
-        out.line(f"With the maps: {page}")
+        show_missing(out, result)
     else:
-        folder = workspace.keep_gap(dataset, result).parent
         show_gap(out, result, dataset, verbose)
+        show_missing(out, result)
         show_world(out, result, dataset)
         if result.experiments:
             out.line()
@@ -163,12 +164,19 @@ def gap(
         elif simulator is not None:
             for note in result.notes:
                 out.line(f"note: {note}")
-        elif result.repaired:
+        elif result.repaired and not add:
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
     written = result.to_json(folder)
-    if mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None and not localise:
-        written["model"] = write_model(out, tested, result, dataset, mjcf, out_file, assets)
-    write_json(json_file, written)
+    try:  # the answer is written whatever happens to the files beside it
+        if localise:
+            page = write_report(workspace.output("localise.html", dataset), workspace.report_inputs(dataset, result))
+            out.line(f"With the maps: {page}")
+        elif mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None:
+            written["model"] = write_model(out, tested, result, dataset, mjcf, out_file, assets)
+    finally:
+        write_json(json_file, written)
+    if result.missing:
+        raise SystemExit(1)

@@ -26,7 +26,7 @@ INTERRUPTED = 130
 #: Time for the main thread to remove temporary files, write checkpoints and end [s].
 GRACE_S = 1.0
 STOPPING = b"sysid: stopping; press Ctrl-C again to end at once\n"
-ENDED = b"sysid: interrupted; nothing partial is visible; the command can be repeated\n"
+ENDED = b"sysid: interrupted; nothing half-written is visible; the command can be repeated\n"
 #: Return to the start of the line and clear it: the terminal has printed ``^C`` there, or a progress bar is there.
 _CLEAR = b"\r\x1b[K"
 

@@ -178,6 +178,15 @@ def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
         gap_tables.entry(out, sentence, "", True)
 
 
+def show_missing(out: Printer, result: GapResult) -> None:
+    """What follows the decision and could not be computed."""
+    from sysid.cli import gap_tables
+    from sysid.gap.headline import missing_sentences
+
+    for sentence in missing_sentences(result.missing):
+        gap_tables.entry(out, sentence, "", True)
+
+
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Residual networks: held-out error of the stage without and with each, or why there is none."""
     from sysid.display import quantity

@@ -105,7 +105,7 @@ class Scales:
     """What the data show before any fit.
 
     Args:
-        force: typical force [N or N·m].
+        force: typical force [N or N·m], zero for none.
         loads: typical gravity load on each axis [N·m or N], zero for no load.
         responses: (effect, axis) → its parameters that the frequency response of the axis shows, by name; axes that respond
             like rigid ones are absent.
@@ -116,10 +116,12 @@ class Scales:
     responses: Mapping[tuple[str, str], Mapping[str, float]] = field(default_factory=dict)
 
     def known_for(self, effect: Effect, target: str) -> bool:
-        """Whether the data contain the unit of the effect's parameters (a load), or their start values (a response)."""
+        """Whether the data contain the unit of the effect's parameters (force, load), or their start values (response)."""
         needed = {parameter.scale for form in effect.forms for parameter in form.parameters}
-        return ("1/load" not in needed or bool(self.loads.get(target))) and (
-            "response" not in needed or (effect.name, target) in self.responses
+        return (
+            ("force" not in needed or self.force > 0.0)
+            and ("1/load" not in needed or bool(self.loads.get(target)))
+            and ("response" not in needed or (effect.name, target) in self.responses)
         )
 
     def starts(self, parameter: Parameter, target: str) -> tuple[float, ...]:

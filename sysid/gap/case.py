@@ -260,14 +260,27 @@ def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:
-    """Median force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
-    force = 1.0
-    if stage.problem.stage == "force":
-        force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
+    """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
+    force = _typical_force(stage) if stage.problem.stage == "force" else 1.0
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
     typical = np.median(np.abs(loads), axis=0)
     typical[typical < 1e-3 * typical.max()] = 0.0
     return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), _responses(plant, stage))
+
+
+def _typical_force(stage: Stage) -> float:
+    """Median of the commanded forces; of those of the simulation at the measured motion, where none is commanded.
+
+    Where most are at rest (below a thousandth of the largest), it is the median of the others; zero without any force.
+    """
+    measured = [stage.problem.measured(r)[:, 0] for r in stage.split.fit]
+    simulated = [stage.problem.predict(stage.theta[None], r)[0, :, 0] for r in stage.split.fit]
+    for forces in (measured, simulated):
+        sizes = np.abs(np.concatenate(forces))
+        acting = sizes[sizes > 1e-3 * sizes.max()]
+        if len(acting):
+            return float(np.median(sizes if 2 * len(acting) > len(sizes) else acting))
+    return 0.0
 
 
 def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str, float]]:

@@ -49,7 +49,8 @@ def equivalent_change(left: float) -> float:
 
 def equivalent_half(candidate: Candidate, model: ModelFit) -> Array:
     """Half-widths (k,) of the regions of practical equivalence of the parameters of an effect."""
-    return np.asarray(equivalent_change(model.left) / np.maximum(model.response[model.rows_of(candidate)], 1e-300))
+    with np.errstate(divide="ignore", over="ignore"):  # no value changes an output that does not respond
+        return np.asarray(equivalent_change(model.left) / model.response[model.rows_of(candidate)])
 
 
 def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:

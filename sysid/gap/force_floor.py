@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 
 #: Rows for each column at least.
 ROWS_PER_COLUMN = 4
+#: Residual that is rounding [share of the error]: the columns contain all of it, where the logged force is constant.
+ROUNDING = 1e-9
 
 
 def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array, sigma: Array) -> Array:
@@ -40,8 +42,9 @@ def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording],
         inputs = force_inputs(recording, axis, problem.force_filter, problem.rows(recording))
         load = link_torque(model, theta, recording, axis.name).carried
         rigid = inputs.compared(friction_columns(inputs.speed, inputs.acceleration, load))
-        columns.append(np.hstack([rigid, *(part[:, :, 0] for part in smooth(recording).values())]))
-        target.append((problem.measured(recording) - problem.predict(theta[None], recording)[0])[:, 0])
+        moving = ~inputs.rests[inputs.rows]  # at rest the measured force stands for the model's, and leaves nothing
+        columns.append(np.hstack([rigid, *(part[:, :, 0] for part in smooth(recording).values())])[moving])
+        target.append((problem.measured(recording) - problem.predict(theta[None], recording)[0])[moving, 0])
     table, force = np.concatenate(columns), np.concatenate(target)
     if len(force) < ROWS_PER_COLUMN * table.shape[1]:
         return sigma
@@ -49,4 +52,5 @@ def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording],
     found, _, rank, _ = np.linalg.lstsq(table / size, force, rcond=1e-9)
     left = force - table / size @ found
     bound = float(np.sqrt(left @ left / (len(force) - int(rank))))
-    return np.array([bound]) if bound * EXPLAINED < float(sigma[0]) else sigma
+    least = ROUNDING * float(np.sqrt(np.mean(force**2)))
+    return np.array([bound]) if least < bound and bound * EXPLAINED < float(sigma[0]) else sigma

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sysid.gap.result import Missing
 
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
     "unnamed": "The simulation has an error that none of the known effects explains.",
     "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
-    "insufficient_excitation": "Simulation and machine disagree, but the excitation is not sufficient to identify the cause.",
+    "insufficient_excitation": "The excitation is not sufficient to identify what the simulation lacks, if anything.",
 }
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
@@ -20,6 +24,13 @@ def left_out_sentence(left_out: Sequence[str]) -> str:
     return (
         f"The description of the machine also contains: {'; '.join(left_out)}. An effect that is found there may stand for it."
     )
+
+
+def missing_sentences(missing: Sequence[Missing]) -> list[str]:
+    """What could not be computed after the effects were decided."""
+    return [
+        f"Missing from this result: {item.part}. {item.reason[:1].upper()}{item.reason[1:].rstrip('.')}." for item in missing
+    ]
 
 
 def headline(verdict: str, effects: int) -> str:

@@ -361,6 +361,18 @@ class Traces:
 
 
 @dataclass(frozen=True)
+class Missing:
+    """A part of a result that follows the decision and could not be computed, and why (:mod:`sysid.gap.following`)."""
+
+    part: str
+    reason: str
+
+
+#: An error that was not measured.
+NOT_MEASURED = Gap({}, {}, {})
+
+
+@dataclass(frozen=True)
 class GapResult:
     """Result of the workflow (``docs/result.md``).
 
@@ -369,6 +381,7 @@ class GapResult:
     ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
     named ones first; ``near_misses`` those that lack one condition for a name.
     ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
+    ``missing`` are parts that could not be computed; their fields are empty.
     """
 
     dataset: str
@@ -400,6 +413,7 @@ class GapResult:
     near_misses: tuple[NearMissResult, ...] = ()
     delays: tuple[AxisDelay, ...] = ()
     forces: tuple[ForceComparison, ...] = ()
+    missing: tuple[Missing, ...] = ()
 
     @property
     def repaired(self) -> bool:
@@ -439,6 +453,7 @@ class GapResult:
             "forces": [asdict(item) for item in self.forces],
             "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
+            "missing": [asdict(item) for item in self.missing],
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
             "world_gap": None if self.world_gap is None else _world_json(self.world_gap),

@@ -31,6 +31,8 @@ RESULTANT = 0.4
 MIN_LEVELS, MIN_STEPS = 4, 60
 #: Quantiles of the changes between neighbouring readings that are tested as the step.
 CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
+#: Least number of changes of the speed for each change of a reading: rounding makes one at nearly every step.
+MIN_CHANGES = 0.1
 #: Least share of the changes that are single or double steps; interpolated tables have finer lattices.
 MIN_SINGLE_STEPS = 0.01
 #: Largest number of steps over the range, a power of two.
@@ -158,7 +160,8 @@ def reading_step(parts: Sequence[Array]) -> float:
             out.
     """
     moving = [part for part in parts if not is_still(part)]
-    return _exact_step(moving) or _noisy_step(moving)
+    step = _exact_step(moving) or _noisy_step(moving)
+    return step if step > 0.0 and _changes_speed(moving, step) else 0.0
 
 
 def _exact_step(parts: Sequence[Array]) -> float:
@@ -192,6 +195,16 @@ def _exact_step(parts: Sequence[Array]) -> float:
         if on_lattice and len(np.unique(np.round(whole))) >= MIN_LEVELS:
             found = max(found, step)
     return found
+
+
+def _changes_speed(parts: Sequence[Array], step: float) -> bool:
+    """Whether readings move by changing numbers of steps: those of a steady motion lie on a lattice of its speed."""
+    turns, moves = 0, 0
+    for part in parts:
+        whole = np.round(np.diff(part[~np.isnan(part)]) / step)
+        turns += np.count_nonzero(np.diff(whole))
+        moves += np.count_nonzero(whole)
+    return turns >= MIN_CHANGES * moves
 
 
 def _readings(parts: Sequence[Array]) -> Array:

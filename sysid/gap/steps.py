@@ -141,17 +141,45 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     Raises:
         SettingsError: the study was not searched; residual networks were requested with a user's simulator.
     """
+    outcome = decide_on(study)
+    if carry:
+        outcome = with_residual_networks(study, outcome, progress)
+    proof = measure(study, outcome)
+    return in_world(study, proof, progress) if world and study.case.adapter is None else proof
+
+
+def decide_on(study: Study) -> ProofOutcome:
+    """The effects that keep their names on held-out recordings, with intervals, and what remains without a name.
+
+    Raises:
+        SettingsError: the study was not searched.
+    """
     if any(stage.result is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
-    outcome = evaluate(study.case, study.stages)
-    if carry:
-        from sysid.gap.unnamed import residual_model  # loads torch
-
-        outcome = residual_model.fit_residual_models(study.case, study.stages, outcome, progress=progress)
-    return measure(study, outcome, world, progress)
+    return evaluate(study.case, study.stages)
 
 
-def measure(study: Study, outcome: ProofOutcome, world: bool = False, progress: Progress = silent) -> Proof:
+def with_residual_networks(study: Study, outcome: ProofOutcome, progress: Progress = silent) -> ProofOutcome:
+    """The outcome with residual networks for unnamed residuals, where they help.
+
+    Raises:
+        SettingsError: a user's simulator cannot hold one.
+    """
+    from sysid.gap.unnamed import residual_model  # loads torch
+
+    return residual_model.fit_residual_models(study.case, study.stages, outcome, progress=progress)
+
+
+def in_world(study: Study, proof: Proof, progress: Progress = silent) -> Proof:
+    """The proof with the held-out commands run in the PyBullet world as well."""
+    case = study.case
+    return replace(
+        proof,
+        world=world_gap(case.plant, proof.outcome.repaired, case.split.held_out, proof.gap.noise_floor, progress),
+    )
+
+
+def measure(study: Study, outcome: ProofOutcome) -> Proof:
     """The gap on held-out recordings before and after the repair of ``outcome``."""
     case = study.case
     held_out, nominal, better = case.split.held_out, case.runner(case.plant), case.runner(outcome.repaired)
@@ -165,10 +193,7 @@ def measure(study: Study, outcome: ProofOutcome, world: bool = False, progress: 
     traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
     if is_pose_set(case.dataset):  # nothing is commanded: the run of a pose set is its end-effector stage
         free = by_stage
-    there = None
-    if world and case.adapter is None:
-        there = world_gap(case.plant, outcome.repaired, held_out, scores[2], progress)
-    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces), there)
+    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces))
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:

@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
-
-import numpy as np
-import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, Stage, excitation, force_comparisons, held_out_of, untested_forces
-from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
+from sysid.gap.case import Case, excitation, force_comparisons, held_out_of, untested_forces
+from sysid.gap.excitation import identifiable_targets
+from sysid.gap.experiment import Planning
+from sysid.gap.following import Fields, Following, completed
 from sysid.gap.headline import left_out_sentence
-from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
-from sysid.gap.shares import shares_of
+from sysid.gap.result import NOT_MEASURED, Excitation, GapResult, StageGap, Verdict
 from sysid.gap.stage_search import Forms
 from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.thresholds import EXPLAINED
-from sysid.gap.written import axis_delays, with_units, written_effects
-from sysid.plant import Plant, compile_plant
+from sysid.gap.written import with_units
+from sysid.plant import Plant
 from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
     from sysid.registry import Registry
-
-Array = npt.NDArray[np.float64]
 
 
 def find_gap(
@@ -50,6 +45,7 @@ def find_gap(
     planning: Planning | None = None,
     seed: int = 0,
     tasks: SearchTasks | None = None,
+    keep: Callable[[GapResult], object] | None = None,
 ) -> GapResult:
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove them on held-out recordings.
 
@@ -67,10 +63,15 @@ def find_gap(
         progress: called with (share done, text).
         tasks: searches the stages of a plant in other processes, which open the dataset and the plant from the workspace of
             ``registry``; by default in threads of this one. The result is the same.
+        keep: stores a result. It is called with the answer as soon as the effects are decided, and with the whole result.
+
+    Returns:
+        The result. What follows the decision and fails is in its ``missing``: errors on held-out recordings and in the world,
+        storage, promotion, maps, planned recordings.
 
     Raises:
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
-        InputError: a user's simulator failed, or returned no table of signals.
+        InputError: a user's simulator failed before the decision, or returned no table of signals.
         SettingsError: a repaired user's simulator is to be added to the registry, or to contain a residual network; ``tasks``
             without a registry.
         TaskError: the workers of ``tasks`` were lost.
@@ -81,101 +82,90 @@ def find_gap(
         )
     begin = time.perf_counter()
     report: Progress = progress or silent
-    if add and not isinstance(plant, Plant):
-        raise SettingsError(
-            f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Get the repaired simulator from sysid.gap.steps.add."
-        )
-    if carry and not isinstance(plant, Plant):
-        raise SettingsError(f"simulator {name_of(plant)}", "cannot hold a residual network", "a plant")
-    if carry and localise_only:
-        raise SettingsError(
-            "find_gap", "carry and localise_only", "one of them", "A residual network needs the residual of a search."
-        )
+    _check_simulator(plant, add, carry, localise_only)
     first = "localising" if is_compiled() else "compiling the simulation (once after an installation), localising"
     report(0.0, first)
     study = steps.open_study(dataset, plant, seed)
     located = steps.localise(study)
-    case, proposal, after_reference, promotion = study.case, ExperimentProposal(), "", None
-    own = registry is not None and case.adapter is None
-    reference = steps.register(case, case.plant, registry, {}) if registry is not None and own else case.reference
+    case = study.case
+    stored = registry if case.adapter is None else None
+    reference = steps.register(case, case.plant, stored, {}) if stored is not None else case.reference
     if localise_only:
-        proof = steps.measure(study, ProofOutcome(case.plant))
+        outcome = ProofOutcome(case.plant)
     else:
         elsewhere = replace(tasks, plant=reference) if tasks is not None else None
         study = steps.search(study, forms, part(report, 0.02, 0.75), tasks=elsewhere)
-        report(0.75, "proving on held-out recordings")
-        proof = steps.prove(study, add if world is None else world, part(report, 0.75, 0.85), carry=carry)
-    outcome, stages = proof.outcome, list(study.stages)
-    if add and registry is not None and outcome.repaired is not case.plant:
-        after_reference = steps.store(study, proof, registry)
-        promotion = steps.promote(study, proof, registry, after_reference)
-    if planning is not None and case.adapter is None and not localise_only and case.split.seen:  # poses alone: no motion
-        report(0.85, "planning the next experiment")
-        hypotheses = open_hypotheses(case, stages, outcome)
-        planned = itertools.count()
-
-        def on_hypothesis(text: str) -> None:
-            report(0.85 + 0.15 * min(1.0, next(planned) / max(1, len(hypotheses))), f"planning: {text}")
-
-        proposal = propose(case, outcome.repaired, hypotheses, planning, on_hypothesis)
+        report(0.75, "deciding on held-out recordings")
+        outcome = steps.decide_on(study)
+    stages = list(study.stages)
     shown = excitation(case, stages)
-    verdict = _verdict(outcome, located, shown, localise_only)
-    better = outcome.repaired.vector()
-    report(1.0, "done")
-    return GapResult(
+    notes = (
+        *outcome.notes,
+        *(untested_forces(case, stages) if case.adapter is None else ()),
+        *filter(None, [left_out_sentence(case.plant.machine.left_out) if case.adapter is None else ""]),
+        *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
+    )
+    answer = GapResult(
         dataset=dataset.reference,
         plant_before=reference,
-        plant_after=after_reference,
-        verdict=verdict,
+        plant_after="",
+        verdict=_verdict(case, outcome, located, shown, localise_only),
         effects=tuple(with_units(outcome.named, dataset)),
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
-        next_experiment=() if verdict == "no_gap" else steps.next_experiment(study, proof, shown),
-        gap=proof.gap,
-        stage_gap=proof.stage_gap,
+        next_experiment=(),
+        gap=NOT_MEASURED,
+        stage_gap=NOT_MEASURED,
         excitation=shown,
         held_out_recordings=tuple(r.name for r in held_out_of(case)),
         seconds=time.perf_counter() - begin,
         localised=located,
-        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
-        maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
-        carried=tuple(outcome.carried),
-        written=tuple(
-            with_units(
-                written_effects(
-                    case.plant, outcome.repaired, outcome.named, outcome.ties, outcome.near_misses, outcome.refused
-                ),
-                dataset,
-            )
-        ),
         near_misses=tuple(with_units(outcome.near_misses, dataset)),
-        delays=axis_delays(case.plant, outcome.repaired),
         forces=force_comparisons(stages),
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
-        traces=proof.traces,
-        notes=(
-            *outcome.notes,
-            *proposal.notes,
-            *(untested_forces(case, stages) if case.adapter is None else ()),
-            *filter(None, [left_out_sentence(case.plant.machine.left_out) if case.adapter is None else ""]),
-            *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
-        ),
-        experiments=proposal.experiments,
-        world_gap=proof.world,
-        machine_diff=steps.machine_diff(study, proof),
-        promotion=promotion,
+        notes=notes,
         settings={"seed": seed, "forms": forms, "carry": carry, "noise": dict(case.noise), "localise_only": localise_only},
     )
+    following = Following(study, steps.Proof(outcome, NOT_MEASURED, NOT_MEASURED, ()), shown, notes, report)
+    parts: dict[str, Callable[[], Fields]] = {}
+    if carry:
+        parts["residual networks"] = following.carry
+    parts["errors on held-out recordings"] = following.errors
+    if case.adapter is None and not localise_only and (add if world is None else world):
+        parts["errors in the PyBullet world"] = following.world
+    parts["values that the repair writes"] = following.written
+    if add and stored is not None and (carry or outcome.repaired is not case.plant):
+        parts["stored repair"] = partial(following.store, stored)
+        parts["promotion"] = partial(following.promote, stored)
+    if answer.verdict != "no_gap":
+        parts["next recordings"] = following.next_recordings
+    if case.adapter is None:
+        parts["shares of the stages"] = following.shares
+    parts["maps of the error"] = following.maps
+    if planning is not None and case.adapter is None and not localise_only and case.split.seen:  # poses alone: no motion
+        parts["planned recordings"] = partial(following.plan, planning)
+    result = completed(answer, parts, keep)
+    report(1.0, "done")
+    return replace(result, seconds=time.perf_counter() - begin)
 
 
-def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[Map, ...]:
-    """Maps over the fit and selection recordings, stage by stage."""
-    machine, units = case.plant.machine, case.dataset.units
-    of_stages = (maps_of(s.problem, case.theta, s.split.seen, s.sigma, machine, units, repaired) for s in stages)
-    return tuple(item for maps in of_stages for item in maps)
+def _check_simulator(plant: Plant | Simulator, add: bool, carry: bool, localise_only: bool) -> None:
+    """Raises SettingsError: what is asked for is impossible with this simulation."""
+    if carry and localise_only:
+        raise SettingsError(
+            "find_gap", "carry and localise_only", "one of them", "A residual network needs the residual of a search."
+        )
+    if isinstance(plant, Plant) or not (add or carry):
+        return
+    where = f"simulator {name_of(plant)}"
+    if add:
+        raise SettingsError(where, "cannot be stored", "a plant", "Get the repaired simulator from sysid.gap.steps.add.")
+    raise SettingsError(where, "cannot hold a residual network", "a plant")
 
 
-def _verdict(outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
+def _verdict(
+    case: Case, outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool
+) -> Verdict:
     if outcome.named:
         return "named"
     if outcome.ties:
@@ -183,4 +173,9 @@ def _verdict(outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence
     above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
     if outcome.unnamed or (localise_only and above):
         return "unnamed"
-    return "insufficient_excitation" if any(e.target in above and not e.sufficient for e in shown) else "no_gap"
+    targets = [item.target for item in located]
+    # An axis at rest agrees with any simulation.
+    tested = identifiable_targets(targets, case.dataset.recordings, case.plant.machine)
+    if not tested or any(e.target in above and not e.sufficient for e in shown):
+        return "insufficient_excitation"
+    return "no_gap"

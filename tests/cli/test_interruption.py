@@ -82,7 +82,7 @@ def test_an_interrupt_is_acknowledged_and_ends_everything(work: str, terminal: b
     os.kill(process.pid, signal.SIGINT)
     seen = read_until(source, b"stopping", seen)
     assert process.wait(PATIENCE_S) == 130
-    seen = read_until(source, b"interrupted; nothing partial is visible", seen)
+    seen = read_until(source, b"interrupted; nothing half-written is visible", seen)
     assert b"Traceback" not in seen
     assert terminal or b"\x1b" not in seen, "no control characters without a terminal"
     end = time.monotonic() + PATIENCE_S

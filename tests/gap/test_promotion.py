@@ -192,7 +192,7 @@ def test_the_name_alone_is_a_mistake_where_nothing_is(registry: Registry) -> Non
 
 def test_the_gap_falls_in_the_world_as_it_does_in_the_compiled_plant(searched: Study, proof: Proof) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no build for this Python")
-    there = steps.measure(searched, proof.outcome, world=True).world
+    there = steps.in_world(searched, proof).world
     assert there is not None
     assert there.skipped == ""
     assert there.recordings == ("run-4",)
@@ -209,7 +209,7 @@ def test_the_gap_falls_in_the_world_as_it_does_in_the_compiled_plant(searched: S
 
 def test_without_pybullet_the_proof_says_so(searched: Study, proof: Proof, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pybullet", None)
-    there = steps.measure(searched, proof.outcome, world=True).world
+    there = steps.in_world(searched, proof).world
     assert there is not None
     assert "pybullet is not installed" in there.skipped
     assert there.recordings == ()

@@ -91,3 +91,16 @@ def test_steps_that_a_data_sheet_does_not_promise_are_noise_with_a_name() -> Non
     known = plant.with_effect(truth)
     assert coarse_sensors(known, dataset.recordings, noise) == ()
     assert with_steps(known, (), noise) == pytest.approx(with_steps(plant, (coarse,), noise))
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_steady_motion_has_no_step(rate_hz: float, noise: float) -> None:
+    """At constant speed all readings lie on a lattice of the way between two samples, which is no property of the sensor."""
+    time = np.arange(600) / rate_hz
+    draw = np.random.default_rng(0)
+    ramps = [0.3 * speed * time + noise * draw.standard_normal(len(time)) for speed in (0.5, 1.0, -1.0)]
+    assert reading_step(ramps) == 0.0
+    step = 0.9 / rate_hz
+    rounded = [step * np.round(speed * time / step) for speed in (0.31, 0.47, -0.23)]
+    assert reading_step(rounded) == pytest.approx(step, rel=1e-3)

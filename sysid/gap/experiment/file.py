@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,10 +17,11 @@ import pandas as pd
 
 from sysid.config import Strict, inside, load_settings
 from sysid.errors import SettingsError, nearest
-from sysid.files import plain, written_whole
+from sysid.files import written_whole
 from sysid.gap.experiment.experiment import Experiment, Purpose, command_columns, outside
 from sysid.machine import Machine
 from sysid.names import check_file_name
+from sysid.quoting import toml_key, toml_value
 
 
 @dataclass(frozen=True)
@@ -121,17 +121,12 @@ def _toml(experiment: Experiment, digest: str) -> str:
     keys = ("name", "machine", "motion", "about", "axes", "seconds", "rate_hz", "repeats")
     top = {"schema": 1, **{key: getattr(experiment, key) for key in keys}}
     top |= {"commands": f"{experiment.name}.csv", "commands_sha256": digest}
-    lines += [f"{key} = {_value(value)}" for key, value in top.items()]
+    lines += [f"{key} = {toml_value(value)}" for key, value in top.items()]
     for key in ("start", "limits", "predicted", "provenance"):
         lines += ["", f"[{key}]"]
-        lines += [f"{json.dumps(name)} = {_value(value)}" for name, value in getattr(experiment, key).items()]
+        lines += [f"{toml_key(name)} = {toml_value(value)}" for name, value in getattr(experiment, key).items()]
     for purpose in experiment.purposes:
-        effects = ", ".join(f"{{name = {_value(e.name)}, target = {_value(e.target)}}}" for e in purpose.effects)
-        lines += ["", "[[purposes]]", f"kind = {_value(purpose.kind)}", f"text = {_value(purpose.text)}"]
-        lines += [f"effects = [{effects}]", f"nats = {_value(purpose.nats)}", f"needed = {_value(purpose.needed)}"]
+        effects = ", ".join(f"{{name = {toml_value(e.name)}, target = {toml_value(e.target)}}}" for e in purpose.effects)
+        lines += ["", "[[purposes]]", f"kind = {toml_value(purpose.kind)}", f"text = {toml_value(purpose.text)}"]
+        lines += [f"effects = [{effects}]", f"nats = {toml_value(purpose.nats)}", f"needed = {toml_value(purpose.needed)}"]
     return "\n".join(lines) + "\n"
-
-
-def _value(value: object) -> str:
-    """A string, number or list of them in TOML, whose basic strings are those of JSON."""
-    return json.dumps(plain(value), ensure_ascii=False, allow_nan=False)

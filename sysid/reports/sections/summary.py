@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from sysid import display
-from sysid.gap.headline import headline, left_out_sentence
+from sysid.gap.headline import headline, left_out_sentence, missing_sentences
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
 from sysid.reports import words
@@ -77,7 +77,11 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "held_out": gap.held_out_recordings,
         "repaired": gap.repaired,
         "next": [] if only else list(gap.next_experiment),
-        "sure": [*_still_open(gap), *(note for note in gap.notes if note == left_out_sentence(machine.left_out))],
+        "sure": [
+            *_still_open(gap),
+            *(note for note in gap.notes if note == left_out_sentence(machine.left_out)),
+            *missing_sentences(gap.missing),
+        ],
     }
 
 
@@ -248,7 +252,7 @@ def dumbbells(lines: list[SignalGap], repaired: bool) -> str:
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 10}" text-anchor="middle">{label}</text>')
     for number, (line, (before, after)) in enumerate(zip(scored, ratios, strict=True)):
         y = 24 + row * number
-        parts.append(f'<text class="row" x="{left - 12}" y="{y + 5}" text-anchor="end">{line.name}</text>')
+        parts.append(f'<text class="row" x="{left - 12}" y="{y + 5}" text-anchor="end">{escape(line.name)}</text>')
         if not repaired:
             parts.append(f'<circle class="before" cx="{x(before):.1f}" cy="{y}" r="6"/>')
             continue

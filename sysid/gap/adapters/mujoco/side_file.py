@@ -14,6 +14,7 @@ from sysid.config import Strict, load_settings
 from sysid.files import written_whole
 from sysid.machine import KnownEffect
 from sysid.plant import effects_toml
+from sysid.quoting import comment, toml_value
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,9 @@ def write_side_file(model: Path, effects: Sequence[KnownEffect]) -> Path | None:
     if not effects:
         path.unlink(missing_ok=True)
         return None
-    head = f"# Effects beside {model.name}, which MJCF cannot express. sysid gap --simulator mujoco:{model.name} loads them.\n"
-    text = f'{head}schema = 1\nmodel = "{model.name}"\n\n{effects_toml(effects)}'
+    name = comment(model.name)
+    head = f"# Effects beside {name}, which MJCF cannot express. sysid gap --simulator mujoco:{name} loads them.\n"
+    text = f"{head}schema = 1\nmodel = {toml_value(model.name)}\n\n{effects_toml(effects)}"
     with written_whole(path) as half:
         half.write_text(text, "utf-8")
     return path
