@@ -102,6 +102,8 @@ def pages() -> dict[str, str]:
     found |= {"reports/README.md": "reports.md", "rl/README.md": "rl.md", "datasets/README.md": "machines/index.md"}
     for path in sorted((ROOT / "datasets").glob("*/README.md")):
         found[path.relative_to(ROOT).as_posix()] = f"machines/{path.parent.name}.md"
+    for path in sorted((ROOT / "reports").glob("*/README.md")):
+        found[path.relative_to(ROOT).as_posix()] = f"reports/{path.parent.name}.md"
     for path in sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]):
         found[path.relative_to(ROOT).as_posix()] = path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()
     return found
