@@ -8,8 +8,15 @@ import pytest
 
 from sysid.datasets import Recording
 from sysid.datasets.recording import Dataset
-from sysid.gap import find_gap
+from sysid.gap import find_gap, steps
+from sysid.gap.case import stage_candidates
+from sysid.gap.data import Data
+from sysid.gap.drift import DriftStrength
 from sysid.gap.experiment import Planning
+from sysid.gap.experiment.information import plausible_model
+from sysid.gap.experiment.motions import MOTIONS
+from sysid.gap.experiment.open_hypothesis import OpenHypothesis, relevant_size
+from sysid.gap.experiment.proposal import Planner
 from sysid.gap.result import GapResult
 from sysid.machine import machine_from_files
 from sysid.plant import nominal_plant
@@ -18,8 +25,8 @@ ROLES = ("fit", "fit", "select", "held_out")
 EXTRA = {"velocity": "gain = 0.5", "position": "gain = 1.0", "force": "gain = 1.0\ninertia = 1.3"}
 
 
-def searched(actuation: str, rate_hz: float, seconds: float, motion: str) -> GapResult:
-    """The result for one axis: ``at rest`` without a command, ``held`` under one, or a pendulum that ``swings`` without one."""
+def dataset_of(actuation: str, rate_hz: float, seconds: float, motion: str) -> Dataset:
+    """One axis: ``at rest``, ``held`` under a command, ``driven`` to and fro, or a pendulum that ``swings`` freely."""
     text = (
         f'schema = 1\nname = "edge"\nrate_hz = {rate_hz}\n[[axes]]\nname = "a"\njoint = "a_joint"\nactuation = "{actuation}"\n'
         f'drives = "joint"\nlimits = [-2.0, 2.0]\n{EXTRA[actuation]}\n'
@@ -30,11 +37,19 @@ def searched(actuation: str, rate_hz: float, seconds: float, motion: str) -> Gap
         time = np.arange(round(seconds * rate_hz)) / rate_hz
         swing = 0.8 * np.exp(-0.1 * time) * np.cos(3.0 * time + number) if motion == "swings" else np.zeros(len(time))
         command = np.sin(0.4 * np.pi * time + number) if motion == "held" else np.zeros(len(time))
+        if motion == "driven":
+            swing, rate, push = (0.6 * 1.5**k * np.sin(1.5 * time + number + 0.5 * np.pi * k) for k in range(3))
+            command = {"velocity": rate / 0.5, "position": swing, "force": 1.3 * push}[actuation]
         noise = 1e-4 * np.random.default_rng(number).standard_normal(len(time))
         table = pd.DataFrame({"time": time, "a.command": command, "a.joint": swing + noise})
         recordings.append(Recording(f"run-{number}", table, rate_hz))
     splits = {recording.name: role for recording, role in zip(recordings, ROLES, strict=True)}
-    return find_gap(Dataset.of(machine, recordings, splits), nominal_plant(machine), planning=Planning())  # type: ignore[arg-type]
+    return Dataset.of(machine, recordings, splits)  # type: ignore[arg-type]
+
+
+def searched(actuation: str, rate_hz: float, seconds: float, motion: str) -> GapResult:
+    dataset = dataset_of(actuation, rate_hz, seconds, motion)
+    return find_gap(dataset, nominal_plant(dataset.machine), planning=Planning())
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0])
@@ -56,3 +71,23 @@ def test_a_pendulum_that_nothing_drives(rate_hz: float, seconds: float) -> None:
     result = searched("force", rate_hz, seconds, "swings")
     assert result.verdict in ("insufficient_excitation", "unnamed")
     assert result.missing == ()
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 100.0])
+@pytest.mark.parametrize("actuation", list(EXTRA))
+def test_every_motion_is_planned_or_left_out_at_every_rate(actuation: str, rate_hz: float) -> None:
+    """At 10 Hz, ten seconds of motion are too short to determine a force."""
+    dataset = dataset_of(actuation, rate_hz, 60.0, "driven")
+    plant = nominal_plant(dataset.machine)
+    study = steps.open_study(dataset, plant)
+    (stage,) = study.stages
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    candidate = next(c for c in stage_candidates(study.case, stage) if len(c.unknowns) == 1)
+    calm = (DriftStrength(),)
+    present = plausible_model(plant.vector(), candidate, candidate.unknowns, relevant_size(candidate), seen, calm)
+    absent = plausible_model(plant.vector(), None, (), np.empty(0), seen, calm)
+    hypothesis = OpenHypothesis("excitation", stage, (present, absent), calm)
+    planner = Planner(study.case, plant, Planning())
+    planned = [e for m in MOTIONS if not m.several for s in (10.0, 40.0) if (e := planner.excitation(m, (0,), s)) is not None]
+    forecasts = [planner.forecast(excitation, hypothesis) for excitation in planned]
+    assert all(forecast is None or forecast.nats > 0.0 for forecast in forecasts)

@@ -26,7 +26,15 @@ from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limi
 from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis
-from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
+from sysid.gap.problem import (
+    Problem,
+    drive_problem,
+    force_determined,
+    force_problem,
+    joint_problem,
+    tip_problem,
+    tool_problem,
+)
 from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.force import ForceFilter
@@ -214,6 +222,8 @@ class Planner:
             if not self._inside(recording) or not self._pump_sufficient(recording, model, hypothesis):
                 return None
             problem = self._problem(hypothesis, recording)
+            if problem is None:
+                return None
             datas[id(model)] = Data(problem, [recording], hypothesis.stage.sigma)
         apart = [discrimination(datas[id(a)], a, b, hypothesis.drifts, self.case.seed) for a, b in hypothesis.pairs]
         first = hypothesis.models[0]
@@ -237,12 +247,14 @@ class Planner:
         squares = before * hypothesis.stage.found.final_rmse**2 + new * rmse**2
         return math.sqrt(squares / (before + new)) > self.settings.gap
 
-    def _problem(self, hypothesis: OpenHypothesis, recording: Recording) -> Problem:
-        """The stage of the hypothesis for a simulated recording."""
+    def _problem(self, hypothesis: OpenHypothesis, recording: Recording) -> Problem | None:
+        """The stage of the hypothesis for a simulated recording; None where that is too short to determine a force."""
         stage, model = hypothesis.stage.problem, self._model(self.model.theta)
         if stage.stage == "force":
             settings = replace(stage.force_filter or ForceFilter(), delay=0.0)
-            return force_problem(model, self.machine.axis(stage.target), [recording], settings)
+            axis = self.machine.axis(stage.target)
+            determined = force_determined(recording, axis, 0.0, settings)
+            return force_problem(model, axis, [recording], settings) if determined else None
         if stage.stage in ("command", "joint"):
             make = drive_problem if stage.stage == "command" else joint_problem
             return make(model, self.machine.axis(stage.target))
