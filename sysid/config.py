@@ -145,9 +145,14 @@ def inside(root: Path, relative: str, where: object) -> Path:
     """The path ``relative`` below ``root``.
 
     Raises:
-        SettingsError: the path leaves ``root`` (``..``, an absolute path or a link out of it).
+        SettingsError: the path leaves ``root`` (``..``, an absolute path or a link out of it), or is none that the system has.
     """
-    path = (root / relative).resolve()
+    try:
+        path = (root / relative).resolve()
+        path.exists()
+    except (OSError, ValueError, RuntimeError) as error:  # the latter: links in a circle
+        found = f"path {shown(relative)} ({getattr(error, 'strerror', None) or error})"
+        raise SettingsError(where, found, "a path inside its folder") from None
     if not path.is_relative_to(root.resolve()):
         remedy = "Copy it there: links out of the folder are not followed." if Path(relative).is_absolute() else ""
         raise SettingsError(where, f"path {relative!r} leaves the folder {root}", "a path inside that folder", remedy)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import PurePosixPath
 from typing import Any
 
 from sysid.errors import SettingsError
@@ -86,6 +87,21 @@ def is_dataset_name(name: str) -> bool:
     """Whether :func:`check_dataset_name` takes it."""
     good = bool(name) and not name.startswith(".") and all(letter.isalnum() or letter in "-_." for letter in name)
     return good and len(name.encode("utf-8", "replace")) <= MAX_BYTES
+
+
+def check_pattern(pattern: str, role: str) -> str:
+    """``pattern`` if it can be the glob of files inside a folder.
+
+    Raises:
+        SettingsError: empty, absolute, too long, with ``..``, or with more than one ``**`` or one that is not a whole folder.
+    """
+    path = PurePosixPath(pattern)
+    if path.is_absolute() or ".." in path.parts:
+        raise SettingsError(role, f"path {shown(pattern)} leaves the folder of the logs", "a path inside that folder")
+    deep, too_long = path.parts.count("**"), any(len(part) > MAX_BYTES for part in path.parts)
+    if not path.parts or too_long or pattern.count("**") > deep or deep > 1:
+        raise SettingsError(role, shown(pattern), "a glob of file names, such as '*.csv'")
+    return pattern
 
 
 def check_file_name(name: Any, role: str) -> str:

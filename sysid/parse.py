@@ -44,12 +44,12 @@ def parse_toml(text: str) -> dict[str, Any]:
     """The tables of a TOML text.
 
     Raises:
-        ValueError: not TOML, or beyond the bounds.
+        ValueError: not TOML, beyond the bounds, or a null character, which no name and no path of the system can have.
     """
     if _longest_key(text) > MAX_DEPTH:
         raise _too_deep()
     try:
-        values: dict[str, Any] = _bounded(tomllib.loads(text))
+        values: dict[str, Any] = _bounded(tomllib.loads(text), null=False)
     except RecursionError:
         raise _too_deep() from None
     return values
@@ -118,8 +118,12 @@ def _content(path: Path) -> bytes:
     return content
 
 
-def _bounded(value: Any) -> Any:
-    """``value`` if everything in it is within the bounds; traversed without recursion."""
+def _bounded(value: Any, null: bool = True) -> Any:
+    """``value`` if everything in it is within the bounds; traversed without recursion.
+
+    Args:
+        null: whether texts may have a null character.
+    """
     level = [value]
     for _ in range(MAX_DEPTH + 1):
         below: list[Any] = []
@@ -130,8 +134,11 @@ def _bounded(value: Any) -> Any:
                 below += item
             elif isinstance(item, int) and not -_LARGEST <= item < 2 * _LARGEST:
                 raise ValueError(f"an integer of {item.bit_length()} bits, where 64 are the most")
-            elif isinstance(item, str) and not item.isascii():
-                item.encode("utf-8")  # raises UnicodeEncodeError, a ValueError, at half a surrogate pair
+            elif isinstance(item, str):
+                if not item.isascii():
+                    item.encode("utf-8")  # raises UnicodeEncodeError, a ValueError, at half a surrogate pair
+                if not null and "\0" in item:
+                    raise ValueError(f"a null character in {item[:40]!r}")
         if not below:
             return value
         level = below

@@ -12,7 +12,7 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.readers import reader_named
 from sysid.logs.time_unit import SECONDS
 from sysid.machine import Machine
-from sysid.names import check_file_name
+from sysid.names import check_file_name, check_pattern
 from sysid.numbers import Factor, Finite, Interval, NonNegative, Positive, Rate, Raw
 from sysid.signals import POINTS, split_signal
 from sysid.units import si_factor
@@ -244,10 +244,7 @@ def _checked(values: dict[str, Any], text: str, where: object) -> IngestRecipe:
     for name in recipe.recordings.files:
         check_file_name(name, f"{where}: recordings.files")
     for pattern in (*recipe.recordings.files.values(), *(stream.files for stream in recipe.streams)):
-        if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
-            raise SettingsError(
-                f"{where}: files", f"path {pattern!r} leaves the folder of the logs", "a path inside that folder"
-            )
+        check_pattern(pattern, f"{where}: files")
     for stream in recipe.streams:
         _check_stream(stream, where)
     for name, share in recipe.splits.held_out_last.items():

@@ -54,6 +54,14 @@ SHAPES: Mapping[str, Mapping[str, tuple[int, Any]]] = {
     "cylinder": {"radius": (1, Positive), "length": (1, Positive)},
     "sphere": {"radius": (1, Positive)},
 }
+#: Element → children of which the first one counts, as in ``urdfdom``.
+ONCE: Mapping[str, tuple[str, ...]] = {
+    "joint": ("origin", "axis", "limit", "dynamics", "mimic"),
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry"),
+    "collision": ("origin", "geometry"),
+}
 _XACRO = "Run xacro first: xacro FILE > robot.urdf."
 
 
@@ -78,12 +86,14 @@ def xml_root(text: str) -> Element:
 def urdf_tree(text: str) -> Element:
     """The root element of a URDF.
 
-    Removed are axis, limits, dynamics and mimic of joints that do not move, shapes without an extent, and end stops of more
-    than 10⁹ rad or m, as of exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes continuous.
+    Removed are axis, limits, dynamics and mimic of joints that do not move, shapes without an extent, repeated elements, and
+    end stops of more than 10⁹ rad or m, as of exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes
+    continuous. An axis without a direction is along x, the default of URDF.
 
     Raises:
         SettingsError: not XML, a DTD, another root, a xacro; too deep or too large; a number that is invalid, not finite or of
-            the wrong sign; a name that is not printable; two joints or links of one name; links that are not one tree.
+            the wrong sign; a name that is missing or not printable; two joints or links of one name; links that are not one
+            tree.
     """
     try:
         root = xml_root(text)
@@ -93,6 +103,8 @@ def urdf_tree(text: str) -> Element:
         raise SettingsError("urdf", f"root element <{shown(root.tag)[1:-1]}>", "<robot>")
     _check_size(root)
     _check_names(root)
+    for parent, element in repeated(root):
+        parent.remove(element)
     for joint in root.findall("joint"):
         _remove_meaningless(joint)
     for link, shape in invalid_shapes(root):
@@ -146,6 +158,12 @@ def _check_size(root: Element) -> None:
     raise SettingsError("urdf", f"nested deeper than {MAX_DEPTH} levels", "the description of one machine")
 
 
+def repeated(root: Element) -> list[tuple[Element, Element]]:
+    """Elements that follow one of the same kind where :data:`ONCE` takes the first, each with its parent."""
+    parts = [part for part in (*root.findall("joint"), *root.findall("link")) for part in part.iter()]
+    return [(part, child) for part in parts for tag in ONCE.get(str(part.tag), ()) for child in part.findall(tag)[1:]]
+
+
 def _check_names(root: Element) -> None:
     for element in root.iter():
         name = element.get("name", "")
@@ -153,11 +171,16 @@ def _check_names(root: Element) -> None:
             raise SettingsError("urdf", f"name {shown(name)}", "at most 200 characters, none of them a control character")
         if element.tag.startswith("xacro:"):
             raise SettingsError("urdf", f"<{shown(element.tag)[1:-1]}>", "a URDF, not a xacro", _XACRO)
+    for element in root:
+        if element.tag in ("joint", "link") and not element.get("name"):
+            raise SettingsError("urdf", f"a <{element.tag}> without a name", f'<{element.tag} name="…">')
 
 
 def _remove_meaningless(joint: Element) -> None:
     """Data that the kind of a joint gives no meaning, and end stops that stand for none."""
-    kind, limit = joint.get("type", ""), joint.find("limit")
+    kind, limit, axis = joint.get("type", ""), joint.find("limit"), joint.find("axis")
+    if axis is not None:
+        axis.attrib.setdefault("xyz", "1 0 0")
     if kind not in MOVING:
         for part in [part for part in joint if part.tag in ("axis", "limit", "dynamics", "mimic", "safety_controller")]:
             joint.remove(part)
@@ -227,8 +250,8 @@ def _check_tree(root: Element) -> None:
         SettingsError: where not.
     """
     names: dict[str, list[str]] = {tag: [str(each.get("name")) for each in root.findall(tag)] for tag in ("joint", "link")}
-    for tag, found in names.items():
-        twice = next((name for name in found if found.count(name) > 1), None) if len({*found}) < len(found) else None
+    for tag, named in names.items():
+        twice = next((name for name in named if named.count(name) > 1), None) if len({*named}) < len(named) else None
         if twice is not None:
             raise SettingsError("urdf", f"two {tag}s are named {twice!r}", f"a name of its own for every {tag}")
     if len(names["joint"]) > MAX_JOINTS:
@@ -237,10 +260,11 @@ def _check_tree(root: Element) -> None:
     for joint in root.findall("joint"):
         where, ends = f"urdf: joint {shown(joint.get('name', ''))}", []
         for role in ("parent", "child"):
-            end = joint.find(role)
-            if end is None or not end.get("link"):
-                raise SettingsError(where, f"no <{role} link=…>", "both parent and child")
-            ends.append(str(end.get("link")))
+            found = joint.findall(role)
+            if len(found) != 1 or not found[0].get("link"):
+                stated = f"{len(found)} elements <{role}>" if len(found) > 1 else f"no <{role} link=…>"
+                raise SettingsError(where, stated, "one parent and one child")
+            ends.append(str(found[0].get("link")))
             if ends[-1] not in links:
                 remedy = f'Add <link name="{ends[-1]}"/>, or remove the joint.'
                 raise SettingsError(where, f"{role} link {shown(ends[-1])}, which is not described", "a link", remedy)

@@ -13,9 +13,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError
 from sysid.machine import Kinematics
 from sysid.machine.kinematics import origin_pose
+from sysid.machine.urdf_tree import urdf_tree
 
 Array = npt.NDArray[np.float64]
 
@@ -37,10 +37,7 @@ class Shape:
 
 def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...]]:
     """Shapes of every link of the chain: at least one, except for a last link without visuals."""
-    from defusedxml.ElementTree import fromstring
-
-    root: Element = fromstring(urdf, forbid_dtd=True)
-    described = {str(link.get("name")): link for link in root.findall("link")}
+    described = {str(link.get("name")): link for link in urdf_tree(urdf).findall("link")}
     links = [kinematics.chain[0].parent, *(joint.child for joint in kinematics.chain)]
     shapes: dict[str, tuple[Shape, ...]] = {}
     for link in links:
@@ -75,7 +72,4 @@ def _bar(link: str, kinematics: Kinematics) -> tuple[Shape, ...]:
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in text.split())
-    except ValueError:
-        raise SettingsError("urdf: visual", f"{text!r}", "numbers") from None
+    return tuple(float(word) for word in text.split())

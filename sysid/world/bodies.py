@@ -14,6 +14,7 @@ from sysid.errors import SettingsError
 from sysid.machine import Kinematics
 from sysid.machine.kinematics import Joint
 from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 from sysid.world.urdf import (
     MASS,
@@ -88,15 +89,13 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     Raises:
         SettingsError: the machine has no URDF, or a tip offset on a link that a joint moves.
     """
-    from defusedxml.ElementTree import fromstring
-
     machine = plant.machine
     kinematics = machine.kinematics()
     if kinematics is None or machine.urdf_text is None:
         found = f"machine {machine.name} has no URDF"
         raise SettingsError("PyBullet world", found, "urdf and tip in machine.toml", "The compiled plant runs without one.")
     sway = plant.effect(gripper_sway.EFFECT.name, "tool")
-    root: Element = fromstring(machine.urdf_text, forbid_dtd=True)
+    root = urdf_tree(machine.urdf_text)
     if machine.tool is None and sway is not None:
         _add_tool(root, kinematics.tip)
         machine = replace(machine, tool=_TOOL, urdf_text=tostring(root, encoding="unicode"))

@@ -28,7 +28,7 @@ from sysid.machine.sources.draft import (
     summarised,
     without_stops,
 )
-from sysid.machine.urdf_tree import MOVING, indefinite_links, invalid_shapes, urdf_tree, xml_root
+from sysid.machine.urdf_tree import MOVING, indefinite_links, invalid_shapes, repeated, urdf_tree, xml_root
 from sysid.names import listed
 from sysid.numbers import NonNegative, number
 
@@ -62,8 +62,14 @@ def urdf_draft(
         return _draft(own, source, choice, its_kind, tool)
 
     made = draft_of(ends, draft, tree.choice, source, kind)
-    flat = summarised(("shapes without an extent of", link.get("name", "")) for link, _ in invalid_shapes(xml_root(whole)))
-    return replace(made, left_out=(*made.left_out, *flat))
+    written = xml_root(whole)
+    unread = [(f"repeated <{element.tag}>, of which the first counts, in", _named(part)) for part, element in repeated(written)]
+    unread += [("shapes without an extent of", link.get("name", "")) for link, _ in invalid_shapes(written)]
+    return replace(made, left_out=(*made.left_out, *summarised(unread)))
+
+
+def _named(part: Element) -> str:
+    return part.get("name") or f"<{part.tag}>"
 
 
 class _Tree:
