@@ -25,7 +25,7 @@ from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
-from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of
+from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
 from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
@@ -128,7 +128,9 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         plant = own.plant
         problems = own.problems(dataset)
     if not problems:
-        raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
+        lacking = filter(None, _untested_forces(plant, split, ()).values())
+        nothing = "no stage is measured at both its ends", "commands and the motion they cause"
+        raise next(lacking, ExcitationError(dataset.reference, *nothing))
     noise = noise_levels(dataset)
     coarse = coarse_sensors(plant, split.seen, noise)
     case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse)
@@ -203,9 +205,19 @@ def held_out_of(case: Case) -> tuple[Recording, ...]:
 
 def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     """Notes on force axes without a stage: they have to move in a recording of each role."""
-    tested = {stage.problem.target for stage in stages if stage.problem.stage == "force"}
-    axes = [axis.name for axis in case.plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
-    return tuple(f"{axis} is not tested: it has to move, measured with its force, in a recording of each role" for axis in axes)
+    tested = [stage.problem.target for stage in stages if stage.problem.stage == "force"]
+    return tuple(
+        f"{axis} is not tested: it has to move, measured with its force, in a recording of each role"
+        + (f" ({lacking})" if lacking else "")
+        for axis, lacking in _untested_forces(case.plant, case.split, tested).items()
+    )
+
+
+def _untested_forces(plant: Plant, split: Split, tested: Sequence[str]) -> dict[str, ExcitationError | None]:
+    """Force axes that are not ``tested``, and what a recording lacks for it."""
+    model = compile_plant(plant)
+    axes = [axis for axis in plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
+    return {axis.name: why_no_force(model, axis, split) for axis in axes}
 
 
 def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from sysid.compiled import kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class DriftStrength:
         return self.calm + self.moving > 1e-3
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _filter(residual: Array, activity: Array, calm: float, moving: float, memory: float, error: Array, variance: Array) -> None:
     """Prediction errors of the local level model and their variances, relative to the noise of a bin; NaN where missing."""
     level = 0.0
@@ -69,7 +70,7 @@ def _filter(residual: Array, activity: Array, calm: float, moving: float, memory
         spread = memory * memory * spread + calm + moving * activity[k]
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _filter_lanes(
     residuals: Array, activity: Array, calm: float, moving: float, memory: float, errors: Array, variances: Array
 ) -> None:
@@ -111,7 +112,7 @@ def _around(value: float) -> tuple[float, ...]:
     return (0.0,) if value == 0.0 else tuple(value * f for f in (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _likelihood(
     residual: Array, activity: Array, starts: npt.NDArray[np.int64], calm: float, moving: float, memory: float, work: Array
 ) -> tuple[float, float]:
@@ -140,7 +141,7 @@ def robust_scale(values: Array) -> float:
     return float(_scale(np.ascontiguousarray(values, dtype=np.float64)))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _scale(values: Array) -> float:
     scale = np.sqrt(np.mean(values**2))
     for _ in range(20):
@@ -179,7 +180,7 @@ def bins_of(measured: Array, predicted: Array, sigma: Array, rate_hz: float, sec
     return out
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _bin_lanes(measured: Array, predicted: Array, sigma: Array, width: int, out: Array) -> None:
     for lane in range(out.shape[0]):
         for k in range(out.shape[1]):

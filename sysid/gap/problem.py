@@ -179,17 +179,35 @@ def for_recordings(problem: Problem, model: Model, recordings: Sequence[Recordin
 
 def _force_problems(model: Model, axis: Axis, split: Split) -> list[Problem]:
     """The force stage of an axis, if recordings of each role determine it; its filter is that of the seen recordings."""
-    motion = (*split.seen, *split.held_out)
-    least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
-    settings = ForceFilter()
-    if model.rigid is None:  # the force on an axis of an arm is not a function of its own motion
-        settings = force_filter([r for r in split.seen if travel_of(r.values(axis.driven)) >= least], axis)
+    least, settings = _force_comparison(model, axis, split)
     moving = Split(*(tuple(r for r in part if force_determined(r, axis, least, settings)) for part in split.roles))
     if not any(moving.roles) or not all(there for there, role in zip(moving.roles, split.roles, strict=True) if role):
         return []
     if model.rigid is None:
         settings = replace(settings, delay=force_delay(moving.seen, axis, settings))
     return [force_problem(model, axis, (*moving.seen, *moving.held_out), settings)]
+
+
+def why_no_force(model: Model, axis: Axis, split: Split) -> ExcitationError | None:
+    """What the first recording lacks that does not determine the force of an axis; None where all do."""
+    least, settings = _force_comparison(model, axis, split)
+    for recording in (*split.seen, *split.held_out):
+        if travel_of(recording.values(axis.driven)) < least:
+            return ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
+        try:
+            force_inputs(recording, axis, settings)
+        except ExcitationError as error:
+            return error
+    return None
+
+
+def _force_comparison(model: Model, axis: Axis, split: Split) -> tuple[float, ForceFilter]:
+    """Least travel of the axis in a recording, and the filter of its force."""
+    motion = (*split.seen, *split.held_out)
+    least = MOVED_SHARE * travel_of(np.concatenate([r.values(axis.driven) for r in motion]))
+    if model.rigid is not None:  # the force on an axis of an arm is not a function of its own motion
+        return least, ForceFilter()
+    return least, force_filter([r for r in split.seen if travel_of(r.values(axis.driven)) >= least], axis)
 
 
 def _links_problems(model: Model, forces: Sequence[Problem], split: Split) -> list[Problem]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from sysid.compiled import is_compiled
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
@@ -23,7 +24,6 @@ from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.thresholds import EXPLAINED
 from sysid.gap.written import with_units
 from sysid.plant import Plant
-from sysid.plant.cache import is_compiled
 from sysid.progress import Progress, part, silent
 
 if TYPE_CHECKING:

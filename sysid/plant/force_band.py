@@ -27,6 +27,8 @@ Spectra = npt.NDArray[np.complex128]
 
 #: Length of the segments over which spectra are averaged [s], and the least number of them in the longest recording.
 SEGMENT, SEGMENTS = 1.0, 4
+#: Least length of a segment [samples]: a shorter one has hardly a frequency at which a position is noise.
+LEAST_LENGTH = 8
 #: Least share of the force that the motion explains, and least ratio of position to its noise, in power.
 COHERENCE, SIGNAL_TO_NOISE = 0.5, 10.0
 #: Share of the coherent power that the band contains.
@@ -51,9 +53,11 @@ def force_filter(recordings: Sequence[Recording], axis: Axis) -> ForceFilter:
 
 
 def band(motions: Sequence[Motion]) -> float:
-    """Upper end of the band [Hz] of recordings with one sample rate; zero where they are too short to tell."""
+    """Upper end of the band [Hz] of recordings with one sample rate; zero where they are too short, or too slow, to tell."""
     rate = motions[0].rate_hz
     length = round(min(SEGMENT * rate, max(len(m.force) for m in motions) / SEGMENTS))
+    if length < LEAST_LENGTH:
+        return 0.0
     segments = np.concatenate([fourier_segments(np.column_stack([*_inputs(m), m.force]), length) for m in motions])
     inputs = segments.shape[2] - 1
     if len(segments) <= 2 * inputs:

@@ -8,6 +8,7 @@ import pytest
 
 from sysid.datasets import Recording
 from sysid.datasets.recording import Dataset
+from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
 from sysid.gap.case import stage_candidates
 from sysid.gap.data import Data
@@ -91,3 +92,8 @@ def test_every_motion_is_planned_or_left_out_at_every_rate(actuation: str, rate_
     planned = [e for m in MOTIONS if not m.several for s in (10.0, 40.0) if (e := planner.excitation(m, (0,), s)) is not None]
     forecasts = [planner.forecast(excitation, hypothesis) for excitation in planned]
     assert all(forecast is None or forecast.nats > 0.0 for forecast in forecasts)
+
+
+def test_a_force_that_is_logged_too_slowly_is_refused_with_what_it_lacks() -> None:
+    with pytest.raises(ExcitationError, match="run-0: a: force and motion are not measured together; expected 100 samples"):
+        searched("force", 1.0, 60.0, "driven")

@@ -15,7 +15,7 @@ from plant_data import dataset_of, nominal
 from sysid.datasets import Dataset, Store
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import SettingsError
-from sysid.execution import LocalExecutor, TaskError
+from sysid.execution import LocalExecutor, TaskError, open_executor
 from sysid.gap import find_gap, steps
 from sysid.gap.case import stage_candidates
 from sysid.gap.result import GapResult
@@ -81,7 +81,7 @@ def test_the_plain_form_of_a_result_is_complete(dataset: Dataset) -> None:
 
 
 def test_two_processes_give_the_result_of_one(dataset: Dataset, workspace: Path, alone: Any) -> None:
-    tasks = search_tasks(workspace, workers=2)
+    tasks = search_tasks(workspace, open_executor(workers=2))
     assert tasks is not None
     shares = list[float]()
     found = find_gap(
@@ -97,11 +97,11 @@ def test_two_processes_give_the_result_of_one(dataset: Dataset, workspace: Path,
 def test_a_cluster_gives_the_result_of_one(dataset: Dataset, workspace: Path, alone: Any, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with cluster(tmp_path / "dask") as (address, _):
-        assert content(gap_of(dataset, workspace, search_tasks(workspace, address))) == alone
+        assert content(gap_of(dataset, workspace, search_tasks(workspace, open_executor(address)))) == alone
 
 
 def test_one_process_has_no_tasks(workspace: Path) -> None:
-    assert search_tasks(workspace) is None
+    assert search_tasks(workspace, open_executor()) is None
 
 
 def test_tasks_need_a_registry(dataset: Dataset, workspace: Path) -> None:
@@ -112,4 +112,4 @@ def test_tasks_need_a_registry(dataset: Dataset, workspace: Path) -> None:
 def test_a_lost_scheduler_is_an_error(dataset: Dataset, workspace: Path) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(TaskError):
-        gap_of(dataset, workspace, search_tasks(workspace, "tcp://127.0.0.1:9"))
+        gap_of(dataset, workspace, search_tasks(workspace, open_executor("tcp://127.0.0.1:9")))

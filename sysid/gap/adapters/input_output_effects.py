@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE
 from sysid.plant import chain, layout
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 Stretches = npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def input_effects_of_axis(
     p: Array, rig: MachineArrays, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, out: Array
 ) -> None:
@@ -39,7 +39,7 @@ def input_effects_of_axis(
             out[k] = chain.demand(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def output_effects_of_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: Array) -> None:
     """Drive (n,) → joint after backlash and compliance (n,); the backlash begins at ``start``. NaN stays NaN."""
     s = np.full(STATE.input_delay, np.nan)

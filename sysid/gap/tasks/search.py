@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets import Store
-from sysid.execution import Executor, LocalExecutor, open_executor
+from sysid.execution import Executor, LocalExecutor
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import Forms, find_stage
@@ -47,9 +47,8 @@ class SearchTasks:
         ]
 
 
-def search_tasks(location: str | Path, cluster: str | None = None, workers: int = 1) -> SearchTasks | None:
-    """The tasks of the settings (:func:`~sysid.execution.open_executor`); None for one process, which searches in threads."""
-    executor = open_executor(cluster, workers)
+def search_tasks(location: str | Path, executor: Executor) -> SearchTasks | None:
+    """The tasks of an executor; None for that of one process, which searches in threads."""
     return None if executor == LocalExecutor() else SearchTasks(executor, absolute_location(location))
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.optimize import minimize_scalar
 
+from sysid.compiled import kernel
 from sysid.gap.unnamed.residual_series import PARTS
 from sysid.plant.model import in_parallel
 
@@ -94,7 +94,7 @@ def best_period(periodograms: Sequence[Periodogram], curves: Sequence[Array], at
     return 1.0 / float(best.x)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def powers(
     z: Array,
     size: Array,
