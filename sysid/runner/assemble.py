@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.control import lookahead_time, tune
 from sysid.control.input_shaper import InputShaper, input_shaper
 from sysid.control.pendulum import pendulum_of
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, nearest
 from sysid.gap.experiment.file import read_experiment
 from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
@@ -81,19 +81,26 @@ class Assembly:
         pendulum = pendulum_of(self.loaded.plant)
         return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
 
-    def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
-        """A new loop, warmed up.
-
-        Raises:
-            SettingsError: the transport has other axes, or lacks a signal that is needed.
-        """
-        axes = self.machine.axis_names
+    def check_transport(self, transport: Transport) -> None:
+        """Raise SettingsError unless a transport has the machine's axes, a sensor of what each command drives, and known signals."""
+        axes, known = self.machine.axis_names, self.machine.signals
         if transport.axes != axes:
             raise SettingsError("transport", f"axes {', '.join(transport.axes)}", ", ".join(axes))
         for axis in self.machine.axes:
             if axis.driven not in transport.signals:
                 raise SettingsError("transport", f"no signal {axis.driven}", "a measurement of what every command drives")
-        loaded, checks = self.loaded, self.recipe.checks
+        for signal in transport.signals:
+            if signal not in known:
+                raise SettingsError("transport", f"unknown signal {signal}", nearest(signal, known))
+
+    def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
+        """A new loop, warmed up.
+
+        Raises:
+            SettingsError: the transport does not fit the machine.
+        """
+        self.check_transport(transport)
+        axes, loaded, checks = self.machine.axis_names, self.loaded, self.recipe.checks
         chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
