@@ -82,7 +82,7 @@ class Assembly:
         return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
 
     def check_transport(self, transport: Transport) -> None:
-        """Raise SettingsError unless a transport has the machine's axes, a sensor of what each command drives, and known signals."""
+        """Raise SettingsError unless a transport has the machine's axes, readings of what commands drive, known signals."""
         axes, known = self.machine.axis_names, self.machine.signals
         if transport.axes != axes:
             raise SettingsError("transport", f"axes {', '.join(transport.axes)}", ", ".join(axes))
