@@ -4,7 +4,8 @@ It opens a pseudo-terminal with slcan, as a CAN adapter does, and runs on its ow
 cycle of its controller, commands act on arrival, and valves go neutral when commands stop. Actions of people at the machine
 (dead-man switch, emergency stop, a cable unplugged) are written to a control pipe, one line each:
 
-    dead_man 0|1 · emergency_stop 0|1 · drop MESSAGE COUNT · stuck MESSAGE 0|1 · unplug MESSAGE 0|1 · quit
+    dead_man 0|1 · emergency_stop 0|1 · drop MESSAGE COUNT · stuck MESSAGE 0|1 · unplug MESSAGE 0|1 · clock SECONDS · quit
+    late_commands MS MS_PER_S · late_frames MS MS_PER_S · overtake 0|1 · swallow 0|1 · answers COUNT
 
 The truth is written to a file: one line of JSON, then a row of ``COLUMNS`` in float64 for each cycle.
 """
@@ -26,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.live_bus import CanFrame, LiveBus, parse_line
+from sysid.bench.live_line import LineFaults, parse_number
 from sysid.bench.live_machine import LiveMachine, Watchdog
 from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.recipe_file import load_recipe
@@ -34,13 +36,14 @@ from sysid.errors import SysidError
 Array = npt.NDArray[np.float64]
 
 #: Lines that the control pipe accepts.
-SWITCHES = ("dead_man", "emergency_stop", "drop", "stuck", "unplug", "quit")
+SWITCHES = (
+    "dead_man", "emergency_stop", "drop", "stuck", "unplug", "clock", "late_commands", "late_frames", "overtake", "swallow",
+    "answers", "quit",
+)  # fmt: skip
 #: Requested real-time priority (SCHED_FIFO).
 PRIORITY = 60
 #: After a delay longer than this the process does not catch up on missed cycles [ns].
 _LONGEST_SLEEP_NS = 1_000_000_000
-#: Period of the machine's clock on the bus [s]: 32 bits of 0.1 ms.
-_CLOCK_TURN = 429496.7
 #: Columns of the truth file. Times are of the monotonic clock of the computer [ns]; ``asked`` are commands on the bus,
 #: ``passed`` those behind the watchdog, ``counter`` and ``counter_ns`` the last alive counter and its arrival.
 COLUMNS = (
@@ -69,6 +72,9 @@ class Switches:
     drop: dict[str, int] = field(default_factory=dict)
     stuck: dict[str, bytes | None] = field(default_factory=dict)
     unplugged: set[str] = field(default_factory=set)
+    #: By which the machine's clock was set [s].
+    clock: float = 0.0
+    line: LineFaults = field(default_factory=LineFaults)
     quit: bool = False
 
     def apply(self, line: str, bus: LiveBus) -> None:
@@ -79,6 +85,11 @@ class Switches:
         elif word in ("dead_man", "emergency_stop"):
             (value,) = rest
             setattr(self, word, bool(int(value)))
+        elif word == "clock":
+            (value,) = rest
+            self.clock += parse_number(value)
+        elif word not in ("drop", "stuck", "unplug"):
+            self.line.apply(word, rest)
         else:
             name, count = rest
             bus.identifier(name)
@@ -88,10 +99,8 @@ class Switches:
                 self.stuck.pop(name, None)
                 if int(count):
                     self.stuck[name] = None
-            elif word == "unplug":
-                (self.unplugged.add if int(count) else self.unplugged.discard)(name)
             else:
-                raise ValueError(line)
+                (self.unplugged.add if int(count) else self.unplugged.discard)(name)
 
     def through(self, name: str, frame: CanFrame) -> CanFrame | None:
         """``frame`` of message ``name`` with the faults applied; None where it is lost."""
@@ -149,6 +158,11 @@ class SerialLine:
             if end < taken:  # a partly sent frame has to be completed; those after it are lost
                 self._unsent = lines[taken : lines.index(b"\r", taken) + 1]
 
+    def acknowledge(self, count: int) -> None:
+        """Acknowledge ``count`` frames, as some adapters do."""
+        if self.open and not self._unsent:
+            self._unsent = (b"Z\r" * count)[self._taken(b"Z\r" * count) :]
+
     def _taken(self, lines: bytes) -> int:
         """Number of bytes of ``lines`` that the line accepted."""
         try:
@@ -181,33 +195,36 @@ class LiveProcess:
         self.cycle_ns = self.machine.steps * self._step_ns
         self._events: list[tuple[int, CanFrame]] = []
         self._counter_ns = 0
-        self._cycle = 0
+        self.cycles = 0
 
     def received_frames(self, frames: list[CanFrame], now_ns: int) -> None:
-        """Queue received frames; they act from ``now_ns`` on."""
-        self._events += [(now_ns, frame) for frame in frames]
+        """Queue frames that are received at ``now_ns``; they act when the line has carried them."""
+        line = self.switches.line
+        if not line.swallows:
+            self._events += [(now_ns + line.commands.at(now_ns), frame) for frame in frames]
 
     def cycle(self, end_ns: int) -> tuple[list[CanFrame], Array]:
         """Simulate the cycle that ends at ``end_ns``; returns the frames to send and the row of the truth."""
         machine, switches, watchdog = self.machine, self.switches, self.watchdog
+        clock = machine.seconds + switches.clock
         commands = np.empty((machine.steps, len(AXES)))
         for step in range(machine.steps):
             now = end_ns - self.cycle_ns + step * self._step_ns
             while self._events and self._events[0][0] <= now:
                 received_ns, frame = self._events.pop(0)
-                self._take(received_ns, frame, machine.seconds + (received_ns - end_ns + self.cycle_ns) * 1e-9)
+                self._take(received_ns, frame, clock + (received_ns - end_ns + self.cycle_ns) * 1e-9)
             # The emergency stop removes the pilot pressure.
             commands[step] = watchdog.passed(now) * (not switches.emergency_stop)
         machine.advance(commands)
-        self._cycle += 1
+        self.cycles += 1
         status = {
             "dead_man": float(switches.dead_man),
             "emergency_stop": float(switches.emergency_stop),
             "fault": float(watchdog.fault),
-            "time": machine.seconds % _CLOCK_TURN,
+            "time": (machine.seconds + switches.clock) % self.bus.clock_period,
             "echo": float(max(watchdog.counter, 0)),
         }
-        frames = self.bus.frames(machine.readings(), self._cycle, status)
+        frames = self.bus.frames(machine.readings(), self.cycles, status)
         switch_states = (switches.dead_man, switches.emergency_stop, watchdog.fault, watchdog.counter, self._counter_ns)
         row = np.concatenate([[end_ns], machine.truth, watchdog.commanded, commands[-1], [watchdog.enabled], switch_states])
         return [sent for frame in frames if (sent := switches.through(self.bus.name(frame), frame)) is not None], row
@@ -215,7 +232,7 @@ class LiveProcess:
     def _take(self, received_ns: int, frame: CanFrame, seconds: float) -> None:
         """Process a frame that arrived at ``received_ns``, ``seconds`` on the machine's clock."""
         if (valve := self.bus.valve(frame)) is not None:
-            age = self.bus.age(frame, seconds % _CLOCK_TURN)
+            age = self.bus.age(frame, seconds % self.bus.clock_period)
             self.watchdog.command(*valve, received_ns, round(min(age, 1e3) * 1e9))
         elif (status := self.bus.status(frame)) is not None:
             if status[0] != self.watchdog.counter:
@@ -248,15 +265,23 @@ def run_live(options: argparse.Namespace) -> None:
         end = due + options.seconds * 1e9
         try:
             while due < end and not process.switches.quit:
+                faults = process.switches.line
                 while (now := time.monotonic_ns()) < due:
-                    ready, _, _ = select.select([line.master, control], [], [], (due - now) * 1e-9)
+                    line.send(faults.arrived(now))
+                    until = min(due, faults.due_ns() or due)
+                    ready, _, _ = select.select([line.master, control], [], [], max(0, until - now) * 1e-9)
                     if line.master in ready:
-                        process.received_frames(line.receive(), time.monotonic_ns())
+                        received = line.receive()
+                        if faults.swallows:
+                            line.acknowledge(len(received))
+                        process.received_frames(received, time.monotonic_ns())
                     if control in ready:
                         *lines, rest = (rest + os.read(control, 4096)).split(b"\n")
                         _apply_switches(lines, process)
                 frames, row = process.cycle(due)
-                line.send(frames)
+                process.switches.line.sent(frames, process.bus.identifier("MACHINE_STATUS"), process.cycles, due)
+                line.send(process.switches.line.arrived(due))
+                line.acknowledge(process.switches.line.answers)
                 truth.write(row.tobytes())
                 due += process.cycle_ns
                 if time.monotonic_ns() - due > _LONGEST_SLEEP_NS:

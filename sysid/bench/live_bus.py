@@ -82,6 +82,9 @@ class LiveBus:
             raise InputError(path, f"{error}", "the CAN database of the machine (DBC)") from error
         self._names = {message.frame_id: name for name, message in self._messages.items()}
         self._counters = dict.fromkeys(self._messages, 0)
+        time = next((signal for signal in self._messages["MACHINE_STATUS"].signals if signal.name == "time"), None)
+        #: After which the machine's clock begins anew on the bus [s].
+        self.clock_period = math.inf if time is None else (1 << time.length) * float(time.scale)
 
     def frames(self, readings: dict[str, float], cycle: int, status: dict[str, float]) -> list[CanFrame]:
         """Frames that the machine sends in a cycle, its status first."""

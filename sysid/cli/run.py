@@ -79,6 +79,9 @@ def run(
     printer = Printer(json_file)
     with closed_stdout_ignored():
         _print_setup(printer, assembly)
+    line = connect(assembly, registry)
+    for text in line.remarks:
+        printer.line(f"  note: {text}")
     if dry_run:
         found = run_dry(assembly, seconds or 60.0)
         printer.line(f"Dry run of {found.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
@@ -86,11 +89,8 @@ def run(
         write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
         return
     leave_interrupts()  # from here on the machine decides how a run stops
-    line = connect(assembly, registry)
     transport = line.transport
-    for text in line.remarks:
-        printer.line(f"  note: {text}")
-    program = unattended or settings.transport["kind"] == "simulated"
+    program = unattended or settings.simulated
     if program and not (line.simulated and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a real machine", "an operator: run without --unattended")
     ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
@@ -203,8 +203,10 @@ def _print_setup(out: Printer, assembly: Assembly) -> None:
     recipe, loaded, limits = assembly.recipe, assembly.loaded, assembly.limits
     out.line(f"{recipe.name}: {recipe.mode} on {assembly.machine.name} at {assembly.machine.rate_hz:g} Hz, "
              f"through {recipe.transport['kind']}")  # fmt: skip
+    accepted = recipe.versions.unpromoted
     for version in loaded.versions:
-        mark = "promoted" if "champion" in version.aliases else "NOT promoted, accepted by the recipe"
+        other = "accepted by the recipe" if version.reference in accepted else "a machine would refuse it"
+        mark = "promoted" if "champion" in version.aliases else f"NOT promoted, {other}"
         out.line(f"  {version.kind:<9}{version.reference:<28}{version.digest[:12]}  {mark}")
     policy = recipe.versions.policy if loaded.policy is None else "the policy"
     out.line(f"  setpoints by {policy}, targets {1e3 * assembly.lookahead:.0f} ms ahead; fallback: {recipe.loop.fallback}")

@@ -6,10 +6,8 @@ values inside the database's range, and no unknown identifier may appear. The da
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, coded_commands, format_identifiers
+from sysid.runner.bus import COUNTER, ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, coded_commands, format_identifiers
 from sysid.runner.clock import SECOND, Clock, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
+from sysid.runner.serial_line import OtherReaders, device_channel, lock_channel, require_alone
 from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 
 if TYPE_CHECKING:
@@ -34,6 +33,8 @@ Array = npt.NDArray[np.float64]
 NETWORKED = ("udp_multicast", "socketcand", "remote", "zmq")
 #: Without a status for this time the switches count as released [ns].
 STATUS_TIME_OUT_NS = 100_000_000
+#: Without a status for this time other programs on the line are searched for [ns].
+LOSS_NS = 25_000_000
 #: Error frame of socketcan: the controller is off the bus (CAN_ERR_BUSOFF).
 _BUS_OFF = 0x40
 #: Time between two looks at the line while listening [ns].
@@ -100,7 +101,7 @@ class CanTransport:
         self._counts = dict.fromkeys(self.signals, 0)
         self._status: ReceivedFrame | None = None
         self._status_ns = 0
-        self._clock, self._round_trip = MachineClock(), CommandRoundTrip()
+        self._clock, self._round_trip = MachineClock(self.machine.period, self.machine.clock), CommandRoundTrip()
         self._read_ns = 0
         #: Errors that ended reading and sending: a line that cannot be read may still transmit the fail-safe bits.
         self._fault, self._send_fault = "", ""
@@ -108,6 +109,7 @@ class CanTransport:
         #: Numbers of lost frames (by alive counters) and malformed frames; unknown identifiers.
         self.lost = self.malformed = 0
         self.unknown: set[tuple[int, bool]] = set()
+        self._readers = OtherReaders(settings.channel)
         self._malformed_text = ""
 
     @property
@@ -115,7 +117,15 @@ class CanTransport:
         """What this machine cannot check, one sentence each."""
         found, settings = [], self.settings
         if not self.machine.echoes:
-            found.append(f"{settings.status} has no {ECHO}: a late line without stamps is detected by the motion only")
+            found.append(f"{settings.status} has no {ECHO}: commands that arrive late are detected by the motion only")
+        if not self.machine.clock:
+            found.append(
+                f"{settings.status} has no {TIME}, and no cyclic {COUNTER}: late readings are detected by the motion only"
+            )
+        elif not self.machine.timed:
+            found.append(
+                f"{settings.status} has no {TIME}: a delay is measured by its count, one from the beginning by the motion only"
+            )
         if not self.machine.stamps:
             found.append("the valve commands have no stamp: the machine executes delayed commands")
         return tuple(found)
@@ -131,7 +141,11 @@ class CanTransport:
         if self._bus is None:
             self._lock = lock_channel(self.settings.interface, self.settings.channel, self.where)
             try:
+                require_alone(self.settings.channel, self.where)
                 self._bus = _open(self.settings)
+            except InputError:
+                self._lock.release()
+                raise
             except (CanError, OSError, ValueError) as error:
                 self._lock.release()
                 place = f"{self.where}: {self.settings.interface} {self.settings.channel}"
@@ -153,6 +167,8 @@ class CanTransport:
             self.wait_until(self.now_ns() + LISTEN_STEP_NS)
         if self._malformed_text:
             wrong.insert(0, self._malformed_text)
+        if text := self._clock.late(self.now_ns()):
+            wrong.append(text)
         for message in self.machine.expected.values():
             due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
             # The first frame counts as fresh whatever its counter.
@@ -168,7 +184,7 @@ class CanTransport:
                 f"{self.where}: {self.settings.channel or self.settings.interface}",
                 "; ".join(wrong[:4]),
                 f"the messages of {self.settings.database}",
-                "Is the machine on, at this bit rate, and is this its database?",
+                "Is the machine on, at this bit rate, is this its database, and does no other program read the line?",
             )
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
@@ -213,12 +229,12 @@ class CanTransport:
             return None
         if item is None:
             return None
-        self.lost += item.lost
+        self.lost = max(0, self.lost + item.lost)
         if not item.fresh:
             return item
         if item.message == self.settings.status:
             self._status, self._status_ns = item, now
-            self._clock.tick(item.values.get(TIME), now)
+            self._clock.tick(self.machine.seconds(item), now)
             if self.machine.echoes:
                 self._round_trip.echoed(int(item.values[ECHO]), now)
             return item
@@ -232,11 +248,16 @@ class CanTransport:
         if self._status is None or self._fault:
             return replace(RELEASED_INPUTS, fault=self._fault or "no status of the machine")
         values = self._status.values
-        late = self.now_ns() - self._status_ns > STATUS_TIME_OUT_NS
+        now = self.now_ns()
+        late = now - self._status_ns > STATUS_TIME_OUT_NS
+        if now - self._status_ns > LOSS_NS:
+            self._readers.search(now)
         # Two bits each: off, on, error, not available. The last two count as the safe state.
         dead_man = int(values["dead_man"]) == ON and not late
         pressed = int(values["emergency_stop"]) != 0
-        text = "no status of the machine" if late else self._round_trip.late(self.now_ns())
+        text = self._readers.text or (
+            "no status of the machine" if late else self._round_trip.late(now) or self._clock.late(now)
+        )
         if not text and (code := int(values.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
@@ -306,16 +327,18 @@ class CanTransport:
 def _open(settings: CanSettings) -> BusABC:
     from can import Bus
 
+    channel = device_channel(settings.channel)
     options: dict[str, Any] = dict(settings.options)
     if settings.interface == "slcan":
         from sysid.runner.slcan import SlcanBus
 
         # Some serial boards need a wait after opening: an option. Reading never waits.
         options = {"sleep_after_open": 0.0, "timeout": 0.0} | options
-        return SlcanBus(settings.channel, bitrate=settings.bitrate, **options)
+        return SlcanBus(channel, bitrate=settings.bitrate, **options)
     if settings.interface != "socketcan":
         options["bitrate"] = settings.bitrate
-    return Bus(interface=settings.interface, channel=settings.channel, **options)
+    # The recipe describes the bus completely, without configuration files of python-can.
+    return Bus(interface=settings.interface, channel=channel, ignore_config=True, **options)
 
 
 def _require_local(settings: CanSettings, where: str) -> None:
@@ -327,33 +350,3 @@ def _require_local(settings: CanSettings, where: str) -> None:
             "a CAN adapter at this computer (socketcan, slcan, pcan, kvaser …)",
             "A network can delay commands, or transmit those of somebody else.",
         )
-
-
-def lock_channel(interface: str, channel: str, where: str) -> BaseFileLock:
-    """Lock a line until the lock is released. Links to one device (``/dev/serial/by-id``) are one line.
-
-    Raises:
-        InputError: another process holds it, or the lock cannot be made.
-    """
-    from filelock import FileLock, Timeout
-
-    # A device in /dev is locked by its path, whatever driver of python-can uses it.
-    line = os.path.realpath(channel.partition("@")[0]) if "/" in channel else f"{interface}:{channel}"
-    lock = FileLock(_lock_folder() / f"sysid-line-{hashlib.sha256(line.encode()).hexdigest()[:16]}.lock", mode=0o666)
-    place = f"{where}: {channel or interface}"
-    try:
-        lock.acquire(timeout=0.0)
-    except Timeout:
-        expected = "one runner on a line"
-        raise InputError(place, "another runner has this line", expected, "End it first: both would send commands.") from None
-    except OSError as error:
-        raise InputError(place, f"{lock.lock_file}: {error.strerror}", "a lock file that can be written") from None
-    return lock
-
-
-def _lock_folder() -> Path:
-    """A folder that is the same for all users of this computer, independent of TMPDIR, if there is one."""
-    for folder in (Path("/run/lock"), Path("/tmp")):
-        if folder.is_dir() and os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.gettempdir())

@@ -27,7 +27,7 @@ class Versions(Strict):
         forward: joints → end effector.
         policy: ``ik``, ``ik-lookahead``, or a policy.
         lookahead: of the targets [s]; None: the dead time for ``ik-lookahead``, zero for others.
-        unpromoted: permitted versions without promotion, each as ``name@3``.
+        unpromoted: versions without promotion that a machine may run, each as ``name@3``; the simulation in process runs all.
     """
 
     plant: str
@@ -144,6 +144,11 @@ class RunnerRecipe(Strict):
     checks: CheckSettings = field(default_factory=CheckSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
     log: LogSettings = field(default_factory=LogSettings)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it moves a simulation in process only."""
+        return bool(self.transport["kind"] == "simulated")
 
 
 def load_runner(path: Path) -> RunnerRecipe:

@@ -14,9 +14,11 @@ import time
 from collections import deque
 from typing import Any
 
-from can import CanOperationError, Message
+from can import CanInitializationError, CanOperationError, Message
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
+
+from sysid.runner.serial_line import claim
 
 #: Longest line: T, 8 digits of identifier, length, 8 bytes, 4 digits of the adapter's stamp, and a reserve.
 LONGEST = 64
@@ -54,6 +56,8 @@ class SlcanBus(slcanBus):
         #: Number of damaged frames.
         self.damaged = 0
         super().__init__(channel, **options)
+        with error_check(exception_type=CanInitializationError):
+            claim(self.serialPortOrig.fileno())
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         end = None if timeout is None else time.monotonic() + timeout

@@ -48,7 +48,7 @@ def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
     """The transport of a recipe, not yet open.
 
     Raises:
-        SettingsError: an unknown kind, or invalid settings of that kind.
+        SettingsError: an unknown kind, invalid settings of that kind, or a transport that does not fit the machine.
     """
     values = dict(assembly.recipe.transport)
     kind = str(values.pop("kind"))
@@ -56,7 +56,9 @@ def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
         raise SettingsError("transport.kind", repr(kind), nearest(kind, TRANSPORTS))
     module, _, name = TRANSPORTS[kind].partition(":")
     build: Build = getattr(importlib.import_module(module), name)
-    return build(values, assembly, registry)
+    line = build(values, assembly, registry)
+    assembly.check_transport(line.transport)
+    return line
 
 
 @dataclass(frozen=True)

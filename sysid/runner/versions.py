@@ -41,7 +41,8 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
 
     Raises:
         StoreError: no such version, or one of another kind.
-        SettingsError: a version of another machine, or one that was never promoted and is not in ``versions.unpromoted``.
+        SettingsError: a version of another machine, or, for a machine, one that was never promoted and is not in
+            ``versions.unpromoted``.
     """
     wanted = recipe.versions
     plant, forward = load_versions(registry, wanted.plant, wanted.forward)
@@ -62,7 +63,7 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
         networks = registry.load(max(sources, key=lambda version: version.created_ms).reference)
         actuators = static_networks(from_files(networks.files, networks.reference))
         found.append(networks)
-    _check_promoted(found, wanted.unpromoted, where)
+    _check_promoted(found, wanted.unpromoted, where, recipe.simulated)
     return LoadedVersions(plant, forward, policy, actuators, tuple(found), tuple(remarks))
 
 
@@ -112,9 +113,9 @@ def _policy_lineage(
     return remarks
 
 
-def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], where: object) -> None:
+def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], where: object, simulated: bool) -> None:
     missing = [version for version in versions if CHAMPION not in version.aliases and version.reference not in accepted]
-    if missing:
+    if missing and not simulated:
         names = ", ".join(version.reference for version in missing)
         listed = ", ".join(f'"{version.reference}"' for version in missing)
         raise SettingsError(

@@ -209,7 +209,8 @@ def test_the_database_holds_the_messages_of_the_logged_bus() -> None:
     assert [(described.get_message_by_name(name).frame_id >> 8) & 0x3FFFF for name in VALVES] == [65072, 65073, 65074, 65075]
 
 
-@pytest.mark.parametrize("line", ["dead_man", "dead_man 1 1", "drop WIRES 3", "launch", "stuck SLEW_SENSOR x", "quit now"])
+@pytest.mark.parametrize("line", ["dead_man", "dead_man 1 1", "drop WIRES 3", "launch", "stuck SLEW_SENSOR x", "quit now",
+                                  "clock nan", "late_frames 5", "answers inf", "launch 1 2"])  # fmt: skip
 def test_the_control_pipe_takes_nothing_else(bus: LiveBus, line: str) -> None:
     with pytest.raises((ValueError, KeyError, TypeError)):
         Switches().apply(line, bus)

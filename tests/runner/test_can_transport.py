@@ -165,7 +165,7 @@ def changed(folder: Path, old: str, new: str) -> Path:
         ("BO_ 423 SLEW_SENSOR", "BO_ 424 SLEW_SENSOR", "does not know 1A7"),
         ("SG_ counter : 24|8@1+", "SG_ counter : 32|8@1+", "SLEW_SENSOR repeats itself"),
         ("SG_ boom : 0|21@1- (1E-005,0)", "SG_ boom : 0|21@1- (0.001,0)", "DRAW_WIRES.boom = "),
-        ("DRAW_WIRES: 8", "DRAW_WIRES: 9", "DRAW_WIRES"),
+        ("SLEW_SENSOR: 8", "SLEW_SENSOR: 7", "SLEW_SENSOR has 8 bytes, 7 in the database"),
     ],
 )
 def test_another_machines_database_is_refused(live: Live, tmp_path: Path, old: str, new: str, found: str) -> None:

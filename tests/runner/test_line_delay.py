@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from examples import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sysid.runner.line_delay import ANSWERS, DRIFT, CommandRoundTrip, MachineClock
 
@@ -62,13 +67,76 @@ def test_a_line_that_stood_still_and_goes_on_late_is_late() -> None:
     assert found[-1] == pytest.approx(1.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("to", [0.0, 1e4])
-def test_a_clock_that_was_set_begins_anew(to: float) -> None:
+def ticked(clock: MachineClock, stamps: list[float], cycle: float = 0.01) -> list[float]:
+    """Ages of values that come with these stamps, a cycle each [s]."""
+    ages = []
+    for k, stamp in enumerate(stamps):
+        came = round(cycle * k * 1e9)
+        clock.tick(stamp, came)
+        ages.append((came - clock.measured(came)) * 1e-9)
+    return ages
+
+
+@pytest.mark.parametrize("to", [0.0, 50.0, 1e4])
+def test_a_clock_that_was_set_is_a_fault_and_begins_anew(to: float) -> None:
     clock = MachineClock()
-    for k in range(100):
-        clock.tick(100.0 + 0.01 * k, 10 * MS * k)
-    clock.tick(to, 1000 * MS)
-    assert clock.measured(1000 * MS) == 1000 * MS
+    ages = ticked(clock, [100.0 + 0.01 * k for k in range(100)] + [to + 0.01 * k for k in range(ANSWERS)])
+    word = "back" if to < 100.0 else "ahead"
+    assert re.search(rf"went {word} by .* s: it was set, or the machine has restarted", clock.late(1080 * MS))
+    assert ages[-1] == 0.0
+    assert clock.late(2000 * MS) == ""
+
+
+@pytest.mark.parametrize("stamp", [0.0, 99.0, 101.99, 1e5])
+def test_no_single_stamp_restarts_the_estimate(stamp: float) -> None:
+    """Of a frame that was overtaken, or damaged on a line without a checksum."""
+    stamps = [100.0 + 0.01 * k for k in range(300)]
+    stamps[200] = stamp
+    ages = ticked(MachineClock(), stamps)
+    assert max(ages[:200] + ages[201:]) < 1e-6
+
+
+def test_frames_that_overtake_each_other_do_not_hide_a_growing_delay() -> None:
+    """One swapped pair every 0.6 s restarted the estimate each time: 20 ms/s were never seen."""
+    clock, late = MachineClock(), 0.0
+    order = list(range(1000))
+    for k in range(60, 999, 60):
+        order[k], order[k + 1] = order[k + 1], order[k]
+    for k, number in enumerate(order):
+        came = round((0.01 * k + 0.02 * 0.01 * k) * 1e9)
+        clock.tick(0.01 * number, came)
+        late = (came - clock.measured(came)) * 1e-9
+        if late > 0.045:
+            break
+    # The first of a pair comes 10 ms early.
+    assert 1.7 < 0.01 * k < 2.7
+
+
+@settings(max_examples=examples(100))
+@given(
+    st.lists(st.tuples(st.integers(0, 999), st.integers(1, 4)), max_size=30),
+    st.floats(0.002, 0.05),
+    st.sampled_from([2.56, 64.0, math.inf]),
+)
+def test_a_growing_delay_is_seen_whatever_overtakes_what(swaps: list[tuple[int, int]], rate: float, period: float) -> None:
+    """Frames out of order, stamps that begin anew: late by 60 ms is said before 100 ms."""
+    clock, order = MachineClock(period), list(range(round(100 * 0.1 / rate)))
+    for k, far in swaps:
+        k %= len(order) - far
+        order[k], order[k + far] = order[k + far], order[k]
+    for k, number in enumerate(order):
+        came = round((0.01 * k + rate * 0.01 * k) * 1e9)
+        clock.tick(0.01 * number if math.isinf(period) else 0.01 * number % period, came)
+    assert "ms late by the machine's clock" in clock.late(came)
+
+
+@pytest.mark.parametrize("period", [2.56, 64.0, 429496.7296])
+def test_a_clock_that_overflows_goes_on(period: float) -> None:
+    clock = MachineClock(period)
+    begin = period - 1.0
+    assert max(ticked(clock, [(begin + 0.01 * k) % period for k in range(600)])) < 1e-5
+    assert clock.late(6 * 10**9) == ""
+    assert clock.now(6000 * MS) == pytest.approx((begin + 6.0) % period)
 
 
 def answered(late: Callable[[int], int], turns: int, hear: Callable[[int], bool] = lambda turn: True) -> list[str]:

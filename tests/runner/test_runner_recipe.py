@@ -122,7 +122,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write(folder: Path, text: str, **changes: str) -> Path:
-    lines = {"mode": '"hold"', "unpromoted": '["crane-forward@1"]'} | changes
+    lines = {"mode": '"hold"', "unpromoted": '["crane-forward@1"]', "kind": '"simulated"'} | changes
     path = folder / "runner.toml"
     path.write_text(
         f"""schema = 1
@@ -134,7 +134,7 @@ plant = "crane"
 forward = "crane-forward"
 unpromoted = {lines["unpromoted"]}
 [transport]
-kind = "simulated"
+kind = {lines["kind"]}
 {text}
 """,
         "utf-8",
@@ -214,10 +214,11 @@ def test_a_policy_that_offsets_inverse_kinematics_does_not_run(workspace: Path) 
 
 
 def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Path) -> None:
-    error = invoke(workspace, write(workspace, "", unpromoted="[]")).exception
-    assert isinstance(error, SettingsError)
-    assert "never promoted: crane-forward@1" in str(error)
-    assert 'unpromoted = ["crane-forward@1"]' in str(error)
+    for more in ((), ("--dry-run",)):
+        error = invoke(workspace, write(workspace, "", unpromoted="[]", kind='"slcan"'), *more).exception
+        assert isinstance(error, SettingsError)
+        assert "never promoted: crane-forward@1" in str(error)
+        assert 'unpromoted = ["crane-forward@1"]' in str(error)
     error = invoke(workspace, write(workspace, "", unpromoted='["crane-forward@1", "crane@7"]')).exception
     assert "'crane@7' does not run" in str(error)
     text = (workspace / "machine.toml").read_text("utf-8")
@@ -227,6 +228,57 @@ def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Pa
     finally:
         (workspace / "machine.toml").write_text(text, "utf-8")
     assert "was made for another machine: gain of slew is 0.436; expected 0.5" in str(error)
+
+
+def test_the_simulation_runs_what_was_never_promoted_and_says_that_a_machine_would_not(workspace: Path) -> None:
+    done = invoke(workspace, write(workspace, "[hold]\nseconds = 0.1\n", unpromoted="[]"), "--dry-run")
+    assert done.exit_code == 0, done.output
+    assert "NOT promoted, a machine would refuse it" in done.output
+
+
+BUS = """channel = "/dev/no-such-adapter"
+database = "machine.dbc"
+[transport.signals]
+"slew.joint" = "SLEW_SENSOR.slew"
+"boom.cylinder" = "DRAW_WIRES.boom"
+"stick.cylinder" = "DRAW_WIRES.stick"
+"telescope.joint" = "DRAW_WIRES.telescope"
+{more}
+[transport.valves]
+slew = "AUX_VALVE_0_COMMAND"
+boom = "AUX_VALVE_1_COMMAND"
+stick = "AUX_VALVE_2_COMMAND"
+telescope = "AUX_VALVE_3_COMMAND"
+[hold]
+seconds = 0.1
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "more", "message"),
+    [
+        ("", "", "", ""),
+        (
+            " SG_ echo",
+            " SG_ extra",
+            "",
+            "MACHINE_STATUS has no echo: commands that arrive late are detected by the motion only",
+        ),
+        ("SG_ time", "SG_ clock", "", "stamp answers the machine's time, but MACHINE_STATUS has no time"),
+        ("", "", '"bom.joint" = "INCLINOMETERS.boom"', "unknown signal bom.joint; expected 'boom.joint'"),
+    ],
+)
+def test_a_dry_run_checks_the_bus_of_a_machine_without_opening_it(
+    workspace: Path, old: str, new: str, more: str, message: str
+) -> None:
+    database = SHIPPED.with_name("machine.dbc").read_text("utf-8")
+    (workspace / "machine.dbc").write_text(database.replace(old, new) if old else database, "utf-8")
+    done = invoke(workspace, write(workspace, BUS.format(more=more), kind='"slcan"'), "--dry-run")
+    assert message in " ".join((done.output + str(done.exception or "")).split())
+    if "no echo" not in message and message:
+        assert isinstance(done.exception, SettingsError)
+    else:
+        assert done.exit_code == 0, done.output
 
 
 def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,7 +298,7 @@ def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(works
 
 def test_a_run_that_ends_in_a_fault_says_so_by_its_exit_status(workspace: Path) -> None:
     loop = "[loop]\npriority = 0\nlock_memory = false\n"
-    path = write(workspace, f"[collect]\nposes = 1\n[checks.motion]\nseconds = 1e-5\n{loop}", mode='"collect"')
+    path = write(workspace, f"[collect]\nposes = 1\n[checks.path]\ndistance = 1e-5\n{loop}", mode='"collect"')
     arguments = ["--workspace", str(workspace / "ws"), "run", str(path), "--log", str(workspace / "faults")]
     assert run_command(arguments) == 1
     assert run_command([*arguments[:-2], "--dry-run"]) == 0
