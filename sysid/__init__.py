@@ -12,12 +12,15 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from sysid.current_folder import ignore_numba_file
 from sysid.release import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["__version__", "load"]
+
+ignore_numba_file()
 
 
 def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:

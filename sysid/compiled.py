@@ -1,14 +1,73 @@
-"""Numba decorators of the plant, its effects and recurrent networks.
+"""Numba decorators of the plant, its effects and recurrent networks, and the folder of the compiled code.
 
 Functions in a loop are compiled without reference counting (Numba's ``_nrt=False``), which would take longer than the
 mathematics. Such a function reads and writes its arguments and allocates no arrays.
+
+Numba reuses a cached function even when a step function that it inlined was edited. The folder of the cache is therefore
+named by a hash of all sources of the compiled chain. Cached code is a pickle: this is the only module that imports Numba.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import os
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numba
 from numba import njit
+
+_PACKAGE = Path(__file__).parent
+
+
+def source_digest() -> str:
+    """sha256 over the sources of all effects, the plant, and the controller, whose law takes constants from its tuning."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for folder in ("effects", "plant", "control"):
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """The folder for these sources, in ``NUMBA_CACHE_DIR`` if set; a temporary one, and a warning, if it cannot be written."""
+    home = Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache")
+    root = Path(os.environ.get("NUMBA_CACHE_DIR", "") or home / "sysid" / "numba")
+    folder = root / source_digest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        folder = Path(tempfile.mkdtemp(prefix="sysid-numba-"))
+        warnings.warn(f"{root} cannot be written: compiled code is kept in {folder} for this process only", stacklevel=2)
+    return folder
+
+
+def is_compiled() -> bool:
+    """Whether an earlier process has compiled for these sources; the first one takes up to a minute more."""
+    return any(cache_folder().rglob("*.nbi"))
+
+
+def _cached(**options: Any) -> Callable[[Any], Any]:
+    """``njit`` with the cache of :func:`cache_folder`; the setting of other packages is restored."""
+
+    def decorate(function: Any) -> Any:
+        config: Any = numba.config
+        before, config.CACHE_DIR = config.CACHE_DIR, str(cache_folder())
+        try:
+            return njit(cache=True, **options)(function)
+        finally:
+            config.CACHE_DIR = before
+
+    return decorate
+
 
 _BARE: Any = {"_nrt": False}
 
@@ -17,6 +76,6 @@ inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract"}
 #: A loop over samples or lanes, called from a :data:`kernel` that allocates its arrays.
 loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"}, **_BARE)
 #: Entry point from Python: cached between processes, releases the interpreter lock.
-kernel: Any = njit(cache=True, nogil=True, error_model="numpy")
+kernel: Any = _cached(nogil=True, error_model="numpy")
 #: A kernel whose sums may be reordered (vectorised).
-summing: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+summing: Any = _cached(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

@@ -13,5 +13,12 @@ workers_option = click.option(
 
 
 def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:PORT.") -> Callable[[Any], Any]:
-    """``--cluster``; ``describes``: its help."""
-    return click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    """``--cluster`` and ``--trusted-network``; ``describes``: help of the first."""
+    address = click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    trusted = click.option(
+        "--trusted-network",
+        envvar="SYSID_TRUSTED_NETWORK",
+        is_flag=True,
+        help="Accept a scheduler without TLS on another computer: any computer of the network can then run programs here.",
+    )
+    return lambda command: address(trusted(command))

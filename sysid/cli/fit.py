@@ -37,6 +37,7 @@ def fit(
     recipe: Path | None,
     workers: int,
     cluster: str | None,
+    trusted_network: bool,
     json_file: str | None,
 ) -> None:
     """Fit the networks of datasets: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → tip).
@@ -60,7 +61,7 @@ def fit(
 
     with progress_bar(f"fit {kind}, {len(references)} datasets") as progress:
         calls = [(location, kind, reference, settings) for reference in references]
-        results = open_executor(cluster, workers).run(_task, calls, progress, reports=True)
+        results = open_executor(cluster, workers, trusted_network=trusted_network).run(_task, calls, progress, reports=True)
     columns = ("model", "network output", "rows", "rmse", "95 %", "max", "unit", "time")
     out.table(columns, [row for result in results for row in _rows(result)], right=(3, 4, 5, 7))
     write_json(json_file, {"schema": 1, "fits": results})

@@ -56,6 +56,7 @@ def gap(
     plant: str | None,
     workers: int,
     cluster: str | None,
+    trusted_network: bool,
     false_alarms: float,
     fail_on: Condition | None,
     json_file: str | None,
@@ -75,7 +76,7 @@ def gap(
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
-        executor = open_executor(cluster, workers)
+        executor = open_executor(cluster, workers, trusted_network=trusted_network)
         result = fleet_gap(location, references, plant, executor, false_alarms_per_1000_hours=false_alarms, progress=progress)
     workspace = open_workspace(location)
     _, machine = described(workspace, result.machines[0].dataset)

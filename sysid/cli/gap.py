@@ -84,6 +84,7 @@ def gap(
     accept: tuple[str, ...],
     workers: int,
     cluster: str | None,
+    trusted_network: bool,
     verbose: bool,
     json_file: str | None,
 ) -> None:
@@ -92,6 +93,7 @@ def gap(
     from sysid.datasets import Store
     from sysid.datasets.roles.needs import check_needs
     from sysid.errors import SettingsError
+    from sysid.execution import open_executor
 
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
@@ -113,6 +115,7 @@ def gap(
     dataset = Store(location).load(reference)
     check_needs(dataset)  # before anything is compiled
     checked(out, dataset, accept)
+    executor = open_executor(cluster, workers, trusted_network=trusted_network)
     with progress_bar("gap") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.gap import SimulatorAdapter, find_gap
@@ -136,7 +139,7 @@ def gap(
             forms=forms,
             progress=progress,
             planning=Planning(),
-            tasks=search_tasks(location, cluster, workers) if isinstance(tested, Plant) else None,
+            tasks=search_tasks(location, executor) if isinstance(tested, Plant) else None,
             keep=None if localise else partial(workspace.keep_gap, dataset),
         )
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:

@@ -54,6 +54,7 @@ def ingest(
     propose_frame: bool,
     workers: int,
     cluster: str | None,
+    trusted_network: bool,
     json_file: str | None,
 ) -> None:
     """Turn raw logs into a new dataset version.
@@ -88,7 +89,8 @@ def ingest(
     from sysid.datasets.plausibility import check_plausibility
     from sysid.execution import open_executor
 
-    executor = open_executor(cluster, workers) if cluster is not None or workers > 1 else None
+    apart = cluster is not None or workers > 1
+    executor = open_executor(cluster, workers, trusted_network=trusted_network) if apart else None
     store = datasets.Store(workspace)
     before = store.manifest(to)["version"] if to is not None else 0
     begin = time.perf_counter()

@@ -30,6 +30,7 @@ def train(
     seeds: int | None,
     workers: int | None,
     cluster: str | None,
+    trusted_network: bool,
     tensorboard: bool,
     mlflow: str | None,
     json_file: str | None,
@@ -56,7 +57,8 @@ def train(
 
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
             calls = [(location, entry, tensorboard, mlflow) for entry in recipes]
-            results = open_executor(cluster, workers or cores()).run(_one, calls, progress, reports=True)
+            executor = open_executor(cluster, workers or cores(), trusted_network=trusted_network)
+            results = executor.run(_one, calls, progress, reports=True)
     columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
     out.line("The actor alone, root mean square error in mm, from 512 random poses to random targets, then staying there.")

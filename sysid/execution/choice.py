@@ -12,12 +12,16 @@ from sysid.execution.local import LocalExecutor
 CLUSTER = "SYSID_CLUSTER"
 
 
-def open_executor(cluster: str | None = None, workers: int = 1) -> Executor:
+def open_executor(cluster: str | None = None, workers: int = 1, *, trusted_network: bool = False) -> Executor:
     """The executor of the settings: a cluster if an address is given or in ``SYSID_CLUSTER``, else ``workers`` processes here.
 
     Args:
         cluster: address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
         workers: processes on this machine; 1 runs the calls in this process.
+        trusted_network: a cluster beyond this computer needs no TLS.
+
+    Raises:
+        TaskError: the connection to the cluster is not authenticated, and its network not trusted.
     """
     address = cluster or os.environ.get(CLUSTER)
-    return ClusterExecutor(address) if address else LocalExecutor(workers)
+    return ClusterExecutor(address, trusted_network=trusted_network) if address else LocalExecutor(workers)

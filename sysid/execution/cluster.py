@@ -2,18 +2,20 @@
 
 The scheduler repeats a task whose worker was lost, on another worker (``distributed.scheduler.allowed-failures`` times).
 
-The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. A cluster without TLS is for a trusted
-network, since its workers execute what a client sends.
+The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. Without TLS a scheduler beyond this computer
+is refused unless its network is trusted (:mod:`sysid.execution.trust`).
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sysid.execution.executor import Executor, Task, TaskError, failed
+from sysid.execution.trust import trusted_address
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -25,10 +27,18 @@ CONNECT_S = 10.0
 
 @dataclass(frozen=True)
 class ClusterExecutor:
-    """Runs calls on the workers of the scheduler at ``address``, for which it waits ``connect_s`` [s]."""
+    """Runs calls on the workers of the scheduler at ``address``, for which it waits ``connect_s`` [s].
+
+    Raises:
+        TaskError: the address is none that is trusted, see :func:`~sysid.execution.trust.trusted_address`.
+    """
 
     address: str
     connect_s: float = CONNECT_S
+    trusted_network: bool = False
+
+    def __post_init__(self) -> None:
+        trusted_address(self.address, self.trusted_network)
 
     def run(
         self, task: Task, calls: Sequence[tuple[Any, ...]], progress: Progress = silent, *, reports: bool = False
@@ -40,7 +50,6 @@ class ClusterExecutor:
     @contextmanager
     def kept(self) -> Iterator[Executor]:
         """See :class:`~sysid.execution.executor.Executor`."""
-        from distributed import Client
         from distributed.security import Security
 
         where = f"cluster {self.address}"
@@ -48,15 +57,29 @@ class ClusterExecutor:
             remedy = "Name it under distributed.comm.tls in the settings of Dask, see docs/guide/cluster.md."
             raise TaskError(where, "no certificate for a connection with TLS", "a certificate of this client", remedy)
         try:
-            client = Client(self.address, timeout=self.connect_s, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise TaskError(
-                where, f"does not answer ({type(error).__name__})", "the address of a running Dask scheduler"
-            ) from None
+            client = _connected(trusted_address(self.address, self.trusted_network), self.connect_s)
+        except Exception as error:  # what is not a scheduler may send anything
+            found = f"does not answer as a Dask scheduler ({type(error).__name__})"
+            raise TaskError(where, found, "the address of a running one") from None
         with client:
             if not client.scheduler_info()["workers"]:
                 raise TaskError(where, "has no workers", "at least one", f"Start one: dask worker {self.address}")
             yield _Connected(client, where)
+
+
+def _connected(address: str, within: float) -> Client:
+    """A client of the scheduler; one that is not connected after ``within`` [s] is closed at once."""
+    from distributed import Client
+
+    class Bounded(Client):
+        async def _start(self, timeout: Any = within, **settings: Any) -> Any:
+            try:
+                return await asyncio.wait_for(super()._start(timeout, **settings), within)
+            except BaseException:
+                await self._close(fast=True)
+                raise
+
+    return Bounded(address, timeout=within, set_as_default=False)
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,7 @@ from sysid.effects import CATALOGUE, Effect, effect_named, input_delay
 from sysid.effects.described import side_of
 from sysid.effects.effect import TargetKind
 from sysid.errors import SettingsError, nearest
-from sysid.plant.cache import CACHE_FOLDER
 from sysid.signals import axis_signal, point_signals
-
-assert CACHE_FOLDER is not None  # chosen before anything compiles
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, str | None, str]

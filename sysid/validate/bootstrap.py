@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sysid.current_folder import without_matplotlib
+
 Array = npt.NDArray[np.float64]
 
 
@@ -18,7 +20,8 @@ def bootstrap_means(series: Array, seed: int, draws: int = 1000, least: int = 5)
     Args:
         least: lower bound of the mean block length; 1 for independent rows.
     """
-    from arch.bootstrap import StationaryBootstrap, optimal_block_length
+    with without_matplotlib():
+        from arch.bootstrap import StationaryBootstrap, optimal_block_length
 
     length = float(np.nan_to_num(optimal_block_length(series)["stationary"].iloc[0], nan=1.0))
     block = int(np.clip(round(length), least, max(least, len(series) // 10)))

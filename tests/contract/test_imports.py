@@ -15,9 +15,9 @@ PACKAGE = ROOT / "sysid"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("release", "errors", "foreign", "parse", "children", "lazy", "extras"),
+    ("release", "current_folder", "errors", "foreign", "parse", "children", "lazy", "extras"),
     ("units", "signals", "progress", "scratch", "files", "compiled", "cores", "pictures", "names", "numbers", "display"),
-    ("config", "root", "location", "execution", "confined"),
+    ("config", "root", "location", "execution", "confined", "quoting"),
     ("logs", "machine"),
     ("effects",),
     ("datasets",),

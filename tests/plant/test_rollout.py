@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -19,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from sysid.datasets.recording import Recording
 from sysid.machine import KnownEffect
-from sysid.plant import cache, compile_plant, free_run, nominal_plant
+from sysid.plant import compile_plant, free_run, nominal_plant
 from sysid.plant.model import SERIAL, held
 from sysid.testing import probe_machine
 
@@ -264,52 +260,6 @@ def test_tool_hangs_below_the_tip_where_it_does_not_swing() -> None:
 def test_a_recording_without_commands_predicts_nothing() -> None:
     run = free_run(nominal(), replace(arm_inputs("run", 2.0, 0), table=pd.DataFrame({"time": np.arange(200) / 100.0})))
     assert run.drop(columns="time").isna().all().all()
-
-
-# -- compiled code --------------------------------------------------------------------------------------------------
-
-
-def test_compiled_code_is_kept_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder in ("effects", "plant"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "a.py").write_text("x = 1\n")
-    monkeypatch.setattr(cache, "_PACKAGE", tmp_path)
-    before = cache.source_digest()
-    assert cache.source_digest() == before
-    (tmp_path / "effects" / "a.py").write_text("x = 2\n")
-    assert cache.source_digest() != before
-    (tmp_path / "effects" / "a.py").rename(tmp_path / "effects" / "b.py")
-    changed = cache.source_digest()
-    (tmp_path / "effects" / "b.py").write_text("x = 1\n")
-    assert len({before, changed, cache.source_digest()}) == 3
-
-
-def test_cache_folder_is_named_after_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    folder = cache.use_cache_folder()
-    assert folder == tmp_path / "sysid" / "numba" / cache.source_digest()[:16]
-    assert str(folder) == numba.config.CACHE_DIR
-
-
-def test_a_cache_that_cannot_be_written_warns(tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("not a folder")
-    code = (
-        "import warnings\n"
-        "with warnings.catch_warnings(record=True) as seen:\n"
-        "    warnings.simplefilter('always')\n"
-        "    from sysid.plant import cache\n"
-        "print(any('for this process only' in str(w.message) for w in seen), cache.CACHE_FOLDER.is_dir())\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={"XDG_CACHE_HOME": str(blocked), "PATH": "", "TMPDIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.split() == ["True", "True"]
 
 
 def test_behind_a_lag_a_release_of_nothing_comes_as_well() -> None:

@@ -1,0 +1,79 @@
+"""Compiled code: the folder in which it is kept between processes."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from sysid import compiled
+
+ROOT = Path(__file__).parents[2]
+#: A child says whether it was warned, and where it keeps compiled code.
+CHILD = """
+import warnings
+with warnings.catch_warnings(record=True) as seen:
+    warnings.simplefilter("always")
+    from sysid import compiled
+    folder = compiled.cache_folder()
+print(any("for this process only" in str(w.message) for w in seen), folder.is_dir(), folder)
+"""
+
+
+def told(**environment: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD], env={"PATH": "", **environment}, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_it_is_kept_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("effects", "plant"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.py").write_text("x = 1\n")
+    monkeypatch.setattr(compiled, "_PACKAGE", tmp_path)
+    before = compiled.source_digest()
+    assert compiled.source_digest() == before
+    (tmp_path / "effects" / "a.py").write_text("x = 2\n")
+    assert compiled.source_digest() != before
+    (tmp_path / "effects" / "a.py").rename(tmp_path / "effects" / "b.py")
+    changed = compiled.source_digest()
+    (tmp_path / "effects" / "b.py").write_text("x = 1\n")
+    assert len({before, changed, compiled.source_digest()}) == 3
+
+
+@pytest.mark.parametrize(("variable", "below"), [("XDG_CACHE_HOME", "sysid/numba"), ("NUMBA_CACHE_DIR", "")])
+def test_its_folder_is_named_after_the_sources(tmp_path: Path, variable: str, below: str) -> None:
+    folder = tmp_path / below / compiled.source_digest()[:16]
+    assert told(**{variable: str(tmp_path)}) == ["False", "True", str(folder)]
+
+
+def test_a_folder_that_cannot_be_written_warns(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    assert told(XDG_CACHE_HOME=str(blocked), TMPDIR=str(tmp_path))[:2] == ["True", "True"]
+
+
+def test_the_setting_of_other_packages_is_restored() -> None:
+    def same(x: float) -> float:
+        return x
+
+    before = numba.config.CACHE_DIR
+    compiled.kernel(same)
+    assert before == numba.config.CACHE_DIR
+
+
+def test_one_module_imports_numba() -> None:
+    """Code that another one caches would lie in a folder that nobody chose."""
+    importing = set()
+    for path in (ROOT / "sysid").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            if any(name.split(".")[0] == "numba" for name in names):
+                importing.add(str(path.relative_to(ROOT / "sysid")))
+    assert importing == {"compiled.py", "bench/compiled.py"}, "use sysid.compiled"
