@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,10 +29,11 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import AXES, DRIVEN, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, wiring
+from runner_flight import AXES, DRIVEN, KEEPS, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
+from sysid.runner.checks.settings import BOUNDS
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,6 +75,8 @@ stick = "AUX_VALVE_2_COMMAND"
 telescope = "AUX_VALVE_3_COMMAND"
 {more}"""
 FENCE = np.array([[0.45, 1.45], [-0.5, 0.5], [0.0, 0.85]])
+#: Another program that reads a line.
+READER = "import os, sys; f = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\nwhile True: os.read(f, 64)"
 #: Limits of a commissioning: duration [s], displacement of the boom tip [m], and its speed over a time [m/s, s].
 COMMISSION_S, FAR, FAST, OVER_S = 150.0, 0.02, 0.05, 0.05
 #: Evaluated time after a fault [s].
@@ -99,7 +102,8 @@ class ExternalFault:
     Args:
         machine: lines for the control pipe. kill: ``runner`` or ``machine``. pause: the runner stands still for so long [s].
         signals: that the runner gets, 50 ms apart. terminal: what becomes of it, see :class:`Terminal`.
-        second: another runner is started on the same line.
+        second: another runner is started on the same line. reader: another program reads it.
+        database: of machine and runner, one of :data:`DATABASES`. lasts: time in which it is found at the latest [s].
     """
 
     machine: tuple[str, ...] = ()
@@ -108,6 +112,26 @@ class ExternalFault:
     signals: tuple[signal.Signals, ...] = ()
     terminal: str = ""
     second: bool = False
+    reader: bool = False
+    database: str = ""
+    lasts: float = AFTER
+
+
+def _without(*signals: str) -> Callable[[str], str]:
+    return lambda text: "".join(
+        line for line in text.splitlines(keepends=True) if not any(f" {name} " in line for name in signals)
+    )
+
+
+#: Databases of machines that state less about their time: neither stamp nor echo; no time either; a clock of 14 bits.
+DATABASES: dict[str, Callable[[str], str]] = {
+    "no stamp and echo": _without("stamp", "echo"),
+    "no stamp, echo and time": _without("stamp", "echo", "time"),
+    "clock of 1.6 s": lambda text: _without("stamp")(text).replace(
+        "32|32@1+ (0.0001,0) [0|429496.7295]", "32|14@1+ (0.0001,0) [0|1.6383]"
+    ),
+}
+GROWS = {"lasts": 12.0}
 
 
 def _dropped(count: int) -> ExternalFault:
@@ -135,6 +159,28 @@ EXTERNAL_FAULTS = {
     "a second runner on the line": ExternalFault(second=True),
     "kill -9 of the runner": ExternalFault(kill="runner"),
     "kill -9 of the machine": ExternalFault(kill="machine"),
+    "another program reads the line": ExternalFault(reader=True),
+    "adapter acknowledges, sends nothing": ExternalFault(("swallow 1",)),
+    "adapter acknowledges what nobody sent": ExternalFault(("answers 20",)),
+    "status frames swapped": ExternalFault(("overtake 1",)),
+    "clock of the machine 20 ms back": ExternalFault(("clock -0.02",)),
+    "clock of the machine 10 s back": ExternalFault(("clock -10",)),
+    "clock of the machine begins anew": ExternalFault(("clock 0",), database="clock of 1.6 s"),
+    "frames later by 20 ms/s": ExternalFault(("late_frames 0 20",), **GROWS),
+    "frames later by 20 ms/s, swapped": ExternalFault(("overtake 1", "late_frames 0 20"), **GROWS),
+    "frames later by 20 ms/s, swapped, no stamp and echo": ExternalFault(
+        ("overtake 1", "late_frames 0 20"), database="no stamp and echo", **GROWS
+    ),
+    "frames later by 20 ms/s, swapped, no time either": ExternalFault(
+        ("overtake 1", "late_frames 0 20"), database="no stamp, echo and time", **GROWS
+    ),
+    "frames 200 ms late, no stamp, echo and time": ExternalFault(("late_frames 200 0",), database="no stamp, echo and time"),
+    "commands 200 ms late": ExternalFault(("late_commands 200 0",)),
+    "commands 200 ms late, no stamp and echo": ExternalFault(("late_commands 200 0",), database="no stamp and echo"),
+    "commands later by 20 ms/s": ExternalFault(("late_commands 0 20",), **GROWS),
+    "commands later by 20 ms/s, no stamp and echo": ExternalFault(
+        ("late_commands 0 20",), database="no stamp and echo", **GROWS
+    ),
 }
 #: The state that a fault has to end in.
 ENDS: dict[str, tuple[str, ...]] = {
@@ -151,12 +197,30 @@ ENDS: dict[str, tuple[str, ...]] = {
     LOOP: ("fault",),
     "line cannot be read": ("fault",),
     "SIGTERM twice": ("fault",),
+    KEEPS: ("fault",),
+    "adapter acknowledges, sends nothing": ("fault",),
+    "adapter acknowledges what nobody sent": ("goes on",),
+    "status frames swapped": ("goes on",),
+    "clock of the machine 20 ms back": ("goes on",),
+    "clock of the machine begins anew": ("goes on",),
 }
-#: Errors in a recipe for which the runner refuses to start: text added at its end, or a replacement.
+#: What a verdict, or the outcome of the second runner, says.
+SAID = {
+    "a second runner on the line": "another runner has this line",
+    "another program reads the line": "has the line open too",
+}
+#: Errors for which the runner refuses to start: text at the end of the recipe, or replaced in it or in the database.
 REFUSED: dict[str, dict[str, str]] = {
-    "wrong DBC": {"wrong": "yes"},
+    "wrong DBC": {"database_old": "BO_ 423 ", "database_new": "BO_ 424 "},
+    "DBC with a signal more": {
+        "database_old": " SG_ stamp",
+        "database_new": ' SG_ more : 62|2@1+ (1,0) [0|3] "" MACHINE\n SG_ stamp',
+    },
+    "DBC with stamp, without time": {"database_old": "SG_ time", "database_new": "SG_ clock"},
     "threshold of 10⁶": {"more": "[checks.motion]\nseconds = 1e6\n"},
-    "one message for two axes": {"twice": "yes"},
+    "one message for two axes": {"recipe_old": "VALVE_3", "recipe_new": "VALVE_2"},
+    "one sensor for two axes": {"recipe_old": "DRAW_WIRES.stick", "recipe_new": "DRAW_WIRES.boom"},
+    "thresholds of 10⁹": {"more": "[checks]\n" + "".join(f"{key} = 1_000_000_000\n" for key in BOUNDS)},
 }
 #: Log faults are noticed at the next sync: tried at so many moments of its second, and the worst is kept.
 PHASES = 3
@@ -166,9 +230,9 @@ STOPS = ("stopped", "fault")
 
 
 @contextmanager
-def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
+def machine(folder: Path, seconds: float, database: Path) -> Iterator[subprocess.Popen[str]]:
     words = [sys.executable, "-P", "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
-    words += ["--database", str(DATABASE), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
+    words += ["--database", str(database), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
     words += ["--truth", str(folder / "truth.bin"), "--seconds", str(seconds)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=_environment()) as process:
         try:
@@ -243,27 +307,32 @@ def run_once(
     outside = EXTERNAL_FAULTS.get(fault, ExternalFault())
     with tempfile.TemporaryDirectory(prefix="runner-") as name:
         folder = Path(name)
+        database = DATABASE
+        if outside.database:
+            database = folder / "machine.dbc"
+            database.write_text(DATABASES[outside.database](DATABASE.read_text("utf-8")), "utf-8")
         values = {
             "root": ROOT, "plant": options.plant, "forward": options.forward, "policy": policy, "path": path,
             "unpromoted": json.dumps(options.unpromoted), "laps": int(seconds / 5.0) + 5, "seconds": seconds,
-            "folder": folder, "database": DATABASE, "mode": "track", "more": "", **change,
+            "folder": folder, "database": database, "mode": "track", "more": "", **change,
         }  # fmt: skip
-        if "wrong" in change:
-            (folder / "wrong.dbc").write_text(DATABASE.read_text("utf-8").replace("BO_ 423 ", "BO_ 424 "), "utf-8")
+        if "database_old" in change:
+            wrong = DATABASE.read_text("utf-8").replace(change["database_old"], change["database_new"])
+            (folder / "wrong.dbc").write_text(wrong, "utf-8")
             values["database"] = folder / "wrong.dbc"
         recipe = folder / "runner.toml"
-        with machine(folder, seconds + 120.0) as bench, ExitStack() as stack:
+        with machine(folder, seconds + 120.0, database) as bench, ExitStack() as stack:
             if values["mode"] == "commission":
                 values["more"] = f"[commission.reference]\n{_parked_joints(folder / 'truth.bin')}"
             text = RECIPE.format(**values)
-            recipe.write_text(text.replace("VALVE_3", "VALVE_2") if "twice" in change else text, "utf-8")
+            recipe.write_text(text.replace(change.get("recipe_old", "\0"), change.get("recipe_new", "")), "utf-8")
             second = stack.enter_context(_second(recipe, options)) if outside.second else None
             words = _program(recipe, options, fault, str(turns))
             screen = Terminal(piped=outside.terminal == "close error")
             ends = {"stdin": screen.slave, "stderr": screen.error, "stdout": subprocess.PIPE}
             with subprocess.Popen(words, text=True, env=_environment(), **ends) as runner:
                 screen.begun()
-                lines, fault_ns = _listen(runner, bench, screen, folder, outside, second)
+                lines, fault_ns = _listen(runner, bench, screen, folder, outside, second, stack)
             screen.close()
             if fault:
                 time.sleep(0.5)
@@ -311,6 +380,7 @@ def _listen(
     folder: Path,
     outside: ExternalFault,
     second: subprocess.Popen[str] | None,
+    stack: ExitStack,
 ) -> tuple[list[tuple[str, int, str]], int]:
     """Lines of the runner until it ends, and the time of the fault."""
     assert runner.stdout is not None
@@ -338,6 +408,8 @@ def _listen(
                 threading.Thread(target=screen.fail, args=(outside.terminal,)).start()
             if second is not None:
                 second.communicate("open\n")
+            if outside.reader:
+                stack.callback(subprocess.Popen([sys.executable, "-c", READER, str(folder / "can0")]).kill)
     return lines, fault_ns
 
 
@@ -426,7 +498,8 @@ def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
             "fault": name, "reaction_ms": 0.0, "peak_motion_m": 0.0, "state": EARLY, "noticed": "",
             "why": record.outcome.get("why", ""), "ok": False,
         }  # fmt: skip
-    after = (at >= t0) & (at <= t0 + AFTER * 1e9)
+    outside = EXTERNAL_FAULTS.get(name, ExternalFault())
+    after = (at >= t0) & (at <= t0 + outside.lasts * 1e9)
     opened = _opened(truth)
     moving = np.flatnonzero(after & opened)
     neutral = float((at[moving[-1]] - t0) * 1e-6) if len(moving) and moving[-1] + 30 < len(at) else 0.0
@@ -437,7 +510,7 @@ def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
     ]
     states = [(ns, text) for word, ns, text in record.lines if word == "state" and ns >= t0]
     noticed = min([ns for ns, _ in [*verdicts, *states]], default=0)
-    killed = EXTERNAL_FAULTS.get(name, ExternalFault()).kill
+    killed = outside.kill
     reaction: float | None
     if killed == "runner":
         state, reaction = "machine's own time-out", neutral
@@ -448,12 +521,13 @@ def evaluated(name: str, record: RunRecord) -> dict[str, Any]:
         state = "goes on" if goes_on else "fault" if record.outcome.get("state") == "fault" else "stopped"
     start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
     peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
-    if state == "goes on" and record.cycles:
-        # It goes on: the tracking error counts.
-        peak = float(np.linalg.norm(_tracking_errors(record, t0, t0 + 1e9), axis=1).max())
+    if (state == "goes on" or outside.lasts > AFTER) and record.cycles:
+        # It goes on, for a time: the tracking error counts.
+        last = t0 + 1e9 * (1.0 if state == "goes on" else outside.lasts)
+        peak = float(np.linalg.norm(_tracking_errors(record, t0, last), axis=1).max())
     ok = state in ENDS.get(name, STOPS) and inside
-    if name == "a second runner on the line":
-        ok = ok and "another runner has this line" in record.second_outcome.get("why", "")
+    if name in SAID:
+        ok = ok and SAID[name] in " ".join([record.second_outcome.get("why", ""), *(text for _, text in verdicts)])
     if state != "goes on" and killed != "machine":
         ok = ok and again == 0
         still = places[at >= at[-1] - 2e8]
@@ -507,7 +581,8 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     for phase in range(PHASES if name == "disk full" else 1):
         turns = TURNS + phase * 100 // PHASES
         for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
-            row = evaluated(name, run_once(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
+            seconds = 7.0 + EXTERNAL_FAULTS.get(name, ExternalFault()).lasts
+            row = evaluated(name, run_once(options, options.paths[0], policy, seconds, name, turns, **REFUSED.get(name, {})))
             if row["state"] != EARLY:
                 break
         rows.append(row)

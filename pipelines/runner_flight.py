@@ -9,6 +9,7 @@ terminal, as they are to `sysid run`.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import resource
 import sys
@@ -110,6 +111,17 @@ def _waits(answer: Array) -> Any:
     threading.Event().wait(3600.0)
 
 
+#: For which native code keeps the interpreter, once [µs].
+_KEPT_US = iter([2_000_000])
+
+
+def _keeps(answer: Array) -> Any:
+    ctypes.PyDLL(None).usleep(next(_KEPT_US, 0))
+    return answer
+
+
+#: A policy that stops the loop.
+KEEPS = "policy keeps the interpreter for 2 s"
 #: Of the policy itself: what it makes of its answer.
 POLICY: dict[str, Callable[[Array], Any]] = {
     "policy emits NaN": lambda answer: np.full_like(answer, np.nan),
@@ -120,6 +132,7 @@ POLICY: dict[str, Callable[[Array], Any]] = {
     "policy answers in another shape": lambda answer: answer[:, :2],
     "policy computes for ever": _never,
     "policy waits for ever": _waits,
+    KEEPS: _keeps,
 }
 #: Faults with a long message in every cycle.
 LONG_MESSAGES = {"terminal stopped for 2 s (Ctrl-S)", "terminal closed", "standard error closed"}

@@ -90,7 +90,7 @@ def run(
         return
     leave_interrupts()  # from here on the machine decides how a run stops
     transport = line.transport
-    program = unattended or settings.simulated
+    program = unattended or settings.in_process
     if program and not (line.simulated and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a real machine", "an operator: run without --unattended")
     ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))

@@ -146,7 +146,7 @@ class RunnerRecipe(Strict):
     log: LogSettings = field(default_factory=LogSettings)
 
     @property
-    def simulated(self) -> bool:
+    def in_process(self) -> bool:
         """Whether it moves a simulation in process only."""
         return bool(self.transport["kind"] == "simulated")
 

@@ -63,7 +63,7 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
         networks = registry.load(max(sources, key=lambda version: version.created_ms).reference)
         actuators = static_networks(from_files(networks.files, networks.reference))
         found.append(networks)
-    _check_promoted(found, wanted.unpromoted, where, recipe.simulated)
+    _check_promoted(found, wanted.unpromoted, where, recipe.in_process)
     return LoadedVersions(plant, forward, policy, actuators, tuple(found), tuple(remarks))
 
 
@@ -113,9 +113,9 @@ def _policy_lineage(
     return remarks
 
 
-def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], where: object, simulated: bool) -> None:
+def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], where: object, in_process: bool) -> None:
     missing = [version for version in versions if CHAMPION not in version.aliases and version.reference not in accepted]
-    if missing and not simulated:
+    if missing and not in_process:
         names = ", ".join(version.reference for version in missing)
         listed = ", ".join(f'"{version.reference}"' for version in missing)
         raise SettingsError(

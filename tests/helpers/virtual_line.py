@@ -69,13 +69,14 @@ class VirtualRun:
 
     line: VirtualLine
     database: Path | None = None
+    channel: str = ""
     #: Second of the first fault text, that text, and age of the oldest reading in each cycle [s].
     fault_s: float | None = None
     fault: str = ""
     ages: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        settings = CanSettings(self.database or self.line.database, SIGNALS, VALVES)
+        settings = CanSettings(self.database or self.line.database, SIGNALS, VALVES, channel=self.channel)
         self.transport = CanTransport(settings, bus=self.line, clock=self.line)
         self.transport.open()
         self.line.tell("dead_man 1")

@@ -8,6 +8,8 @@ import pytest
 from live_machine import DATABASE, old_database
 from virtual_line import VirtualLine, VirtualRun
 
+from sysid.runner import serial_line
+
 
 def without(folder: Path, *signals: str) -> Path:
     """The demo's database without some signals."""
@@ -72,6 +74,14 @@ def test_late_and_lost_commands_are_seen_by_the_echo(fault: str, within: float) 
     found = run(DATABASE, fault, seconds=4.0)
     assert found.fault_s is not None
     assert found.fault_s < within
+
+
+def test_another_reader_is_named_in_place_of_the_status_that_it_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_line, "other_programs", lambda channel: ["cat (process 12)"])
+    found = VirtualRun(VirtualLine(), channel="/dev/ttyACM0")
+    assert found.go(1.0).fault == "", "nothing is searched for while all frames come"
+    found.line.tell("drop MACHINE_STATUS 4")
+    assert found.go(0.2).fault == "cat (process 12) has the line open too, and takes frames of the machine"
 
 
 def test_what_cannot_be_seen_is_said(database: Path) -> None:
