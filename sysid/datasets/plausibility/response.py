@@ -24,7 +24,9 @@ FORCE_STEP_S = 0.02
 #: Rows of a recording, at most; and at least in all, for a response.
 MAX_ROWS, MIN_ROWS = 2**15, 40
 #: Rows for the response of every axis to the command of every other.
-MAX_CROSS_ROWS = 2**13
+MAX_CROSS_ROWS, MIN_CROSS_ROWS = 2**13, 2**9
+#: Axes up to which all of these rows are compared; and variance [of the largest square] that is rounding.
+FEW, ROUNDING = 32, 1e-12
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,47 @@ def response_of(motion: Motion, axis: Axis) -> Response | None:
     return _slope(motion.command, motion.speed if axis.actuation == "velocity" else motion.place, motion.delays)
 
 
+def changes(values: Array) -> bool:
+    """Whether values (n,) have two different numbers."""
+    known = values[~np.isnan(values)]
+    return bool(known.size) and bool(known.max() > known.min())
+
+
 def correlation(command: Array, answer: Array, delays: int) -> float:
     """Largest correlation of the answer with the delayed command, signed; 0 where one of them does not change."""
     stride = max(1, len(command) // MAX_CROSS_ROWS)
     found = _slope(command[::stride], answer[::stride], max(1, delays // stride))
     return 0.0 if found is None else float(np.copysign(found.strength, found.value))
+
+
+def strengths(commands: Array, answers: Array, delays: int) -> Array:
+    """Largest absolute correlation of each answer (n, b) with each delayed command (n, a), (a, b); 0 where one is constant.
+
+    The rows become fewer as the pairs become more.
+    """
+    rows = max(MIN_CROSS_ROWS, MAX_CROSS_ROWS // max(1, commands.shape[1] // FEW) ** 2)
+    stride = max(1, len(commands) // rows)
+    known, there = (_filled(values[::stride]) for values in (commands, answers))
+    best = np.zeros((commands.shape[1], answers.shape[1]))
+    for delay in range(max(1, delays // stride) + 1):
+        (u, has_u), (y, has_y) = ((each[: len(each) - delay] for each in known), (each[delay:] for each in there))
+        count = has_u.T @ has_y
+        enough = np.maximum(count, 1.0)
+        sum_u, sum_y = u.T @ has_y, has_u.T @ y
+        uu, yy = (u * u).T @ has_y - sum_u**2 / enough, has_u.T @ (y * y) - sum_y**2 / enough
+        uy = u.T @ y - sum_u * sum_y / enough
+        valid = (count >= MIN_ROWS) & (uu > ROUNDING) & (yy > ROUNDING)
+        best = np.maximum(
+            best, np.divide(np.abs(uy), np.sqrt(np.where(valid, uu * yy, 1.0)), where=valid, out=np.zeros_like(uy))
+        )
+    return best
+
+
+def _filled(values: Array) -> tuple[Array, Array]:
+    """Columns (n, a) of mean zero and largest absolute value one, with zero for NaN; and where they are known."""
+    known = ~np.isnan(values)
+    centred = np.where(known, values - np.nanmean(values, axis=0), 0.0)
+    return centred / np.maximum(np.abs(centred).max(axis=0), 1e-300), known.astype(np.float64)
 
 
 def _slope(command: Array, answer: Array, delays: int) -> Response | None:

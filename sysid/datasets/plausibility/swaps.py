@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.datasets.plausibility.figures import AxisFigures
 from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.plausibility.measures import cost_of
-from sysid.datasets.plausibility.response import correlation, motion_of
+from sysid.datasets.plausibility.response import Motion, changes, correlation, motion_of, strengths
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
 from sysid.signals import axis_signal
@@ -22,13 +22,16 @@ Array = npt.NDArray[np.float64]
 OWN, OTHER = 0.4, 0.65
 #: Difference of the costs of ranges that decides which of commands and measurements are exchanged [nats].
 DECIDED = 4.0
+#: Axes without a response of their own, up to which each is compared with every other.
+MOST = 500
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """Axes whose columns are exchanged: axis → the axis whose command it follows."""
+    """Axes whose columns are exchanged: axis → the axis whose command it follows; and how many were too many to compare."""
 
     follows: Mapping[str, str]
+    too_many: int = 0
 
 
 def swap_findings(
@@ -57,6 +60,11 @@ def swap_findings(
     if joints.follows and not concerned & set(joints.follows):
         found.append(_finding(joints, figures, ["joint"], measured="joint"))
         concerned |= set(joints.follows)
+    if too_many := max(driven.too_many, joints.too_many):
+        evidence = Evidence(
+            f"{too_many} axes do not follow their own command", f"at most {MOST} to search for exchanged columns"
+        )
+        found.append(Finding(("machine:exchanged",), "notice", (evidence,)))
     return found, concerned
 
 
@@ -65,22 +73,28 @@ def _exchange(recordings: Sequence[Recording], axes: Sequence[Axis], quantity: s
 
     follows: dict[str, str] = {}
     for actuation in ("velocity", "position"):
-        group = [axis for axis in axes if axis.actuation == actuation]
-        motions = []
-        for axis in group:
-            signal = axis.driven if quantity == "driven" else axis_signal(axis.name, "joint")
-            motions.append(motion_of(recordings, axis, signal, time_scale))
-        if len(group) < 2:
+        suspects: list[tuple[str, Motion, Array]] = []
+        for axis in axes:
+            if axis.actuation != actuation:
+                continue
+            motion = motion_of(
+                recordings, axis, axis.driven if quantity == "driven" else axis_signal(axis.name, "joint"), time_scale
+            )
+            moved = motion.speed if actuation == "velocity" else motion.place
+            if changes(motion.command) and changes(moved) and abs(correlation(motion.command, moved, motion.delays)) < OWN:
+                suspects.append((axis.name, motion, moved))
+        if len(suspects) > MOST:
+            return Exchange({}, len(suspects))
+        if len(suspects) < 2:
             continue
-        strength = np.zeros((len(group), len(group)))
-        for row, commanded in enumerate(motions):
-            for column, moved in enumerate(motions):
-                quantity_moved = moved.speed if actuation == "velocity" else moved.place
-                strength[row, column] = abs(correlation(commanded.command, quantity_moved, moved.delays))
-        commands, answers = linear_sum_assignment(-strength)
-        for command, answer in zip(commands.tolist(), answers.tolist(), strict=True):
-            if command != answer and strength[answer, answer] < OWN and strength[command, answer] > OTHER:
-                follows[group[answer].name] = group[command].name
+        strength = strengths(
+            np.column_stack([motion.command for _, motion, _ in suspects]),
+            np.column_stack([moved for _, _, moved in suspects]),
+            suspects[0][1].delays,
+        )
+        for command, answer in zip(*map(np.ndarray.tolist, linear_sum_assignment(-strength)), strict=True):
+            if command != answer and strength[command, answer] > OTHER:
+                follows[suspects[answer][0]] = suspects[command][0]
     # An exchange is complete: each column that is missed by one axis is found at another.
     return Exchange(follows if set(follows) == set(follows.values()) else {})
 
