@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError, SettingsError
+from sysid.errors import InputError, SettingsError, nearest
 from sysid.runner.bus import COUNTER, ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, coded_commands, format_identifiers
 from sysid.runner.clock import SECOND, Clock, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 
 #: Interfaces of python-can that use a network; commands to a machine are not sent through it.
 NETWORKED = ("udp_multicast", "socketcand", "remote", "zmq")
+#: Options that other keys set, or that would let the loop wait.
+OWN_OPTIONS = {"interface", "channel", "bitrate", "timeout", "config_context", "ignore_config"}
 #: Without a status for this time the switches count as released [ns].
 STATUS_TIME_OUT_NS = 100_000_000
 #: Without a status for this time other programs on the line are searched for [ns].
@@ -83,7 +85,8 @@ class CanTransport:
         clock: of this end; by default the computer's monotonic clock. A simulated machine may bring its own.
 
     Raises:
-        SettingsError: settings that do not fit the database, a bus load above the limit, a network interface.
+        SettingsError: settings that do not fit the database, a bus load above the limit, a network interface, impossible
+            values.
     """
 
     def __init__(
@@ -92,7 +95,7 @@ class CanTransport:
         self.settings, self.where = settings, where
         clock = clock or MonotonicClock()
         self.now_ns, self.wait_until = clock.now_ns, clock.wait_until
-        _require_local(settings, where)
+        _check_settings(settings, where)
         self.machine = MachineBus(settings, where)
         self.signals, self.axes = self.machine.signals, self.machine.axes
         self._bus: Bus | None = bus
@@ -136,8 +139,6 @@ class CanTransport:
         Raises:
             InputError: no such adapter, or traffic that does not fit the database.
         """
-        from can import CanError
-
         if self._bus is None:
             self._lock = lock_channel(self.settings.interface, self.settings.channel, self.where)
             try:
@@ -146,10 +147,13 @@ class CanTransport:
             except InputError:
                 self._lock.release()
                 raise
-            except (CanError, OSError, ValueError) as error:
+            except Exception as error:  # whatever a driver raises
                 self._lock.release()
                 place = f"{self.where}: {self.settings.interface} {self.settings.channel}"
-                raise InputError(place, f"cannot be opened ({error})", "a CAN adapter at this computer") from None
+                found = f"cannot be opened ({str(error) or type(error).__name__})"
+                raise InputError(
+                    place, found, "a CAN adapter at this computer", "Is it there, and do the options fit it?"
+                ) from None
         self._listen()
 
     def _listen(self) -> None:
@@ -341,7 +345,10 @@ def _open(settings: CanSettings) -> BusABC:
     return Bus(interface=settings.interface, channel=channel, ignore_config=True, **options)
 
 
-def _require_local(settings: CanSettings, where: str) -> None:
+def _check_settings(settings: CanSettings, where: str) -> None:
+    """Raise SettingsError for an adapter that uses a network or is unknown, impossible numbers, and options of the runner."""
+    from can import VALID_INTERFACES
+
     far = "://" in settings.channel
     if settings.interface in NETWORKED or far:
         raise SettingsError(
@@ -350,3 +357,16 @@ def _require_local(settings: CanSettings, where: str) -> None:
             "a CAN adapter at this computer (socketcan, slcan, pcan, kvaser …)",
             "A network can delay commands, or transmit those of somebody else.",
         )
+    if settings.interface not in VALID_INTERFACES:
+        raise SettingsError(
+            f"{where}: interface", repr(settings.interface), nearest(settings.interface, sorted(VALID_INTERFACES))
+        )
+    for key, found, low, high in (
+        ("bitrate", settings.bitrate, 10_000, 1_000_000),
+        ("listen", settings.listen, 0.0, 60.0),
+        ("max_load", settings.max_load, 0.01, 1.0),
+    ):
+        if not low <= found <= high:
+            raise SettingsError(f"{where}: {key}", f"{found:g}", f"{low:g} to {high:g}")
+    if own := sorted(OWN_OPTIONS & settings.options.keys()):
+        raise SettingsError(f"{where}: options.{own[0]}", "is set by the runner", "other options of python-can's interface")

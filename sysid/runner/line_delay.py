@@ -18,6 +18,8 @@ ANSWER_S = 0.06
 ANSWERS = 8
 #: No answer for this time counts as late [s].
 SILENCE_S = 0.15
+#: Statuses that come late for this time are reported [s].
+LATE_S = 0.08
 #: Frames overtake each other by at most a few cycles [s].
 OVERTAKEN_S = 0.05
 #: Values that come within this time after a status are of its cycle.
@@ -52,7 +54,8 @@ class MachineClock:
         self._newest = self._stamp = 0
         self._seconds: float | None = None
         self._received = 0
-        self._contrary = self._late = 0
+        self._contrary = 0
+        self._late_ns: int | None = None
         self._set_ns: int | None = None
         self._set_s = 0.0
 
@@ -78,12 +81,13 @@ class MachineClock:
         elif not contrary:
             self._newest, self._offset = max(self._newest, self._stamp), min(self._offset, found)
             self._delay = found - self._offset
-            self._late = self._late + 1 if self._delay > ANSWER_S * SECOND else 0
+            late = self._delay > ANSWER_S * SECOND
+            self._late_ns = None if not late else received_ns if self._late_ns is None else self._late_ns
 
     def _begin(self, stamp: int, received_ns: int) -> None:
         self._newest = self._stamp = stamp
         self._offset = float(received_ns - stamp)
-        self._delay, self._contrary, self._late = 0.0, 0, 0
+        self._delay, self._contrary, self._late_ns = 0.0, 0, None
 
     def _step(self, seconds: float) -> float:
         """``seconds`` within half a period of zero."""
@@ -107,7 +111,8 @@ class MachineClock:
         if self._set_ns is not None and now_ns - self._set_ns < SET_S * SECOND:
             way = "ahead" if self._set_s > 0.0 else "back"
             return f"{self.source} went {way} by {abs(self._set_s):.3g} s: it was set, or the machine has restarted"
-        if self._late >= ANSWERS:
+        # Frames that waited while this computer stood still come all at once.
+        if self._late_ns is not None and self._received - self._late_ns > LATE_S * SECOND:
             return (
                 f"the machine's status comes {self._delay / 1e6:.0f} ms late by {self.source}: the delay of the line has grown"
             )

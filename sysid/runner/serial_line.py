@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Time between two searches for other programs during a run [s].
 SEARCH_S = 1.0
+#: Most programs that are named.
+MOST = 3
 _PROCESSES = Path("/proc")
 #: Major numbers of the runner's end of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
 PSEUDO_TERMINALS = range(136, 144)
@@ -83,7 +85,8 @@ def _lock_folder() -> Path:
 
 
 def other_programs(channel: str) -> list[str]:
-    """Programs that have the device open, besides this one and the machine's end of a pseudo-terminal, as ``cat (process 12)``.
+    """Programs that have the device open, besides this one and the machine's end of a pseudo-terminal, as ``cat (process 12)``;
+    at most :data:`MOST`.
 
     By the processes that this user may look into; none where the system has no ``/proc``.
     """
@@ -93,9 +96,9 @@ def other_programs(channel: str) -> list[str]:
         return []
     if not stat.S_ISCHR(device.st_mode):
         return []
-    found = []
+    found: list[str] = []
     for process in _PROCESSES.glob("[0-9]*"):
-        if int(process.name) == os.getpid():
+        if int(process.name) == os.getpid() or len(found) == MOST:
             continue
         # A process ends while it is looked at, or belongs to somebody else.
         with contextlib.suppress(OSError):

@@ -96,6 +96,16 @@ def test_no_single_stamp_restarts_the_estimate(stamp: float) -> None:
     assert max(ages[:200] + ages[201:]) < 1e-6
 
 
+def test_frames_that_waited_for_this_computer_are_no_late_line() -> None:
+    clock = MachineClock()
+    ticked(clock, [0.01 * k for k in range(100)])
+    for k in range(100, 300):  # it stood still for two seconds
+        clock.tick(0.01 * k, 3000 * MS)
+    for k in range(300, 400):
+        clock.tick(0.01 * k, 10 * MS * k)
+        assert clock.late(10 * MS * k) == ""
+
+
 def test_frames_that_overtake_each_other_do_not_hide_a_growing_delay() -> None:
     """One swapped pair every 0.6 s restarted the estimate each time: 20 ms/s were never seen."""
     clock, late = MachineClock(), 0.0

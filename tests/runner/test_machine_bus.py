@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -14,6 +15,7 @@ from live_machine import DATABASE, SIGNALS, VALVES, old_database
 
 from sysid.errors import SettingsError
 from sysid.runner.bus import BusSettings, MachineBus, bus_load, coded_commands, frame_bits
+from sysid.runner.can import CanSettings, CanTransport
 
 SETTINGS = BusSettings(DATABASE, SIGNALS, VALVES)
 BUS = MachineBus(SETTINGS, "runner.toml")
@@ -122,3 +124,20 @@ def test_a_database_without_stamp_and_echo_is_one_all_the_same(tmp_path: Path) -
     assert (bus.stamps, bus.echoes) == (False, False)
     assert (BUS.stamps, BUS.echoes) == (True, True)
     assert [data[3:] for _, data in bus.encode([0.5] * 4, True, 3.0)[:-1]] == [b"\xff" * 5] * 4
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bitrate": 0}, "bitrate: 0; expected 10000 to 1e"),
+        ({"listen": 1e9}, "listen: 1e.09; expected 0 to 60"),
+        ({"listen": -1.0}, "listen: -1; expected 0 to 60"),
+        ({"max_load": float("nan")}, "max_load: nan; expected 0.01 to 1"),
+        ({"interface": "slcna"}, "interface: 'slcna'; expected 'slcan'"),
+        ({"options": {"timeout": 5}}, "options.timeout: is set by the runner"),
+        ({"options": {"bitrate": 5}}, "options.bitrate: is set by the runner"),
+    ],
+)
+def test_settings_that_would_let_the_loop_wait_or_fail(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        CanTransport(dataclasses.replace(CanSettings(DATABASE, SIGNALS, VALVES), **change), "runner.toml")

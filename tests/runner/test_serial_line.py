@@ -59,6 +59,12 @@ def test_an_at_sign_in_a_path_is_no_baud_rate(tmp_path: Path, terminal: str, fol
         transport.open()
 
 
+def test_whatever_a_driver_raises_is_an_adapter_that_cannot_be_opened(terminal: str) -> None:
+    settings = CanSettings(DATABASE, SIGNALS, VALVES, channel=terminal, options={"sleep_after_open": "long"})
+    with pytest.raises(InputError, match=r"cannot be opened .*; expected a CAN adapter"):
+        CanTransport(settings, "runner.toml").open()
+
+
 def test_a_device_with_an_at_sign_is_refused_and_a_link_to_it_as_well(tmp_path: Path) -> None:
     (tmp_path / "tty@1").touch()
     with pytest.raises(ValueError, match="for a baud rate"):
