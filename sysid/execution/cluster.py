@@ -3,7 +3,7 @@
 The scheduler repeats a task whose worker was lost, on another worker (``distributed.scheduler.allowed-failures`` times).
 
 The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. Without TLS a scheduler beyond this computer
-is refused unless its network is trusted (:mod:`sysid.execution.trust`).
+is refused unless its network is trusted (:mod:`sysid.execution.scheduler_address`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sysid.execution.executor import Executor, Task, TaskError, failed
-from sysid.execution.trust import trusted_address
+from sysid.execution.scheduler_address import trusted_address
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class ClusterExecutor:
     """Runs calls on the workers of the scheduler at ``address``, for which it waits ``connect_s`` [s].
 
     Raises:
-        TaskError: the address is none that is trusted, see :func:`~sysid.execution.trust.trusted_address`.
+        TaskError: the address is none that is trusted, see :func:`~sysid.execution.scheduler_address.trusted_address`.
     """
 
     address: str

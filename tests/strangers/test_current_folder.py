@@ -145,12 +145,12 @@ def verbs() -> list[list[str]]:
         ["ingest", "data", "--name", "one"],
         ["ingest", "data", "--name", "two", "--workers", "2"],
         ["datasets", "one", "--quality"],
+        ["gap", "one", "--add"],
         ["fit", "actuator", "one", "--recipe", "recipe.toml"],
         ["models"],
         ["models", "card", "one-history"],
         ["models", "lineage", "one-history"],
-        ["gap", "one", "--add", "--world"],
-        ["export", "autolog", "--to", "mjcf", "--out", "mjcf"],
+        ["export", "autolog", "--to", "mjcf", "--out", "workspace/mjcf"],
         ["report", "one"],
         ["view", "one"],
         ["ui"],
@@ -179,12 +179,18 @@ def traced(words: Sequence[str], folder: Path, log: Path) -> tuple[set[str], set
     return opened, looked
 
 
+def test_the_planted_files_are_listed_in_the_documentation() -> None:
+    listed = (ROOT / "docs" / "security.md").read_text("utf-8").split("### Planted files")[1].split("\n\n")[1]
+    left_out = {name for name in PLANTED if f"`{name}`" not in listed}
+    assert left_out == {*(f"{name}.py" for name in (*MODULES, "planted")), *(name for name in PLANTED if "dist-info" in name)}
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
 @pytest.mark.timeout(1800)
 def test_no_verb_opens_a_file_of_a_stranger_that_it_was_not_told_to(tmp_path: Path) -> None:
     """First in a folder with the data alone: what is looked for beside them is then planted as well, and not opened."""
-    named = {"data", "workspace", "recipe.toml", "mjcf"}
+    named = {"data", "workspace", "recipe.toml"}
     looked: dict[str, set[str]] = {}
     for visit in ("empty", "planted"):
         folder = tmp_path / visit

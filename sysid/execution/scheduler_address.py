@@ -34,7 +34,7 @@ def trusted_address(address: str, trusted_network: bool = False) -> str:
         if trusted_network or scheme in AUTHENTICATED:
             return address
         found = sorted({info[4][0] for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}, key=_version)
-    except (ValueError, ImportError, OSError) as error:
+    except (ValueError, OSError) as error:
         raise TaskError(where, f"no address of a scheduler: {error}", _EXPECTED) from None
     if not all(map(_is_loopback, found)):
         raise TaskError(

@@ -18,7 +18,7 @@ from sysid.execution import TaskError, open_executor
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 from sysid.execution.cluster import ClusterExecutor
-from sysid.execution.trust import trusted_address
+from sysid.execution.scheduler_address import trusted_address
 
 HERE = {
     "tcp://127.0.0.1:8786": "tcp://127.0.0.1:8786",
@@ -84,12 +84,22 @@ def test_with_certificates_every_place_is_trusted(scheme: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "address", ["", "tcp://", "tcp://127.0.0.1", "tcp://127.0.0.1:x", "pipe://127.0.0.1:1", "tls://tcp://127.0.0.1:1", "::1:1"]
-)
+    "address",
+    [
+        "", "tcp://", "tcp://127.0.0.1", "tcp://127.0.0.1:x", "pipe://127.0.0.1:1", "tls://tcp://127.0.0.1:1", "::1:1",
+        "ucx://192.0.2.1:1", "inproc://1/2/3",
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("trusted_network", [False, True])
 def test_what_is_no_address_is_refused(address: str, trusted_network: bool) -> None:
     with pytest.raises(TaskError, match="no address of a scheduler"):
         trusted_address(address, trusted_network)
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "a" * 300])
+def test_a_name_that_no_computer_has_is_refused(host: str) -> None:
+    with pytest.raises(TaskError, match="no address of a scheduler"):
+        trusted_address(f"tcp://{host}:8786")
 
 
 @pytest.mark.parametrize("verb", VERBS)
