@@ -158,8 +158,9 @@ def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Residu
 def _nothing(
     problem: Problem, what: str, series: Sequence[ResidualSeries], probes: Sequence[Probe], found: ValidatedFormula
 ) -> str:
-    strongest = f" (the largest is {probes[0].name}: ρ = {probes[0].correlation:.2f}, 1 % bound {probes[0].bound:.2f})"
-    text = f"{what}: no relevant correlation with a measured variable{strongest if probes else ''}"
+    text = f"{what}: no relevant correlation with a measured variable"
+    for strongest in probes[:1]:
+        text += f" (the largest is {strongest.name}: ρ = {strongest.correlation:.2f}, 1 % bound {strongest.bound:.2f})"
     if series[0].rate:
         share = _share_of_speed(series, f"speed of {problem.target}")
         return f"{text}; it looks like a random disturbance of about {100.0 * share:.1f} % of the speed"

@@ -106,10 +106,11 @@ class Formula:
 
 
 def modulations(blocks: Sequence[ResidualSeries]) -> list[tuple[Factor, ...]]:
-    """Factors by which the amplitude of a ripple may be modulated."""
+    """Factors by which the amplitude of a ripple may be modulated, of variables that all blocks have."""
     if not blocks[0].rate:
         return [()]
-    directions = [name for name in blocks[0].variables if name.startswith("direction of ")]
+    shared = [name for name in blocks[0].variables if all(name in block.variables for block in blocks)]
+    directions = [name for name in shared if name.startswith("direction of ")]
     speeds = [name.replace("direction", "speed", 1) for name in directions[:1]]
     moving = [(Factor("abs", name),) for name in directions[:1]]
     return [(), *moving, *((Factor(function, name),) for name in speeds for function in ("identity", "abs"))]

@@ -27,7 +27,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem, drive_problem, joint_problem
 from sysid.gap.result import Unnamed
 from sysid.gap.unnamed.formula_search import find_formula
-from sysid.gap.unnamed.residual_formula import NOTHING, describe_residual
+from sysid.gap.unnamed.residual_formula import NOTHING, describe, describe_residual
 from sysid.gap.unnamed.residual_series import BIN, PARTS, ResidualSeries, cross_correlations, quasi_difference, residual_series
 from sysid.gap.unnamed.terms import Factor, Formula, Term
 
@@ -230,3 +230,18 @@ def test_recordings_without_motion_of_the_axis_are_skipped() -> None:
     still = seen[2].table.assign(**{"boom.command": 0.0, "boom.cylinder": seen[2].table["boom.cylinder"].iloc[0]})
     found = described(DRIVE, [*seen[:2], replace(seen[2], table=still)])
     assert "speed" in f"{found.depends_on} {found.form}"
+
+
+@pytest.mark.parametrize("seconds", [1.0, 2.0, 4.0, 8.0])
+def test_short_recordings_are_described_or_left(seconds: float) -> None:
+    """Too few rows for a correlation are no correlation."""
+    for found in describe_residual(DRIVE, MODEL.theta, recordings(white, seconds=seconds), MACHINE):
+        assert found.form
+        assert np.isfinite(found.rmse)
+
+
+def test_a_residual_beside_which_nothing_varies_is_random() -> None:
+    whole = [residual_series(DRIVE, MODEL.theta, recording, MACHINE, 0) for recording in recordings(white)]
+    steady = [replace(part, variables={}) for part in whole if part is not None]
+    found = describe(DRIVE, 1.0, "boom.cylinder", steady, MACHINE)
+    assert (found.depends_on, found.probes) == (NOTHING, ())
