@@ -7,6 +7,7 @@ import json
 import math
 import os
 import platform
+import re
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,9 @@ from typing import Any
 
 from sysid.errors import StorageError
 
+
+#: Half of a pair of UTF-16, as Python decodes a byte of a file name that is no UTF-8.
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -92,8 +96,12 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
 
 
 def json_text(value: Mapping[str, Any]) -> str:
-    """``value`` as indented JSON with a newline at the end; NaN and infinity become null."""
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    """``value`` as indented JSON with a newline at the end; NaN and infinity become null.
+
+    Undecodable bytes of file names (unpaired surrogates) become escapes, since UTF-8 cannot hold them.
+    """
+    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return _SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def plain(value: Any) -> Any:

@@ -39,6 +39,11 @@ def shown(value: object, most: int = MAX_NAME) -> str:
     return visible(words, most)
 
 
+def is_unicode(text: str) -> bool:
+    """Whether ``text`` has no unpaired surrogate, as an undecodable byte of a file name becomes one: UTF-8 can hold it."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
 def escaped_json(text: str) -> str:
     """JSON with every hidden character of its texts as ``\\uXXXX``: the same values, safe for a terminal."""
     if text.isascii():  # JSON itself escapes the control characters of ASCII, but DEL

@@ -12,6 +12,7 @@ from sysid.config import inside
 from sysid.datasets.recipe import IngestRecipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.foreign import is_unicode
 from sysid.logs.confined import read_confined
 from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
@@ -125,6 +126,9 @@ def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> t
 
 def _checked(recording: RecordingFiles) -> str:
     try:
+    for path, _ in recording.streams:
+        if not is_unicode(path.name):
+            raise InputError(path, "a name with bytes that are no UTF-8", "a name of text", "Rename it.")
         return check_file_name(recording.name, f"recording in {recording.root}")
     except SettingsError as error:
         raise InputError(error.where, error.found, error.expected, "Rename its folder or file.") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from glob import escape
@@ -14,6 +13,7 @@ from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
+from sysid.quoting import comment, toml_key, toml_value
 from sysid.units import si_factor
 
 #: Words in a topic or column that indicate the quantity.
@@ -52,35 +52,35 @@ def draft_recipe(
     ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: there are files in
     sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings.
     """
-    lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
-    lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
+    lines = [_HEAD.format(names=", ".join(sorted({comment(file.path.name) for file in files})[:6]) or "nothing")]
+    lines.append(f"{'' if machine is not None else '# '}machine = {toml_value(machine_path)}")
     if logs is not None:
-        lines.append(f"logs = {_text(logs)}")
+        lines.append(f"logs = {toml_value(logs)}")
     damaged = unreadable(files)
     files = [file for file in files if file not in damaged]
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
-    lines += [f"# left out: {_plain(' '.join(file.refusal.split()))}" for file in damaged]
+    lines += [f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged]
     layouts = layouts_of(files, names)
     if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
-        lines += [f"{_key(names[file.path])} = {_text(_relative(file.path, root))}" for file in files]
+        lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
     elif not in_folders and len(files) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
-        lines += [f"# {_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
+        lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
     recordings = dict.fromkeys(names.values())
     if len(recordings) < 3 and (in_folders or single):
         lines += [
             "",
             "# [splits]                  # a recording is cut into the three parts that sysid gap needs; to keep it whole:",
         ]
-        lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
+        lines += [f"# fit = [{', '.join(map(toml_value, recordings))}]"]
     taken: dict[str, set[str]] = {}
     for layout in layouts:
         before = {signal for signal, others in taken.items() if others & layout.recordings}
         empty = layout.whole.reader in TABLES and not any(stream.fields for stream in layout.whole.streams)
         for files_, recordings_ in layout.entries:
             if empty:
-                lines += ["", f"# left out: {_plain(files_)}: no column of numbers beside the stamps"]
+                lines += ["", f"# left out: {comment(files_)}: no column of numbers beside the stamps"]
                 continue
             own = set(before)
             lines += ["", *_stream(layout, files_, recordings_, machine, own)]
@@ -114,23 +114,23 @@ def _stream(layout: Layout, pattern: str, recordings: Sequence[str], machine: Ma
     yield "[[streams]]"
     if file.reader in ("can", "mf4"):
         yield '# dbc = "<file>.dbc"          # database of the CAN frames: inspect again with --dbc'
-    yield f"files = {_text(pattern)}{_found(layout)}"
+    yield f"files = {toml_value(pattern)}{_found(layout)}"
     if recordings:
-        yield f"recordings = [{', '.join(map(_text, recordings))}]   # other recordings have other fields in such files"
+        yield f"recordings = [{', '.join(map(toml_value, recordings))}]   # other recordings have other fields in such files"
     if by_suffix != file.reader:
-        yield f"reader = {_text(file.reader)}"
+        yield f"reader = {toml_value(file.reader)}"
     if file.columns:
         yield "# The file has no header row: columns are numbered here. Better names may be given, also below."
-        yield f"columns = [{', '.join(map(_text, file.columns))}]"
+        yield f"columns = [{', '.join(map(toml_value, file.columns))}]"
     first = {clock.name for stream in file.streams for clock in stream.clocks[:1]}
     if len(first) > 1:
         every = [clock for clock in clocks if all(clock in {c.name for c in stream.clocks} for stream in file.streams)]
-        named = [_plain(stream.name) for stream in file.streams if stream.clocks and stream.clocks[0].name != every[0]]
+        named = [comment(stream.name) for stream in file.streams if stream.clocks and stream.clocks[0].name != every[0]]
         others = f"; {clocks[0]} stamps: an entry of its own for {', '.join(named[:4])}{' …' if len(named) > 4 else ''}"
-        yield f"clock = {_text(every[0])}   # all topics have it{others if named else ''}"
+        yield f"clock = {toml_value(every[0])}   # all topics have it{others if named else ''}"
     elif clocks:
         others = f"   # or {', '.join(clocks[1:])}" if len(clocks) > 1 else ""
-        yield f"clock = {_text(clocks[0])}{others}"
+        yield f"clock = {toml_value(clocks[0])}{others}"
     else:
         yield '# time = "<column>"          # the column of the time; time_unit = "ms" where it is not in seconds'
         yield "# rate_hz = <rate>           # or, where no column has the time, the rate of evenly spaced rows [Hz]"
@@ -140,7 +140,7 @@ def _stream(layout: Layout, pattern: str, recordings: Sequence[str], machine: Ma
             units = " or ".join(unit.unit for unit in file.time_units)
             yield f'time_unit = "<{units}>"   # not stated in the file: {" or ".join(map(str, file.time_units))}'
         else:
-            yield f"{key} = {_text(value)}   # not stated in the file: check it"
+            yield f"{key} = {toml_value(value)}   # not stated in the file: check it"
     bodies = [stream for stream in file.streams if captured and _is_body(stream)]
     markers = [stream for stream in file.streams if captured and _is_marker(stream)]
     if bodies or markers:
@@ -155,7 +155,7 @@ def _found(layout: Layout) -> str:
     """A comment on number and form of the files of a layout."""
     count = f"{len(layout.files)} files; ranges are those of all" if len(layout.files) > 1 else ""
     text = "; ".join(filter(None, (count, *layout.whole.remarks)))
-    return f"   # {_plain(text)}" if text else ""
+    return f"   # {comment(text)}" if text else ""
 
 
 def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
@@ -164,8 +164,8 @@ def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machi
     for stream in streams[:1] if episodes else streams:
         moving = [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
         if not tables:
-            kind = f" ({_plain(stream.kind)})" if stream.kind else ""
-            yield f"# {_plain(stream.name)}{kind}: {stream.samples} samples"
+            kind = f" ({comment(stream.kind)})" if stream.kind else ""
+            yield f"# {comment(stream.name)}{kind}: {stream.samples} samples"
         for field in moving[:MAX_LINES]:
             yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
         still = len(stream.fields) - len(moving)
@@ -177,21 +177,21 @@ def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machi
 
 def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str, taken: set[str]) -> str:
     signal, sure = _signal(topic, field, machine, kind)
-    entry = [f"topic = {_text(topic)}"] if topic else []
-    entry.append(f"field = {_text(field.name)}")
-    note = f"{field.low:.4g} … {field.high:.4g}{f' {_plain(field.unit)}' if field.unit else ''}"
+    entry = [f"topic = {toml_value(topic)}"] if topic else []
+    entry.append(f"field = {toml_value(field.name)}")
+    note = f"{field.low:.4g} … {field.high:.4g}{f' {comment(field.unit)}' if field.unit else ''}"
     outside = signal.endswith(".command") and max(abs(field.low), abs(field.high)) > 1.5
     if outside and machine is not None and _actuation(signal, machine) == "velocity":
         entry += ["zero = <neutral>", "span = <from neutral to full>"]
         sure = False
     elif field.unit is None and (kind == KIND or not signal.endswith(".command")) and not kind.startswith(_SI_PACKAGES):
         stated = _unit_in_name(field.name)
-        entry.append(f"unit = {_text(stated or '<unit>')}")
+        entry.append(f"unit = {toml_value(stated or '<unit>')}")
         sure = sure and stated is not None
     sure = sure and signal not in taken
     if sure:
         taken.add(signal)
-    return f"{'' if sure else '# '}{_text(signal)} = {{ {', '.join(entry)} }}   # {note}"
+    return f"{'' if sure else '# '}{toml_value(signal)} = {{ {', '.join(entry)} }}   # {note}"
 
 
 def _unit_in_name(name: str) -> str | None:
@@ -265,16 +265,16 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
     yield "rpy = [0.0, 0.0, 0.0]        # Motive counts y upwards: [1.5708, 0.0, 0.0] turns it to z"
     yield "[streams.points]             # a rigid body, a surveyed point in its frame, or a marker, as ee or tool"
     if bodies:
-        yield f"# ee = {{ body = {_text(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"
+        yield f"# ee = {{ body = {toml_value(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"
     else:
-        yield f"# ee = {{ marker = {_text(markers[-1].name)} }}"
-        listed = ", ".join(_text(stream.name) for stream in markers[:3])
+        yield f"# ee = {{ marker = {toml_value(markers[-1].name)} }}"
+        listed = ", ".join(toml_value(stream.name) for stream in markers[:3])
         yield "[streams.marker_sets]        # rigid body → three or more rigidly connected markers"
         yield f"# <body> = [{listed}]"
     yield f"[streams.bodies]             # rigid body → URDF link{': ' + ', '.join(links) if links else ''}"
     for stream in bodies:
         link = [link for link in links if _words(link) <= _words(stream.name)]
-        yield f"# {_key(stream.name)} = {_text(link[0] if len(link) == 1 else '<link>')}   # {_visible(stream)}"
+        yield f"# {toml_key(stream.name)} = {toml_value(link[0] if len(link) == 1 else '<link>')}   # {_visible(stream)}"
     yield "# [streams.reference]        # needed with bodies: the machine at rest with known joint values"
     yield "# seconds = [0.2, 1.2]"
     axes = ", ".join(f"{axis.name} = <value>" for axis in machine.axes) if machine is not None else "<axis> = <value>"
@@ -282,7 +282,7 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
     if markers:
         yield "# markers:"
     for stream in markers[:MAX_LINES]:
-        yield f"#   {_text(stream.name)}: {_visible(stream)}"
+        yield f"#   {toml_value(stream.name)}: {_visible(stream)}"
     if len(markers) > MAX_LINES:
         yield f"#   and {len(markers) - MAX_LINES} more"
 
@@ -290,20 +290,6 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
 def _visible(stream: StreamSummary) -> str:
     share = min((1.0 - field.missing for field in stream.fields), default=0.0)
     return f"visible in {100.0 * share:.0f} % of {stream.samples} frames"
-
-
-def _text(value: str) -> str:
-    """A TOML basic string."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _plain(text: str) -> str:
-    """``text`` for a comment, without line ends, which a name in a file may contain."""
-    return "".join(letter if letter.isprintable() else "�" for letter in text)
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
 
 
 def default_machine(paths: Sequence[Path]) -> Path | None:

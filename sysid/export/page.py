@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +18,7 @@ from sysid.export.replay import ROUNDING, SHARE, Replay
 from sysid.export.target import Target
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
+from sysid.quoting import code, markdown
 from sysid.signals import split_signal
 
 KINDS = {
@@ -40,8 +40,8 @@ def export_page(
     """
     reference = plant.reference or plant.machine.name
     parts = [
-        f"# {reference} for {target.title}\n",
-        f"Machine {code(plant.machine.name)}, written by `sysid export {reference} --to {target.name}`.\n",
+        f"# {markdown(reference)} for {target.title}\n",
+        f"Machine {code(plant.machine.name)}, written by {code(f'sysid export {reference} --to {target.name}')}.\n",
         *_files(files),
         "## Conventions\n",
         f"- Units are SI: m, rad, s, N, N·m, kg. A sample is {1.0 / rate_hz:g} s.",
@@ -58,17 +58,15 @@ def export_page(
         "## Uncertainty\n",
         *_uncertainty(plant, files),
         "## Lineage\n",
-        *([f"- {key}: `{value}`" for key, value in plant.origin.items() if isinstance(value, (str, int, float))] or ["- none"]),
+        *(_lineage(plant) or ["- none"]),
         "",
     ]
     return "\n".join(parts)
 
 
-def code(text: str) -> str:
-    """Any text as a code span: between more backticks than it has in a row."""
-    ticks = "`" * (1 + max(map(len, re.findall("`+", text)), default=0))
-    blank = " " if text.startswith("`") or text.endswith("`") or not text.strip() else ""
-    return f"{ticks}{blank}{text}{blank}{ticks}"
+def _lineage(plant: Plant) -> list[str]:
+    origin = plant.origin.items()
+    return [f"- {markdown(key)}: {code(str(value))}" for key, value in origin if isinstance(value, (str, int, float))]
 
 
 def _names(renamed: Sequence[Renamed]) -> list[str]:
@@ -79,12 +77,12 @@ def _names(renamed: Sequence[Renamed]) -> list[str]:
 
 
 def _files(files: Sequence[str]) -> list[str]:
-    return ["Files: " + ", ".join(f"`{name}`" for name in files) + ".\n"]
+    return ["Files: " + ", ".join(map(code, files)) + ".\n"]
 
 
 def _command(axis: Any) -> str:
     meaning = {"velocity": f"±1 is ±{axis.gain:g} of its speed unit per second", "position": "position", "force": "force"}
-    return f"`{axis.name}` {meaning[axis.actuation]}"
+    return f"{code(axis.name)} {meaning[axis.actuation]}"
 
 
 def _effects(plant: Plant, target: Target) -> list[str]:
@@ -96,9 +94,17 @@ def _effects(plant: Plant, target: Target) -> list[str]:
         support = target.support(effect)
         where = f"{item.target}{f', {item.side}' if item.side else ''}"
         title = title_of(effect, item.target, plant.machine)
-        rows.append(f"| {title} (`{item.name}`) | {where} | {_values(plant, item)} | {KINDS[support.kind]} | {support.how} |")
+        cells = (
+            f"{markdown(title)} ({code(item.name)})",
+            markdown(where),
+            _values(plant, item),
+            KINDS[support.kind],
+            support.how,
+        )
+        rows.append(f"| {' | '.join(cells)} |")
     for residual in plant.residuals:
-        rows.append(f"| `unnamed_residual` ({residual.stage}) | {residual.target} | | not representable | a network |")
+        where = f"({markdown(residual.stage)}) | {markdown(residual.target)}"
+        rows.append(f"| `unnamed_residual` {where} | | not representable | a network |")
     return [*rows, ""]
 
 
@@ -114,7 +120,7 @@ def _values(plant: Plant, item: KnownEffect) -> str:
 def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> list[str]:
     if found is None:
         return [f"Not run here: {target.title} is not installed. The files were checked against their format alone.\n"]
-    where = f"{', '.join(found.recordings)} ({found.seconds:.0f} s)"
+    where = f"{markdown(', '.join(found.recordings))} ({found.seconds:.0f} s)"
     if found.kind == "forces":
         head = (
             f"Forces that the measured motion of {where} needs, in {target.title} and by the plant itself, and the end "
@@ -134,7 +140,7 @@ def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> l
         cells = [shown(x, unit) for x in (row.export_error, row.plant_error, row.noise)]
         marks = "" if row.agrees else " **exceeded**"
         cells += [shown(row.difference, unit), shown(row.allowed, unit) + marks]
-        rows.append(f"| `{row.signal}` | {' | '.join(cells)} |")
+        rows.append(f"| {code(row.signal)} | {' | '.join(cells)} |")
     return [head + "\n", *rows, ""]
 
 

@@ -31,6 +31,7 @@ from sysid.parse import parse_json
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, PlantNumber, Uncertainty, uncertainty_from
+from sysid.quoting import toml_key, toml_value
 
 Array = npt.NDArray[np.float64]
 Value = float | Sequence[float]
@@ -269,9 +270,10 @@ def effects_toml(effects: Sequence[KnownEffect]) -> str:
     """The ``[[effects]]`` part of a ``machine.toml``."""
     parts = []
     for item in effects:
-        values = ", ".join(f"{key} = {_toml(value)}" for key, value in item.parameters.items())
-        side = f'\nside = "{item.side}"' if item.side else ""
-        parts.append(f'[[effects]]\nname = "{item.name}"\ntarget = "{item.target}"{side}\nparameters = {{ {values} }}\n')
+        values = ", ".join(f"{toml_key(key)} = {_toml(value)}" for key, value in item.parameters.items())
+        keys = {"name": item.name, "target": item.target} | ({"side": item.side} if item.side else {})
+        lines = ["[[effects]]", *(f"{key} = {toml_value(text)}" for key, text in keys.items()), f"parameters = {{ {values} }}"]
+        parts.append("\n".join(lines) + "\n")
     text = "\n".join(parts)
     tomllib.loads(text)
     return text

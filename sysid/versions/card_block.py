@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sysid.quoting import markdown
 from sysid.validate import ErrorMap
 
 
@@ -34,11 +35,7 @@ class Card:
             parts += [f"## {block.title}", *block.text]
             if block.rows:
                 lines = [block.header, tuple("---" for _ in block.header), *block.rows]
-                parts.append("\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines))
+                parts.append("\n".join("| " + " | ".join(markdown(cell) for cell in line) + " |" for line in lines))
             if block.code:
                 parts.append(f"```python\n{block.code}\n```")
         return "\n\n".join(parts) + "\n"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")

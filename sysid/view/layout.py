@@ -46,11 +46,10 @@ def blueprint(
     below: list[Any] = [rrb.TimeSeriesView(origin="signals", contents=commands, name="commands")]
     if findings:
         below.append(rrb.TextLogView(origin=MOMENTS, name="worst moments"))
-    right = rrb.Vertical(
-        rrb.Tabs(*tabs, *map_views(maps), active_tab=_active(tables, signals, owners)),
-        rrb.Tabs(*below),
-        row_shares=[3, 1],
-    )
+    above = [*tabs, *map_views(maps)]  # none where the recording has no measured value
+    right: Any = rrb.Tabs(*below)
+    if above:
+        right = rrb.Vertical(rrb.Tabs(*above, active_tab=_active(tables, signals, owners)), right, row_shares=[3, 1])
     left: list[Any] = [rrb.TextDocumentView(origin=FINDINGS, name="findings")] if findings else []
     if dataset.machine.kinematics() is not None:
         points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]

@@ -20,7 +20,6 @@ from test_every_target import RATE, chain, exported, joint, link, plant_of, sdf_
 from test_mjcf_arm import PAYLOAD, two_links
 
 from sysid.export.names import Names, identifier, same_file, scoped, word
-from sysid.export.page import code
 from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
 from sysid.export.targets import TARGETS, target_named
@@ -29,6 +28,7 @@ from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.names import check_file_name
 from sysid.plant import Plant
+from sysid.quoting import code
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
 #: Targets that have no part for a swinging tool and for effects of the geometry.

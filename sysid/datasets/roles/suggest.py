@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -22,6 +21,7 @@ from sysid.datasets.roles.lacks import Lack, lacks_of, role_amounts
 from sysid.datasets.roles.motion import AxisMotion, motion_table
 from sysid.datasets.roles.shortage import ROLES
 from sysid.datasets.splits import SplitBlock, assignment_of, block_pattern, can_be_cut
+from sysid.quoting import toml_key, toml_value
 
 Array = npt.NDArray[np.float64]
 
@@ -89,10 +89,10 @@ class SplitSuggestion:
         for role in ROLES:
             names = [escape(name) for name, given in self.roles.items() if given == role and name not in blocks]
             if names:
-                lines.append(f"{role} = {json.dumps(names, ensure_ascii=False)}")
+                lines.append(f"{role} = {toml_value(names)}")
         last = [*self.cut, *dict.fromkeys(uncut_name(name) for name in blocks if uncut_name(name) not in self.named)]
         if last:
-            shares = ", ".join(f"{json.dumps(name, ensure_ascii=False)} = {_HELD_OUT:g}" for name in last)
+            shares = ", ".join(f"{toml_key(name)} = {_HELD_OUT:g}" for name in last)
             lines.append(f"held_out_last = {{ {shares} }}")
         return "\n".join(lines)
 

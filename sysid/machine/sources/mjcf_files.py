@@ -20,7 +20,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from sysid.errors import InputError
-from sysid.foreign import MAX_NAME, shown, visible
+from sysid.foreign import MAX_NAME, is_unicode, shown, visible
 from sysid.parse import read_xml
 
 #: Nested elements; MuJoCo reads 500.
@@ -108,6 +108,8 @@ def joined_model(path: Path, assets: Sequence[Path] | None = ()) -> JoinedModel:
         InputError: no such file; not an MJCF; a file that is no regular file, missing, or outside of the folders.
     """
     root, place = _parsed(path, path), _physical(str(path))
+    if not is_unicode(place):
+        raise InputError(path, "a path with bytes that are no UTF-8", "a path of text, as MuJoCo needs it", "Rename it.")
     folders = (os.path.dirname(place), *(os.path.realpath(folder) for folder in assets or ()))
     joiner = _Joiner(place, folders, assets is not None)
     joiner.join(place, root, outer=True)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 from sysid.machine.description import KnownEffect
 from sysid.machine.sources.draft import AxisDraft, MachineDraft
+from sysid.quoting import comment, toml_key, toml_value
 
 _UNITS = {("velocity", True): "1", ("velocity", False): "1", ("force", True): "N", ("force", False): "N·m"}
 
@@ -14,28 +14,29 @@ _UNITS = {("velocity", True): "1", ("velocity", False): "1", ("force", True): "N
 def machine_text(draft: MachineDraft, name: str) -> str:
     """``machine.toml``; its URDF is ``<name>.urdf``."""
     lines = [
-        f"# Drafted from {draft.source}. SI units (m, rad, s, N, N·m, kg). Check it before use; fields: docs/guide/mujoco.md",
+        f"# Drafted from {comment(draft.source)}. SI units (m, rad, s, N, N·m, kg). Check it before use.",
+        "# Fields: docs/guide/mujoco.md",
         _row("schema", "1", "version of this file format"),
-        _row("name", _text(name), "name of the machine and of its dataset"),
+        _row("name", toml_value(name), "name of the machine and of its dataset"),
         _row("rate_hz", f"{draft.rate_hz:.1f}", "even time grid of the dataset [Hz]: about the rate of the fastest log"),
-        _row("urdf", _text(f"{name}.urdf"), "geometry and masses"),
-        _row("tip", _text(draft.tip), "URDF link whose origin is the end effector"),
+        _row("urdf", toml_value(f"{name}.urdf"), "geometry and masses"),
+        _row("tip", toml_value(draft.tip), "URDF link whose origin is the end effector"),
     ]
     lines.append(
-        _row("tool", _text(draft.tool), "URDF link of a hanging tool")
+        _row("tool", toml_value(draft.tool), "URDF link of a hanging tool")
         if draft.tool is not None
         else '# tool = "…"                     # URDF link of a hanging tool, if it is measured'
     )
     if draft.left_out:
         lines += ["left_out = [                     # what the description contains beyond this file"]
-        lines += [*(f"    {_text(line)}," for line in draft.left_out), "]"]
+        lines += [*(f"    {toml_value(line)}," for line in draft.left_out), "]"]
     for axis in draft.axes:
         lines += ["", *_axis(axis)]
     lines += [
         "",
         "# [noise]                        # standard deviation of a sensor [SI]; else estimated where the machine rests",
     ]
-    lines += [f'# "{draft.axes[0].name}.joint" = 1e-4']
+    lines += [f"# {toml_key(f'{draft.axes[0].name}.joint')} = 1e-4"]
     for effect in (effect for axis in draft.axes for effect in axis.effects):
         lines += ["", *_effect(effect)]
     return "\n".join(lines) + "\n"
@@ -51,31 +52,33 @@ def recipe_text(draft: MachineDraft, name: str, prismatic: Sequence[bool]) -> st
     lines = [
         f"# Which column is which signal. As it is: logs/<recording>/*.csv with the columns time, {example}",
         _row("schema", "1", "version of this file format"),
-        _row("name", _text(name), "name of the dataset"),
-        _row("machine", _text("machine.toml"), "relative to this file; paths never leave this folder"),
-        _row("logs", _text("logs"), "each folder or file in it is one recording"),
+        _row("name", toml_value(name), "name of the dataset"),
+        _row("machine", toml_value("machine.toml"), "relative to this file; paths never leave this folder"),
+        _row("logs", toml_value("logs"), "each folder or file in it is one recording"),
         "",
         "[[streams]]                      # one entry per kind of file",
-        _row("files", _text("*.csv"), "which files of a recording"),
-        _row("time", _text("time"), "column of the time stamps"),
-        _row("domain", _text("machine"), 'the clock of these files; files with another name here are aligned to "machine"'),
+        _row("files", toml_value("*.csv"), "which files of a recording"),
+        _row("time", toml_value("time"), "column of the time stamps"),
+        _row(
+            "domain", toml_value("machine"), 'the clock of these files; files with another name here are aligned to "machine"'
+        ),
         "[streams.signals]                # field: the column; unit: of its values; sign = -1 where it counts the other way",
     ]
     for axis, straight in zip(draft.axes, prismatic, strict=True):
         unit = "m" if straight else "rad"
         for quantity, its in (("command", _UNITS.get((axis.actuation, straight), unit)), ("joint", unit)):
             signal = f"{axis.name}.{quantity}"
-            lines.append(f"{_text(signal)} = {{ field = {_text(signal)}, unit = {_text(its)} }}")
+            lines.append(f"{toml_key(signal)} = {{ field = {toml_value(signal)}, unit = {toml_value(its)} }}")
     return "\n".join(lines) + "\n"
 
 
 def _axis(axis: AxisDraft) -> list[str]:
     lines = [
-        f"[[axes]]                         # {axis.about}",
-        _row("name", _text(axis.name), f"its signals are {axis.name}.command and {axis.name}.joint"),
-        _row("joint", _text(axis.joint), "URDF joint, whose limits are those of the axis"),
-        _row("actuation", _text(axis.actuation), "position (servo) | velocity | force"),
-        _row("drives", _text("joint"), "what the command moves"),
+        f"[[axes]]                         # {comment(axis.about)}",
+        _row("name", toml_value(axis.name), f"its signals are {axis.name}.command and {axis.name}.joint"),
+        _row("joint", toml_value(axis.joint), "URDF joint, whose limits are those of the axis"),
+        _row("actuation", toml_value(axis.actuation), "position (servo) | velocity | force"),
+        _row("drives", toml_value("joint"), "what the command moves"),
     ]
     if axis.actuation == "velocity":
         lines.append(_row("gain", f"{axis.gain:.6g}", "speed at command 1.0 [rad/s or m/s]"))
@@ -90,11 +93,11 @@ def _axis(axis: AxisDraft) -> list[str]:
 
 def _effect(effect: KnownEffect) -> list[str]:
     values = ", ".join(f"{key} = {value:.6g}" for key, value in effect.parameters.items() if isinstance(value, float))
-    side = [] if effect.side is None else [f"side = {_text(effect.side)}"]
+    side = [] if effect.side is None else [f"side = {toml_value(effect.side)}"]
     return [
         "[[effects]]",
-        f"name = {_text(effect.name)}",
-        f"target = {_text(effect.target)}",
+        f"name = {toml_value(effect.name)}",
+        f"target = {toml_value(effect.target)}",
         *side,
         f"parameters = {{ {values} }}",
     ]
@@ -102,8 +105,3 @@ def _effect(effect: KnownEffect) -> list[str]:
 
 def _row(key: str, value: str, about: str) -> str:
     return f"{f'{key} = {value}':<33}# {about}"
-
-
-def _text(value: str) -> str:
-    """A TOML string: JSON's escapes are TOML's."""
-    return json.dumps(value, ensure_ascii=False)
