@@ -97,3 +97,14 @@ def test_every_motion_is_planned_or_left_out_at_every_rate(actuation: str, rate_
 def test_a_force_that_is_logged_too_slowly_is_refused_with_what_it_lacks() -> None:
     with pytest.raises(ExcitationError, match="run-0: a: force and motion are not measured together; expected 100 samples"):
         searched("force", 1.0, 60.0, "driven")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_motion_whose_start_is_no_number_is_left_out(value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that was trained on too little gives no joint there."""
+    dataset = dataset_of("velocity", 50.0, 20.0, "driven")
+    plant = nominal_plant(dataset.machine)
+    planner = Planner(steps.open_study(dataset, plant).case, plant, Planning())
+    motion = next(m for m in MOTIONS if planner.excitation(m, (0,), 10.0) is not None)
+    monkeypatch.setattr("sysid.gap.experiment.proposal.start_of", lambda *_: {"a.joint": value})
+    assert planner.excitation(motion, (0,), 20.0) is None

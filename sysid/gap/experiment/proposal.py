@@ -205,8 +205,9 @@ class Planner:
             excitation = design_excitation(
                 self._model(self.model.theta), self.feasible_sets, motion, axes, seconds, self.rate_hz, self.case.seed
             )
-            if excitation is not None and not all(
-                self._inside(self._simulate(excitation, theta, None)) for theta in (self.model.theta, *self._thetas)
+            if excitation is not None and not (
+                np.isfinite(list(start_of(self.feasible_sets, excitation, self.plant.linkages).values())).all()
+                and all(self._inside(self._simulate(excitation, theta, None)) for theta in (self.model.theta, *self._thetas))
             ):
                 excitation = None
             self._excitations[key] = excitation
@@ -266,7 +267,11 @@ class Planner:
         return simulate_recording(model, commands_of(model, self.feasible_sets, excitation), start, self.rate_hz, measured)
 
     def _inside(self, recording: Recording) -> bool:
-        return not outside(recording.table, self.limits)
+        """Whether a simulated motion is finite and within the limits throughout."""
+        limited = [signal for signal in self.limits if signal in recording.table.columns]
+        return bool(np.isfinite(recording.table[limited].to_numpy(np.float64)).all()) and not outside(
+            recording.table, self.limits
+        )
 
     def _pump_sufficient(self, recording: Recording, model: PlausibleModel, hypothesis: OpenHypothesis) -> bool:
         """Whether the demanded flow is within the pump limit; not required where the hypothesis concerns the pump."""
