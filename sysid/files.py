@@ -14,23 +14,28 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from sysid.disk import written_to
 from sysid.errors import StorageError
-
 
 #: Half of a pair of UTF-16, as Python decodes a byte of a file name that is no UTF-8.
 _SURROGATE = re.compile("[\ud800-\udfff]")
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """A path beside ``path`` to write to, which replaces ``path`` when the block ends without an error.
 
     The content is synced before it replaces ``path``: a power cut leaves the old content or the new one.
+
+    Raises:
+        StorageError: the disk is full, read-only or fails; the old content is unchanged.
     """
     half = path.with_name(f".{path.name}.{platform.node()}-{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
     try:
-        yield half
-        on_disk(half)
-        half.replace(path)
+        with written_to(half, path):
+            yield half
+            on_disk(half)
+            half.replace(path)
     finally:
         half.unlink(missing_ok=True)
 
@@ -91,8 +96,9 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
         with written_whole(path) as half:
             half.write_bytes(content)
         on_disk(path.parent)
-    except OSError as error:
-        raise StorageError(f"{what} {path}", error.strerror or str(error), f"room for {len(content)} bytes", remedy) from error
+    except (OSError, StorageError) as error:
+        found = error.found if isinstance(error, StorageError) else error.strerror or str(error)
+        raise StorageError(f"{what} {path}", found, f"room for {len(content)} bytes", remedy) from error
 
 
 def json_text(value: Mapping[str, Any]) -> str:

@@ -128,17 +128,19 @@ def _bounded(value: Any, null: bool = True) -> Any:
     for _ in range(MAX_DEPTH + 1):
         below: list[Any] = []
         for item in level:
-            if isinstance(item, dict):
-                below += [*item, *item.values()]
-            elif isinstance(item, list):
-                below += item
-            elif isinstance(item, int) and not -_LARGEST <= item < 2 * _LARGEST:
-                raise ValueError(f"an integer of {item.bit_length()} bits, where 64 are the most")
-            elif isinstance(item, str):
+            kind = type(item)
+            if kind is str:
                 if not item.isascii():
                     item.encode("utf-8")  # raises UnicodeEncodeError, a ValueError, at half a surrogate pair
                 if not null and "\0" in item:
                     raise ValueError(f"a null character in {item[:40]!r}")
+            elif kind is dict:
+                below += item
+                below += item.values()
+            elif kind is list:
+                below += item
+            elif kind is int and not -_LARGEST <= item < 2 * _LARGEST:
+                raise ValueError(f"an integer of {item.bit_length()} bits, where 64 are the most")
         if not below:
             return value
         level = below

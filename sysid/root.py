@@ -139,14 +139,15 @@ class Root:
         folder, _, name = path.rpartition("/")
         half = f"{folder}/.{name}.{uuid.uuid4().hex[:8]}.part".lstrip("/")
         try:
-            self.write_new(half, content)
-            self.rename(half, path)
+            with self._named(path):
+                self.write_new(half, content)
+                self.rename(half, path)
         finally:
             self.remove(half)
 
     def write_new(self, path: str, content: bytes) -> None:
         """Create a file and sync it."""
-        with self.create(path) as file:
+        with self._named(path), self.create(path) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -13,6 +13,7 @@ from typing import NoReturn
 import click
 
 from sysid.children import safe_children
+from sysid.disk import storage_error
 from sysid.errors import StorageError, SysidError, nearest
 from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
@@ -131,7 +132,7 @@ def run_command(argv: list[str] | None) -> int:
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise  # not about a file: a bug, which needs its traceback
-        return _complain(f"{error.filename or 'system'}: {error.strerror or error}", 1)
+        return _complain(str(storage_error(error)), 1)
     return 0
 
 

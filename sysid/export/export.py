@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.disk import written_to
 from sysid.errors import SettingsError
 from sysid.export.force_replay import force_replay
 from sysid.export.names import Renamed
@@ -95,12 +96,13 @@ def export_plant(
     half = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.part")
     half.mkdir()
     try:
-        found = _write(plant, dataset, target, half, folder, samples, seed)
-        while found.replay is not None and not found.replay.agrees and (simpler := fallback(target, plant)) is not None:
-            shutil.rmtree(half)
-            half.mkdir()
-            target = simpler
+        with written_to(half, folder):
             found = _write(plant, dataset, target, half, folder, samples, seed)
+            while found.replay is not None and not found.replay.agrees and (simpler := fallback(target, plant)) is not None:
+                shutil.rmtree(half)
+                half.mkdir()
+                target = simpler
+                found = _write(plant, dataset, target, half, folder, samples, seed)
         if found.replay is not None and not found.replay.agrees and not force:
             raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, dataset.units))
         if folder.exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -239,12 +240,12 @@ def _check_axes(machine: Machine, where: object) -> None:
     if not machine.axes:
         raise SettingsError(where, "no axes", "at least one [[axes]] entry")
     check_file_name(machine.name, f"{where}: name")
-    names = list(machine.axis_names)
+    names = Counter(machine.axis_names)
     for axis in machine.axes:
         place = f"{where}: axis {shown(axis.name)}"
         if not _is_name(axis.name):
             raise SettingsError(place, "a name that no signal can have", _LETTERS)
-        if names.count(axis.name) > 1 or axis.name in RESERVED:
+        if names[axis.name] > 1 or axis.name in RESERVED:
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
         if axis.drives == "cylinder" and axis.stroke is None:
             raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")

@@ -87,8 +87,9 @@ def disk_errors(where: object) -> Iterator[None]:
         yield
     except TimeoutError:  # of the lock
         raise
-    except OSError as error:
-        found = f"cannot be written ({error.strerror or error}); {UNCHANGED}"
+    except (OSError, StorageError) as error:
+        reason = error.found if isinstance(error, StorageError) else error.strerror or error
+        found = f"cannot be written ({reason}); {UNCHANGED}"
         raise StorageError(f"model registry {where}", found, remedy=DISK_REMEDY) from None
 
 

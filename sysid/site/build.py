@@ -14,7 +14,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from sysid.datasets.versions.index import VersionIndex
-from sysid.errors import SysidError
+from sysid.errors import StorageError, SysidError
 from sysid.files import json_text
 from sysid.model_versions import ModelVersions
 from sysid.parse import parse_json
@@ -81,6 +81,8 @@ def build_site(workspace: Workspace, folder: Path | None = None, progress: Progr
             continue
         try:
             write_page(root.output(path), make())
+        except StorageError:
+            raise
         except SysidError as error:
             failed[path] = str(error)
             continue

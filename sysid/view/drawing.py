@@ -60,14 +60,26 @@ def sdk() -> Any:
 @contextmanager
 def rerun_file(path: Path, identity: str, layout: Any, name: str) -> Iterator[Any]:
     """A Rerun stream into ``path``, written whole or not at all; equal identities are one recording for the viewer."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as temporary:
-        stream = sdk().RecordingStream("sysid", recording_id=identity)
-        stream.save(str(temporary), default_blueprint=layout)
+    stream = sdk().RecordingStream("sysid", recording_id=identity)
+    with saved(stream, path, layout):
         stream.send_recording_name(name)
         yield stream
-        stream.flush()
-        stream.disconnect()
+
+
+@contextmanager
+def saved(stream: Any, path: Path, layout: Any) -> Iterator[None]:
+    """What a stream is sent within, into ``path``; in memory until then, because the writer of Rerun hangs on a full disk.
+
+    Raises:
+        StorageError: the disk is full or fails; nothing is left.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = stream.binary_stream()
+    sdk().send_blueprint(layout, make_active=False, make_default=True, recording=stream)
+    yield
+    with written_whole(path) as half:
+        half.write_bytes(content.read())
+    stream.disconnect()
 
 
 def log_curve(

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, log_shapes, sdk
+from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, log_shapes, saved, sdk
 from sysid.view.layout import blueprint
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
@@ -52,12 +51,12 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
             if path is None:
                 stream.spawn(default_blueprint=layout)
             else:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                stream.save(str(files.enter_context(written_whole(path))), default_blueprint=layout)
+                files.enter_context(saved(stream, path, layout))
             stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
             shown = _replay(stream, world, source, dataset.units, path is None)
-            stream.flush()
-            stream.disconnect()
+            if path is None:
+                stream.flush()
+                stream.disconnect()
     return shown
 
 
