@@ -14,6 +14,7 @@ from sysid.fleet.effects import FleetEffect, ParameterHistory
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
+from sysid.gap.drift import to_bins
 from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.intervals.criterion import criterion_at
 from sysid.gap.intervals.curvature import curvature_at
@@ -26,6 +27,9 @@ Array = npt.NDArray[np.float64]
 #: A standard deviation above so many negligible changes: the recording does not determine the parameter. The prior of an
 #: unknown in the curvature of a fit is a thousand of them wide.
 UNDETERMINED = 100.0
+#: Fewest degrees of freedom of the residuals of a recording, whose scatter is then known to 22 % (1/√(2·FREEDOM)): with none
+#: left the fit is exact and the deviation zero.
+FREEDOM = 10
 #: 97.5 % quantile of the normal distribution.
 _Z = float(stats.norm.ppf(0.975))
 
@@ -68,12 +72,8 @@ def estimate(
 
 def _in_time(case: Case) -> tuple[Recording, ...]:
     """The recordings of motion, of all roles, in the order of time; without stamps in the order of the dataset."""
-    return in_time([*case.split.seen, *case.split.held_out], [recording.name for recording in case.dataset.recordings])
-
-
-def in_time(recordings: Sequence[Recording], names: Sequence[str]) -> tuple[Recording, ...]:
-    """Recordings in the order of their time stamps, without stamps in that of ``names``."""
-    return tuple(sorted(recordings, key=lambda r: (r.start_ns, names.index(r.name))))
+    names = {recording.name: number for number, recording in enumerate(case.dataset.recordings)}
+    return tuple(sorted((*case.split.seen, *case.split.held_out), key=lambda r: (r.start_ns, names[r.name])))
 
 
 def _chosen(case: Case, stage: Stage, effects: Sequence[FleetEffect]) -> list[tuple[FleetEffect, Candidate]]:
@@ -136,8 +136,9 @@ def _compared(problem: Problem, recordings: Sequence[Recording]) -> list[Recordi
 
 
 def _of_recording(data: Data, theta: Array, whole: Fit) -> tuple[Array, Array]:
-    """Values (k,) fitted to one recording, from those of all, and their standard deviations; NaN if it has no measurement."""
-    if all(np.isnan(data.problem.measured(recording)).all() for recording in data.recordings):
+    """Values (k,) fitted to one recording, from those of all, and their standard deviations; NaN if it has too few samples."""
+    bins = [to_bins(data.problem.measured(recording), data.problem.rate(recording)) for recording in data.recordings]
+    if sum(np.count_nonzero(~np.isnan(own)) for own in bins) < len(whole.unknowns) + FREEDOM:
         return np.full(len(whole.unknowns), np.nan), np.full(len(whole.unknowns), np.nan)
     fit = fit_candidates(data, theta, whole.candidates, [whole.values])
     curvature = curvature_at(criterion_at(data, theta, fit.unknowns, fit.values), fit.values)

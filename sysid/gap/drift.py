@@ -12,6 +12,7 @@ constant offset is no drift.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -97,7 +98,7 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
     work = np.empty((2, len(joined)))
     best = (DriftStrength(memory=memory), -np.inf)
     calm: Sequence[float] = _STRENGTHS
-    moving: Sequence[float] = _STRENGTHS if any(np.ptp(a) > 0 for a in activities) else (0.0,)
+    moving: Sequence[float] = _STRENGTHS if any(len(a) and np.ptp(a) > 0 for a in activities) else (0.0,)
     for _ in range(2):
         for c in calm:
             for m in moving:
@@ -159,7 +160,7 @@ def to_bins(values: Array, rate_hz: float, seconds: float = BIN) -> Array:
     """Means over bins along the second to last axis, (…, n, d) → (…, m, d); NaN where fewer than half the samples are there."""
     # (0 − value)/−1 is the value, so that one kernel serves both.
     nothing = np.zeros(values.shape[-2:])
-    flat = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *values.shape[-2:])
+    flat = np.ascontiguousarray(values, dtype=np.float64).reshape(math.prod(values.shape[:-2]), *values.shape[-2:])
     found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz, seconds)
     return found.reshape(*values.shape[:-2], *found.shape[1:])
 

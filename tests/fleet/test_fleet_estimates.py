@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +57,15 @@ def test_the_same_machine_twice_is_refused(place: Path) -> None:
 def test_no_machine_is_refused(place: Path) -> None:
     with pytest.raises(SettingsError, match="no machine"):
         fleet_gap(place, [])
+
+
+@pytest.mark.parametrize("rows", [0, 1, 4, 8, 20, 40, 200])
+def test_a_short_recording_has_no_value_rather_than_a_wrong_one(place: Path, rows: int) -> None:
+    workspace = open_workspace(place)
+    dataset = workspace.dataset("lift-2")
+    whole = dataset.recordings[0]
+    short = replace(whole, name="short", table=whole.table.iloc[:rows].reset_index(drop=True))
+    for history in estimate(dataset, workspace.plant(dataset), (DEADBAND,), later=[short]):
+        assert len(history.values) == (rows == 200)
+        for value, deviation in zip(history.values, history.deviations, strict=True):
+            assert abs(value - 0.08) < 4.0 * deviation + 1e-3
