@@ -117,14 +117,14 @@ def gap(
     type=click.FloatRange(0.0),
     default=60.0,
     show_default=True,
-    help="Seconds without a change after which a log without an end is complete.",
+    help="Seconds without a change after which a log without an end is complete; the call waits for them.",
 )
 @click.option("--restart", is_flag=True, help="Begin again at the newest version of NAME.")
 @click.option(
     "--fail-on",
     type=click.Choice(["drift", "new"]),
     default=None,
-    help="End with status 3 if a parameter drifts, or only if a recording of this call shows it.",
+    help="End with status 3 if a parameter drifts, or only if no call has reported it before.",
 )
 @json_option
 @click.pass_obj
@@ -169,10 +169,18 @@ def watch(
     _, machine = described(workspace, result.dataset)
     begun = result.fleet.machines[0]
     out.line(f"{result.dataset}, watched since {begun.dataset}: {len(begun.effects)} effects, {len(result.new)} new recordings")
+    for recording, by in result.arrivals.replaced:
+        out.line(f"replaced: {recording} has changed" if by == recording else f"replaced: {recording}, which is part of {by}")
+    for recording, other in result.arrivals.repeated:
+        out.line(f"not counted: {recording}, a copy of {other}")
+    for recording, note in result.arrivals.notes:
+        out.line(f"in part: {recording}: {note}")
     for waiting in result.arrivals.waiting:
         out.line(f"not complete yet: {waiting}")
     for recording, why in result.arrivals.left_out:
         out.line(f"left out: {recording}: {why}")
+    for recording in result.dropped:
+        out.line(f"no longer in {result.dataset}: {recording}")
     table = drift_table(result.fleet, machine)
     if table.rows:
         out.table(table.header, table.rows, table.right)

@@ -63,7 +63,8 @@ def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[Record
         if not path.exists():
             raise InputError(path, "no such file or folder", "a folder of recordings", "Check the path.")
         found += _in_path(path, recipe)
-    names = [_checked(recording) for recording in found]
+    recordings = as_found(found)
+    names = [recording.name for recording in recordings]
     for name in names:
         if names.count(name) > 1:
             raise InputError(", ".join(map(str, paths)), f"two recordings are named {name!r}", "one recording a name")
@@ -71,7 +72,7 @@ def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[Record
         raise _nothing(paths, recipe)
     if not found:
         raise InputError(", ".join(map(str, paths)), "no recordings", "sub-folders with log files", "Check the path.")
-    return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in found)
+    return recordings
 
 
 def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
@@ -125,10 +126,10 @@ def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> t
 
 
 def _checked(recording: RecordingFiles) -> str:
-    try:
     for path, _ in recording.streams:
         if not is_unicode(path.name):
             raise InputError(path, "a name with bytes that are no UTF-8", "a name of text", "Rename it.")
+    try:
         return check_file_name(recording.name, f"recording in {recording.root}")
     except SettingsError as error:
         raise InputError(error.where, error.found, error.expected, "Rename its folder or file.") from None
@@ -176,16 +177,7 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
     folders = sorted(entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     result = []
     for folder in folders:
-        wanted = [*recordings.motion, *recordings.poses]
-        if not any(fnmatchcase(folder.name, pattern) for pattern in wanted):
-            continue
-        inside(path, str(folder.resolve()), folder)
-        if is_lerobot(folder):
-            result += episodes_of(folder, recipe, f"{folder.name}-")
-            continue
-        streams = _matched(sorted(folder.iterdir()), folder, recipe, folder.name)
-        if streams:
-            result.append(RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams))
+        result += in_folder(path, folder, recipe)
     if not result:  # the path is itself one recording
         streams = _matched(sorted(path.iterdir()), path, recipe, path.resolve().name)
         if not streams and recipe is not None and recipe.streams:
@@ -197,6 +189,29 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
             raise InputError(path, "no log files", expected, "Each sub-folder with log files is one recording.")
         result.append(RecordingFiles(path.resolve().name, _kind(path.resolve().name, recordings, path), path, streams))
     return result
+
+
+def in_folder(path: Path, folder: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
+    """The recording in a sub-folder of a folder of recordings; none without logs, or where the recipe does not name it."""
+    recordings = recipe.recordings if recipe is not None else Recordings()
+    if not any(fnmatchcase(folder.name, pattern) for pattern in (*recordings.motion, *recordings.poses)):
+        return []
+    inside(path, str(folder.resolve()), folder)
+    if is_lerobot(folder):
+        return episodes_of(folder, recipe, f"{folder.name}-")
+    streams = _matched(sorted(folder.iterdir()), folder, recipe, folder.name)
+    return [RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams)] if streams else []
+
+
+def as_found(recordings: Sequence[RecordingFiles]) -> tuple[RecordingFiles, ...]:
+    """The recordings with the size and time of each file as they are now, after a check of their names.
+
+    Raises:
+        InputError: a name that cannot be stored.
+    """
+    for recording in recordings:
+        _checked(recording)
+    return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in recordings)
 
 
 def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> list[RecordingFiles]:

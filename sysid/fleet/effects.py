@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
+from sysid.config import Strict
 from sysid.gap.result import NamedEffect
 from sysid.machine import EffectKey
 
@@ -16,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, order=True)
-class FleetEffect:
+class FleetEffect(Strict):
     """An effect that the workflow named on at least one machine.
 
     Args:
@@ -58,7 +60,7 @@ def union(machines: Iterable[Sequence[FleetEffect]]) -> tuple[FleetEffect, ...]:
 
 
 @dataclass(frozen=True)
-class ParameterHistory:
+class ParameterHistory(Strict):
     """Values of one parameter on one machine, one for each recording that determines it, in the order of time.
 
     Args:
@@ -77,7 +79,7 @@ class ParameterHistory:
     recordings: tuple[str, ...]
     ends: tuple[float, ...]
     values: tuple[float, ...]
-    deviations: tuple[float, ...]
+    deviations: tuple[Annotated[float, Field(gt=0.0)], ...]
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> ParameterHistory:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from sysid.config import Strict
 from sysid.fleet.differences import Difference
 from sysid.fleet.drift import Drift
 from sysid.fleet.effects import FleetEffect, ParameterHistory
@@ -16,7 +17,7 @@ Condition = Literal["differs", "drift", "any"]
 
 
 @dataclass(frozen=True)
-class FleetMachine:
+class FleetMachine(Strict):
     """One machine: its dataset version and what the gap workflow says of it alone.
 
     Args:

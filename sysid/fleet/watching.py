@@ -1,67 +1,111 @@
 """Watching one machine: its effects are named once, and estimated in every recording that arrives after that.
 
 The state is a file of the workspace: the dataset version at which watching began, the effects, and their values in every
-recording so far. A call estimates the recordings that the newest version has beyond those; each value follows from its own
-recording and the version of the beginning, so that it does not depend on how many arrive at once.
+recording so far. A call estimates the recordings that the newest version has beyond those, or with other content. Each value
+follows from its own recording and the version of the beginning, and recordings are in the order of their time stamps: the state
+follows from these two versions, however many recordings arrived at once and wherever a call was interrupted.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from sysid.config import Strict, parse_settings
+from sysid.datasets.recording import Recording
+from sysid.datasets.versions.manifest import Manifest, contents_of, uncut_name
 from sysid.errors import SettingsError, StoreError
 from sysid.files import json_text, write_durably
-from sysid.fleet.arrivals import QUIET_S, Arrivals, take_in
+from sysid.fleet.arrivals import QUIET_S, Arrivals, SeenLogs, take_in
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import Drift, drifts
-from sysid.fleet.effects import ParameterHistory, union
-from sysid.fleet.estimates import estimate, in_time
+from sysid.fleet.effects import FleetEffect, ParameterHistory, union
+from sysid.fleet.estimates import estimate
 from sysid.fleet.machines import exact_references
 from sysid.fleet.names import name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
+from sysid.foreign import MAX_NAME, visible
 from sysid.names import check_dataset_name
+from sysid.numbers import NonNegative
+from sysid.parse import parse_json
 from sysid.progress import Progress, part, silent
 from sysid.workspace import Workspace, open_workspace
 
+#: Of the state that is written now.
+SCHEMA = 2
 #: Accepted false alarms of the machine in 1000 hours of recorded motion.
 FALSE_ALARMS = 1.0
+#: Recordings between two writes of the state, so that a process that is killed loses no more work than that.
+BATCH = 32
+#: Bytes of a file of state.
+_MOST = 2**28
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class WatchState:
+class WatchedRecording(Strict):
+    """A recording whose values are known.
+
+    Args:
+        content: digest of its raw files.
+        start_ns: its first stamp.
+        hours: of its motion; 0 for static poses.
+    """
+
+    name: str
+    content: str
+    start_ns: int
+    hours: NonNegative
+
+
+@dataclass(frozen=True)
+class ReportedDrift(Strict):
+    """A drift that a call has reported: the parameter, and the recording that made it known."""
+
+    effect: FleetEffect
+    parameter: str
+    noticed: str
+
+
+@dataclass(frozen=True)
+class WatchState(Strict):
     """What is kept between two calls.
 
     Args:
         machine: the version at which watching began, and the watched effects.
         plant: sha256 of the files of the plant under test.
-        recordings: evaluated so far, with those of the beginning; ``hours``: of their motion.
+        recordings: evaluated so far, with those of the beginning, in the order of their time stamps.
+        reported: drifts that a call has reported.
     """
 
+    schema: int
     machine: FleetMachine
     plant: str
-    recordings: tuple[str, ...]
-    hours: float
-    histories: tuple[ParameterHistory, ...]
+    recordings: tuple[WatchedRecording, ...] = ()
+    histories: tuple[ParameterHistory, ...] = ()
+    reported: tuple[ReportedDrift, ...] = ()
 
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> WatchState:
-        histories = tuple(map(ParameterHistory.from_json, values["histories"]))
-        machine = FleetMachine.from_json(values["machine"])
-        return cls(machine, values["plant"], tuple(values["recordings"]), values["hours"], histories)
+    def __post_init__(self) -> None:
+        """Check what the types do not say.
+
+        Raises:
+            ValueError: another schema, a history of other recordings, or one without a value for each.
+        """
+        if self.schema != SCHEMA:
+            raise ValueError(f"schema {SCHEMA}")
+        known = {recording.name for recording in self.recordings}
+        for history in self.histories:
+            if not len(history.recordings) == len(history.ends) == len(history.values) == len(history.deviations):
+                raise ValueError(f"one value for each recording of {history.parameter}")
+            if unknown := [name for name in history.recordings if name not in known]:
+                raise ValueError(f"histories of the recordings that are listed, not of {unknown[0]!r}")
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "schema": 1,
-            "machine": self.machine.to_json(),
-            "plant": self.plant,
-            "recordings": list(self.recordings),
-            "hours": self.hours,
-            "histories": [history.to_json() for history in self.histories],
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -70,28 +114,33 @@ class WatchResult:
 
     Args:
         fleet: the machine as a fleet of one, with all values so far and the drifts in them.
-        dataset: the newest version. new: recordings that this call evaluated. arrivals: what it found in the log folders.
+        dataset: the newest version.
+        new: recordings that this call evaluated; ``dropped``: those that the newest version does not hold any more.
+        noticed: the drifts that no call has reported before.
+        arrivals: what it found in the log folders.
     """
 
     fleet: FleetResult
     dataset: str
     new: tuple[str, ...]
+    dropped: tuple[str, ...]
+    noticed: tuple[Drift, ...]
     arrivals: Arrivals
 
-    @property
-    def noticed(self) -> tuple[Drift, ...]:
-        """The drifts that a recording of this call made known."""
-        return tuple(drift for drift in self.fleet.drifts if drift.noticed in self.new)
-
     def to_json(self) -> dict[str, Any]:
+        found = self.arrivals
         return {
             **self.fleet.to_json(),
             "dataset": self.dataset,
             "new": list(self.new),
+            "dropped": list(self.dropped),
             "noticed": [drift.to_json() for drift in self.noticed],
-            "added": list(self.arrivals.added),
-            "waiting": list(self.arrivals.waiting),
-            "left_out": [{"recording": name, "reason": why} for name, why in self.arrivals.left_out],
+            "added": list(found.added),
+            "replaced": [{"recording": name, "by": by} for name, by in found.replaced],
+            "repeated": [{"recording": name, "of": other} for name, other in found.repeated],
+            "cut": [{"recording": name, "note": note} for name, note in found.notes],
+            "waiting": list(found.waiting),
+            "left_out": [{"recording": name, "reason": why} for name, why in found.left_out],
         }
 
 
@@ -113,41 +162,53 @@ def watch(
 
     Args:
         name: of the dataset, without a version.
-        folders: log folders; their complete recordings are appended to the dataset.
+        folders: log folders; their complete recordings are added to the dataset.
         plant: the simulation under test; by default the nominal one.
         like: datasets of other machines of the type, whose named effects are watched as well; used when watching begins.
-        quiet_s: a log without an end is complete if nothing was written to it for so long [s].
+        quiet_s: a log without an end is complete if nothing changes in its recording for so long [s]; the call waits for it.
         restart: begin again at the newest version.
 
     Raises:
         SettingsError: a version in the name, another plant than at the beginning, or a newest version that does not continue
             the one of the beginning.
         InputError: a folder is missing.
-        StoreError: no such dataset or plant.
+        StoreError: no such dataset or plant, or a damaged state.
     """
     if not false_alarms_per_1000_hours > 0.0:
         raise SettingsError("watch", f"{false_alarms_per_1000_hours} false alarms in 1000 h", "a positive rate")
+    rate = false_alarms_per_1000_hours / 1000.0
     check_dataset_name(name, remedy="Name the dataset without a version: recordings are added to its newest one.")
     place = open_workspace(location)
-    state = None if restart else _stored(place, name)
+    state = _stored(place, _path(name), WatchState, "the state of a watch", "Begin again with --restart.", restart)
     if state is None:
-        state = _begin(place, name, plant, like, part(progress, 0.0, 0.5))
-        _keep(place, name, state)
-    held = _base_names(_recordings(place, name))
-    arrivals = take_in(folders, str(location), name, held, quiet_s, part(progress, 0.5, 0.8)) if folders else Arrivals()
-    state, new = _continued(place, name, plant, state, part(progress, 0.8, 1.0))
-    if new:
-        _keep(place, name, state)
+        state = _begin(place, name, plant, like, rate, part(progress, 0.0, 0.3))
+        _keep(place, _path(name), state)
+    _check_continues(place, name, state)
+    arrivals = Arrivals()
+    if folders:
+        remedy = "Remove it: the logs are then compared with the dataset again."
+        seen = _stored(place, _seen_path(name), SeenLogs, "what a watch has seen", remedy, restart) or SeenLogs()
+        fixed = contents_of(place.datasets.manifest(state.machine.dataset))
+        arrivals, seen = take_in(folders, place.datasets, name, [*fixed], quiet_s, seen, part(progress, 0.3, 0.6))
+        _keep(place, _seen_path(name), seen)
+    state, new, dropped = _continued(place, name, plant, state, part(progress, 0.6, 1.0))
     progress(1.0, "done")
-    changes = drifts(state.histories, false_alarms_per_1000_hours / 1000.0)
+    changes = drifts(state.histories, rate)
+    reported = _reported(changes)
+    noticed = tuple(drift for drift, own in zip(changes, reported, strict=True) if own not in state.reported)
+    if reported != state.reported:
+        state = replace(state, reported=reported)
+        _keep(place, _path(name), state)
     values = differences(state.histories)
     fleet = FleetResult(
         (state.machine,), state.machine.effects, state.histories, values, changes, false_alarms_per_1000_hours, 0.0
     )
-    return WatchResult(fleet, f"{name}@{place.datasets.manifest(name)['version']}", new, arrivals)
+    return WatchResult(fleet, f"{name}@{place.datasets.manifest(name)['version']}", new, dropped, noticed, arrivals)
 
 
-def _begin(place: Workspace, name: str, plant: str | None, like: Sequence[str], progress: Progress) -> WatchState:
+def _begin(
+    place: Workspace, name: str, plant: str | None, like: Sequence[str], false_alarms_per_hour: float, progress: Progress
+) -> WatchState:
     """The state at the newest version, with the effects of this machine and of those like it."""
     machines = []
     for number, reference in enumerate(exact_references(place, (name, *like))):
@@ -157,93 +218,161 @@ def _begin(place: Workspace, name: str, plant: str | None, like: Sequence[str], 
     dataset = place.dataset(machine.dataset)
     tested = place.plant(dataset, plant)
     histories = estimate(dataset, tested, machine.effects, progress=part(progress, 0.8, 1.0)) if machine.effects else ()
-    motion = dataset.of_kind("motion")
-    names = tuple(recording.name for recording in dataset.recordings)
-    hours = sum(len(recording) / recording.rate_hz for recording in motion) / 3600.0
-    return WatchState(machine, plant_sha256(tested), names, hours, histories)
+    manifest = place.datasets.manifest(machine.dataset)
+    state = WatchState(SCHEMA, machine, plant_sha256(tested))
+    state = _arranged(state, manifest, _watched(dataset.recordings, manifest), histories)
+    return replace(state, reported=_reported(drifts(state.histories, false_alarms_per_hour)))
+
+
+def _reported(changes: Iterable[Drift]) -> tuple[ReportedDrift, ...]:
+    return tuple(ReportedDrift(drift.effect, drift.parameter, drift.noticed) for drift in changes)
+
+
+def _watched(recordings: Sequence[Recording], manifest: Manifest) -> list[WatchedRecording]:
+    contents = contents_of(manifest)
+    return [
+        WatchedRecording(
+            recording.name,
+            contents.get(uncut_name(recording.name, contents), ""),
+            recording.start_ns,
+            len(recording) / recording.rate_hz / 3600.0 if recording.kind == "motion" else 0.0,
+        )
+        for recording in recordings
+    ]
+
+
+def _check_continues(place: Workspace, name: str, state: WatchState) -> None:
+    """Check that the newest version holds the recordings of the beginning as they were.
+
+    Raises:
+        SettingsError: it does not.
+        StoreError: the version of the beginning is gone.
+    """
+    begun, newest = place.datasets.manifest(state.machine.dataset), place.datasets.manifest(name)
+    contents, where = contents_of(newest), f"watch {name}"
+    for recording, content in contents_of(begun).items():
+        if contents.get(recording) != content:
+            found = f"{name}@{newest['version']} {'with another' if recording in contents else 'without'} recording {recording}"
+            expected = f"a version that continues {state.machine.dataset}"
+            raise SettingsError(where, found, expected, "Begin again with --restart.")
 
 
 def _continued(
     place: Workspace, name: str, plant: str | None, state: WatchState, progress: Progress
-) -> tuple[WatchState, tuple[str, ...]]:
-    """The state with the recordings of the newest version that it does not have, and their names.
+) -> tuple[WatchState, tuple[str, ...], tuple[str, ...]]:
+    """The state of the newest version, written; the recordings that were evaluated, and those that are not in it any more.
 
     Raises:
         SettingsError: see :func:`watch`.
     """
-    listed = _recordings(place, name)
-    begun, where = state.machine.dataset, f"watch {name}"
-    remedy = "Begin again with --restart."
-    if missing := [recording for recording in state.recordings if recording not in listed]:
-        found = f"{name}@{place.datasets.manifest(name)['version']} without recording {missing[0]}"
-        raise SettingsError(where, found, f"a version that continues {begun}", remedy)
-    later = [recording for recording in listed if recording not in state.recordings]
-    base = place.dataset(begun)
+    base = place.dataset(state.machine.dataset)
     tested = place.plant(base, plant)
     if plant_sha256(tested) != state.plant:
-        raise SettingsError(where, "another simulation than at its beginning", "the same one", remedy)
-    if not later:
-        return state, ()
-    progress(0.0, f"{name}: {len(later)} new recordings")
-    loaded = place.datasets.load(name, later)
-    motion = in_time(loaded.of_kind("motion"), listed)
-    hours, ends = state.hours, {}
-    for recording in motion:
-        hours += len(recording) / recording.rate_hz / 3600.0
-        ends[recording.name] = hours
-    histories = state.histories
-    if motion and state.machine.effects:
-        values = estimate(base, tested, state.machine.effects, progress=progress, later=motion)
-        histories = tuple(_joined(own, values, ends) for own in state.histories)
-    ordered = list(ends)
-    rest = [recording for recording in later if recording not in ordered]
-    return WatchState(state.machine, state.plant, (*state.recordings, *ordered, *rest), hours, histories), tuple(later)
+        other, remedy = "another simulation than at its beginning", "Begin again with --restart."
+        raise SettingsError(f"watch {name}", other, "the same one", remedy)
+    manifest = place.datasets.manifest(name)
+    contents = contents_of(manifest)
+    held = {item["name"]: contents.get(uncut_name(item["name"], contents), "") for item in manifest["recordings"]}
+    kept = [own for own in state.recordings if held.get(own.name) == own.content]
+    names = {own.name for own in kept}
+    later = [recording for recording in held if recording not in names]
+    dropped = tuple(own.name for own in state.recordings if own.name not in held)
+    if kept != list(state.recordings):
+        state = _arranged(state, manifest, kept, state.histories)
+        _keep(place, _path(name), state)
+    for number, batch in _batches(later):
+        share = part(progress, number / len(later), min(1.0, (number + BATCH) / len(later)))
+        share(0.0, f"{name}: {len(later) - number} new recordings")
+        loaded = place.datasets.load(f"{name}@{manifest['version']}", batch)
+        motion = loaded.of_kind("motion")
+        found: Sequence[ParameterHistory] = ()
+        if motion and state.machine.effects:
+            found = estimate(base, tested, state.machine.effects, progress=share, later=motion)
+        recordings = (*state.recordings, *_watched(loaded.recordings, manifest))
+        state = _arranged(state, manifest, recordings, (*state.histories, *found))
+        _keep(place, _path(name), state)
+    return state, tuple(later), dropped
 
 
-def _joined(history: ParameterHistory, found: Sequence[ParameterHistory], ends: Mapping[str, float]) -> ParameterHistory:
-    """A history with the values that were found later; ``ends``: hours of motion up to the end of each recording."""
-    for more in found:
-        if (more.effect, more.parameter) == (history.effect, history.parameter):
-            return replace(
-                history,
-                recordings=history.recordings + more.recordings,
-                ends=history.ends + tuple(ends[name] for name in more.recordings),
-                values=history.values + more.values,
-                deviations=history.deviations + more.deviations,
-            )
-    return history
+def _batches(names: Sequence[str]) -> Iterable[tuple[int, Sequence[str]]]:
+    return ((first, names[first : first + BATCH]) for first in range(0, len(names), BATCH))
 
 
-def _recordings(place: Workspace, name: str) -> list[str]:
-    """The recordings of the newest version."""
-    return [item["name"] for item in place.datasets.manifest(name)["recordings"]]
+def _arranged(
+    state: WatchState, manifest: Manifest, recordings: Sequence[WatchedRecording], histories: Sequence[ParameterHistory]
+) -> WatchState:
+    """The state with these recordings and their values, in the order of their time stamps; equal ones as in the dataset.
+
+    Args:
+        histories: of one parameter there may be several, with values of different recordings.
+    """
+    places = {item["name"]: number for number, item in enumerate(manifest["recordings"])}
+    ordered = sorted(recordings, key=lambda own: (own.start_ns, places.get(own.name, len(places))))
+    ends = dict(zip((own.name for own in ordered), itertools.accumulate(own.hours for own in ordered), strict=True))
+    rows: dict[tuple[FleetEffect, str], dict[str, tuple[float, float]]] = {}
+    for history in histories:
+        rows.setdefault((history.effect, history.parameter), {}).update(_rows(history))
+    parameters = {(history.effect, history.parameter): history for history in histories}
+    joined = tuple(
+        _of_rows(own, {name: rows[key][name] for name in ends if name in rows[key]}, ends) for key, own in parameters.items()
+    )
+    return replace(state, recordings=tuple(ordered), histories=joined)
 
 
-def _base_names(recordings: Sequence[str]) -> set[str]:
-    """Names before a recording was cut into blocks."""
-    return {name.partition("#")[0] for name in recordings}
+def _rows(history: ParameterHistory) -> dict[str, tuple[float, float]]:
+    """Recording → value and standard deviation."""
+    return dict(zip(history.recordings, zip(history.values, history.deviations, strict=True), strict=True))
+
+
+def _of_rows(history: ParameterHistory, rows: Mapping[str, tuple[float, float]], ends: Mapping[str, float]) -> ParameterHistory:
+    """A history with these values; ``ends``: hours of motion up to the end of each recording."""
+    return replace(
+        history,
+        recordings=tuple(rows),
+        ends=tuple(ends[name] for name in rows),
+        values=tuple(value for value, _ in rows.values()),
+        deviations=tuple(deviation for _, deviation in rows.values()),
+    )
 
 
 def _path(name: str) -> str:
     return f"fleet/watch/{name}.json"
 
 
-def _stored(place: Workspace, name: str) -> WatchState | None:
-    """The state of the last call.
+def _seen_path(name: str) -> str:
+    return f"fleet/arrivals/{name}.json"
+
+
+def _stored(place: Workspace, path: str, kind: type[T], what: str, remedy: str, restart: bool) -> T | None:
+    """A file of state as the last call wrote it; None if there is none, or if it is to be begun again.
 
     Raises:
-        StoreError: it is damaged.
+        StoreError: it is damaged, or something else is in its place.
     """
-    path = _path(name)
-    if place.root.kind(path) != "file":
+    where, found = place.root.folder / path, place.root.kind(path)
+    if found is None:
+        return None
+    if found != "file":
+        shown = "a folder" if found == "folder" else "a link" if found == "link" else "a pipe or a device"
+        raise StoreError(where, f"is {shown}", f"a file with {what}", "Remove it, or move it elsewhere.")
+    if restart:
         return None
     try:
-        return WatchState.from_json(json.loads(place.root.read(path)))
-    except (ValueError, KeyError, TypeError) as error:
-        where = str(place.root.path(path))
-        raise StoreError(where, f"not readable ({error})", "the state of a watch", "Begin again with --restart.") from None
+        with place.root.open(path) as file:
+            content = file.read(_MOST + 1)
+        if len(content) > _MOST:
+            raise ValueError(f"more than {_MOST} bytes")
+        values = parse_json(content)
+        if not isinstance(values, dict):
+            raise ValueError("no JSON object")
+        if kind is WatchState and values.get("schema") == 1:  # without the content of the recordings: all are evaluated again
+            values = {"schema": SCHEMA, **{key: values[key] for key in ("machine", "plant") if key in values}}
+        return parse_settings(values, kind, where)
+    except (ValueError, SettingsError) as error:
+        found_text = error.found if isinstance(error, SettingsError) else str(error)
+        raise StoreError(where, f"damaged ({visible(found_text, MAX_NAME)})", what, remedy) from None
 
 
-def _keep(place: Workspace, name: str, state: WatchState) -> None:
+def _keep(place: Workspace, path: str, state: WatchState | SeenLogs) -> None:
     content = json_text(state.to_json()).encode()
-    write_durably(place.output(_path(name)), content, "watch", "Make room in the workspace, and call again.")
+    write_durably(place.output(path), content, "watch", "Make room in the workspace, and call again.")

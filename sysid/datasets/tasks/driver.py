@@ -28,9 +28,9 @@ from sysid.datasets.tasks.steps import (
 )
 from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading
 from sysid.datasets.versions.files import UNCHANGED, explained
-from sysid.datasets.versions.manifest import Manifest, new_part
+from sysid.datasets.versions.manifest import Manifest, new_part, uncut_name
 from sysid.datasets.versions.store import Store
-from sysid.datasets.versions.tables import committed, file_name, sample_columns, uncut_name
+from sysid.datasets.versions.tables import committed, file_name, sample_columns
 from sysid.execution import Executor
 from sysid.location import absolute_location
 from sysid.progress import Progress, part

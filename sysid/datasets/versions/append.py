@@ -100,7 +100,7 @@ def _append(
     description = machine_from_files(base["machine"], f"dataset {reference}")
     text = base["parts"][-1]["made"]["recipe"]
     plan = plan_of(paths, machine, recipe, lambda: stored_recipe(text, f"{reference}: recipe") if text else None, description)
-    _check_machine(plan.machine, description, reference)
+    check_machine(plan.machine, description, reference)
     report(0.0, "reading file names")
     found, sources = _new_recordings(discover(plan.roots, plan.rules), base["sources"], reference)
     if not found:
@@ -108,7 +108,7 @@ def _append(
         return store.load(reference)
     check_sources(found, plan.rules, plan.where)
     digest = digest_of({"base": base["digest"], "role": role, **content_of(sources, plan.rules)})
-    known = store.intact(name, digest)
+    known = store.intact(name, digest, base["version"])
     if known is not None:
         report(1.0, f"the same recordings on {reference} are {known.reference}")
         return known
@@ -117,30 +117,33 @@ def _append(
     settings = plan.rules.splits if plan.rules is not None else Splits()
 
     def divide(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], dict[str, Role]]:
-        return split(recordings, _roles(recordings, settings, role), plan.where)
+        return split(recordings, roles_of(recordings, settings, role), plan.where)
 
     if executor is not None:
         with store.new_part(name, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
-            mounts = _mounts(found, base, lambda open_files: tasks.survey(open_files, plan, report))
+            mounts = mounts_of(found, base, lambda open_files: tasks.survey(open_files, plan, report))
             written = tasks.written(found, plan, mounts, settings, divide, folder, report, skews)
-            addition = _checked(written.named(name, digest, sources), base, plan)
+            addition = checked_addition(written.named(name, digest, sources), base, plan)
             saved = store.append_written(reference, addition, written.part, "@" not in to)
         report(1.0, f"stored {saved.reference}")
         return saved
 
-    mounts = _mounts(found, base, lambda open_files: survey_mounts(open_files, plan.machine))
+    mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine))
     ingested = read_and_align(found, plan, mounts, report, skews)
     parts, roles = divide(ingested.recordings)
     addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
-    addition = _checked(addition, base, plan)
+    addition = checked_addition(addition, base, plan)
     saved = store.append(reference, addition, ingested.channels, ingested.made, "@" not in to, stretch(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 
 
-def _checked(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
+def checked_addition(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
     """The new recordings with the quality of all.
+
+    Args:
+        base: the manifest that they are added to.
 
     Raises:
         InputError: a signal with another unit than in ``base``.
@@ -152,7 +155,12 @@ def _checked(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
     return replace(addition, quality=joined_quality(base["quality"], addition.quality))
 
 
-def _check_machine(given: Machine, expected: Machine, reference: str) -> None:
+def check_machine(given: Machine, expected: Machine, reference: str) -> None:
+    """Check that logs are of the machine of a version.
+
+    Raises:
+        SettingsError: another description.
+    """
     ours, theirs = expected.files(), given.files()
     if ours == theirs:
         return
@@ -205,7 +213,7 @@ def _new_recordings(
     return tuple(new), tuple(sources)
 
 
-def _mounts(found: Sequence[RecordingFiles], base: Manifest, survey: Survey) -> Mounts:
+def mounts_of(found: Sequence[RecordingFiles], base: Manifest, survey: Survey) -> Mounts:
     """Mounts of the bodies: those of ``base`` with one reference pose for all recordings, else from the recordings."""
     known: dict[str, dict[str, Any]] = {}
     for part in base["parts"]:
@@ -225,7 +233,7 @@ def _mounts(found: Sequence[RecordingFiles], base: Manifest, survey: Survey) -> 
     return {**survey(open_files), **mounts}
 
 
-def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -> Splits:
+def roles_of(recordings: Sequence[Recording], splits: Splits, role: Role | None) -> Splits:
     """The splits for ``recordings``: all ``role`` if given, else those of the recipe, else the default."""
     names = [recording.name for recording in recordings if recording.kind == "motion"]
     if role is not None:
@@ -242,14 +250,14 @@ def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -
 
 
 def joined_quality(base: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries by recording of both; lists are concatenated."""
+    """Entries by recording of both; lists are concatenated, each note once."""
     joined = dict(base)
     for key, value in more.items():
         earlier = base.get(key)
         if isinstance(earlier, Mapping) and isinstance(value, Mapping):
             joined[key] = {**earlier, **value}
         elif isinstance(earlier, list) and isinstance(value, list | tuple):
-            joined[key] = [*earlier, *value]
+            joined[key] = [*earlier, *(item for item in value if not isinstance(item, str) or item not in earlier)]
         else:
             joined[key] = value
     return joined

@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
@@ -33,7 +33,7 @@ SCHEMA = 2
 #: Libraries that affect the tables.
 SOFTWARE = ("numpy", "scipy", "pandas", "pyarrow", "deltalake")
 
-Change = Literal["append", "split"]
+Change = Literal["append", "split", "update"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,33 @@ class PartRecord:
     recipe: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
     mounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Superseded:
+    """The recordings that a version does not take over from the one before, by their names before they were cut into blocks.
+
+    Args:
+        by: recording → the one that stands for it: of the same name with other content, or one that contains all of it.
+        beginnings: recording → contents that are its beginning, each as the sha256 of its files: cut copies of it.
+    """
+
+    by: Mapping[str, str] = field(default_factory=dict)
+    beginnings: Mapping[str, list[list[str]]] = field(default_factory=dict)
+
+
+def uncut_name(name: str, names: Container[str]) -> str:
+    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
+    return name if name in names or "#" not in name else name.rpartition("#")[0]
+
+
+def contents_of(manifest: Manifest) -> dict[str, str]:
+    """Recording before it was cut into blocks → digest of its raw files."""
+    files: dict[str, list[tuple[str, str]]] = {}
+    for source in manifest["sources"]:
+        recording, _, file = source["path"].rpartition("/")
+        files.setdefault(recording, []).append((file, source["sha256"]))
+    return {recording: digest_of({"files": sorted(own)}) for recording, own in files.items()}
 
 
 def digest_of(content: Mapping[str, Any]) -> str:
@@ -98,28 +125,84 @@ def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any
     }
 
 
-def appended(base: Manifest, addition: Dataset, version: int, part: Mapping[str, Any]) -> Manifest:
-    """``base`` with the recordings of ``addition`` behind its own; entries of ``base`` do not change.
+def appended(
+    base: Manifest, addition: Dataset, version: int, part: Mapping[str, Any], superseded: Superseded | None = None
+) -> Manifest:
+    """``base`` with the recordings of ``addition`` behind its own, or in the place of those that they supersede.
 
     Args:
         addition: the new recordings, their units, roles, sources, clocks and streams; its quality is that of all recordings.
     """
+    if superseded is None:
+        start = _changed(base, version, addition.digest, "append")
+    else:
+        start = reduced(base, version, addition.digest, superseded)
     streams = {stream: list(signals) for stream, signals in base["streams"].items()}
     for stream, signals in addition.streams.items():
         known = streams.setdefault(stream, [])
         known += [signal for signal in signals if signal not in known]
     more = new_manifest(addition, version, part)
+    entries = _recordings(addition, len(start["parts"]))
     return {
-        **_changed(base, version, addition.digest, "append"),
-        "parts": [*base["parts"], part],
-        "recordings": [*base["recordings"], *_recordings(addition, len(base["parts"]))],
+        **start,
+        "parts": [*start["parts"], part],
+        "recordings": _in_places(base, start["recordings"], entries, superseded or Superseded()),
         "units": {**base["units"], **more["units"]},
-        "splits": {**base["splits"], **more["splits"]},
-        "sources": [*base["sources"], *more["sources"]],
+        "splits": {**start["splits"], **more["splits"]},
+        "sources": [*start["sources"], *more["sources"]],
         "streams": dict(sorted(streams.items())),
-        "clocks": [*base["clocks"], *more["clocks"]],
+        "clocks": [*start["clocks"], *more["clocks"]],
         "quality": more["quality"],
     }
+
+
+def reduced(base: Manifest, version: int, digest: str, superseded: Superseded) -> Manifest:
+    """``base`` without the recordings that are superseded. Parts without a recording are left out."""
+    sourced = {source["path"].rpartition("/")[0] for source in base["sources"]}
+
+    def stays(name: str) -> bool:
+        return uncut_name(name, sourced) not in superseded.by
+
+    recordings = [item for item in base["recordings"] if stays(item["name"])]
+    places = {old: new for new, old in enumerate(sorted({item["part"] for item in recordings}))}
+    parts = []
+    for old in places:
+        gone = {uncut_name(item["name"], sourced) for item in base["recordings"] if item["part"] == old} & {*superseded.by}
+        gone |= {*base["parts"][old].get("superseded", ())}
+        parts.append({**base["parts"][old], **({"superseded": sorted(gone)} if gone else {})})
+    return {
+        **_changed(base, version, digest, "update"),
+        "parts": parts,
+        "recordings": [{**item, "part": places[item["part"]]} for item in recordings],
+        "splits": {name: role for name, role in base["splits"].items() if stays(name)},
+        "sources": [source for source in base["sources"] if stays(source["path"].rpartition("/")[0])],
+        "clocks": [clock for clock in base["clocks"] if stays(clock["recording"])],
+        "quality": {key: _reduced_quality(value, stays) for key, value in base["quality"].items()},
+        "beginnings": dict(superseded.beginnings),
+    }
+
+
+def _reduced_quality(value: Any, stays: Callable[[str], bool]) -> Any:
+    """Entries by recording, or rows that name one, of the recordings that stay."""
+    if isinstance(value, Mapping):
+        return {name: entry for name, entry in value.items() if stays(name)}
+    if isinstance(value, list):
+        return [row for row in value if not (isinstance(row, Mapping) and "recording" in row and not stays(row["recording"]))]
+    return value
+
+
+def _in_places(base: Manifest, stay: list[Manifest], new: list[Manifest], superseded: Superseded) -> list[Manifest]:
+    """The entries of all recordings: a new one is in the place of the first that it supersedes, or at the end."""
+    sourced = {source["path"].rpartition("/")[0] for source in base["sources"]}
+    staying = {item["name"]: item for item in stay}
+    waiting: dict[str, list[Manifest]] = {}
+    for item in new:
+        waiting.setdefault(uncut_name(item["name"], {*superseded.by.values()}), []).append(item)
+    entries: list[Manifest] = []
+    for item in base["recordings"]:
+        by = superseded.by.get(uncut_name(item["name"], sourced))
+        entries += [staying[item["name"]]] if by is None else waiting.pop(by, [])
+    return entries + [item for own in waiting.values() for item in own]
 
 
 def resplit(base: Manifest, splits: Mapping[str, str], digest: str, version: int) -> Manifest:

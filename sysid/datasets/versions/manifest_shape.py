@@ -5,6 +5,7 @@ The seal only detects accidental changes: a hostile workspace can have a valid s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -27,7 +28,7 @@ class _Origin(TypedDict):
 class _Base(TypedDict):
     version: Annotated[int, Field(ge=1)]
     digest: str
-    by: Literal["append", "split"]
+    by: Literal["append", "split", "update"]
     origin: NotRequired[_Origin]
 
 
@@ -64,6 +65,7 @@ class _Part(TypedDict):
     samples: _Table | None
     channels: _Table | None
     made: _Made
+    superseded: NotRequired[list[str]]
 
 
 class _Recording(TypedDict):
@@ -104,6 +106,7 @@ class _Manifest(TypedDict):
     streams: dict[str, list[str]]
     clocks: list[dict[str, Any]]
     quality: dict[str, Any]
+    beginnings: NotRequired[dict[str, list[list[str]]]]
 
 
 _SHAPE = TypeAdapter(_Manifest)
@@ -133,10 +136,10 @@ def check_shape(manifest: Mapping[str, Any]) -> None:
         for table in (part["samples"], part["channels"]):
             for file in table["files"] if table is not None else ():
                 check_file_name(file["path"], "parts: file")
-    names = [recording["name"] for recording in manifest["recordings"]]
+    names = Counter(recording["name"] for recording in manifest["recordings"])
     for recording in manifest["recordings"]:
         check_file_name(recording["name"], "recording")
-        if names.count(recording["name"]) > 1:
+        if names[recording["name"]] > 1:
             raise ValueError(f"two recordings are named {shown(recording['name'])}")
         if recording["part"] >= len(manifest["parts"]):
             found = f"part {recording['part']} of {len(manifest['parts'])}"

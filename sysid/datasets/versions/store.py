@@ -31,9 +31,11 @@ from sysid.datasets.versions.index import VersionIndex, manifest_path, numbers_o
 from sysid.datasets.versions.manifest import (
     Manifest,
     PartRecord,
+    Superseded,
     appended,
     new_manifest,
     new_part,
+    reduced,
     resplit,
     split_digest,
     to_text,
@@ -77,7 +79,7 @@ class Store(VersionIndex):
         import pyarrow as pa
 
         manifest = self.manifest(reference)
-        tables = [self._table(manifest, part, "channels") for part in manifest["parts"]]
+        tables = [self._channels(manifest, part) for part in manifest["parts"]]
         frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas(ignore_metadata=True)
         return frame
 
@@ -91,7 +93,8 @@ class Store(VersionIndex):
                 rows = part["channels"]["clocks"]
             else:
                 rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([]).to_pylist()
-            found |= {(row["recording"], row["source"]): row["domain"] for row in rows}
+            gone = part.get("superseded", ())
+            found |= {(row["recording"], row["source"]): row["domain"] for row in rows if row["recording"] not in gone}
         return found
 
     def tables(self, reference: str) -> tuple[PartTables, ...]:
@@ -115,11 +118,15 @@ class Store(VersionIndex):
                     return version
         return None
 
-    def intact(self, name: str, digest: str) -> Dataset | None:
-        """The newest version of ``name`` with this content that can be read completely; None where there is none."""
+    def intact(self, name: str, digest: str, after: int = 0) -> Dataset | None:
+        """The newest version of ``name`` with this content that can be read completely; None where there is none.
+
+        Args:
+            after: only later versions are read; those of an append can only be later than the version that it extends.
+        """
         for version in reversed(self.versions(name)):
             with _damage_skipped():
-                if self.read_manifest(name, version)["digest"] == digest:
+                if version > after and self.read_manifest(name, version)["digest"] == digest:
                     return self.load(f"{name}@{version}")
         return None
 
@@ -149,6 +156,19 @@ class Store(VersionIndex):
         newest: bool = False,
         progress: Progress = silent,
     ) -> Dataset:
+        """:meth:`extend`, and the version that it stores."""
+        return self.load(f"{addition.name}@{self.extend(base, addition, channels, made, newest, progress)}")
+
+    def extend(
+        self,
+        base: str,
+        addition: Dataset,
+        channels: Mapping[str, Sequence[Channel]],
+        made: PartRecord,
+        newest: bool = False,
+        progress: Progress = silent,
+        superseded: Superseded | None = None,
+    ) -> int:
         """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` changes.
 
         Args:
@@ -158,28 +178,40 @@ class Store(VersionIndex):
             channels: of the new recordings.
             newest: ``base`` has to be the newest version.
             progress: called with the share that is written.
+            superseded: recordings of ``base`` that the new version does not have.
+
+        Returns:
+            The number of the new version, or of an existing one with this content.
 
         Raises:
             OvertakenError: ``base`` is not the newest version but has to be.
             StoreError: ``base`` was removed.
             StorageError: the disk is full or read-only; no version is made then.
         """
+        after = self.manifest(base)["version"]  # before anything is written
 
-        self.manifest(base)  # before anything is written
-        version = self._store(
-            addition, channels, made, progress, lambda number, own: self._appended(base, addition, number, own, newest)
-        )
-        return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
+        def build(number: int, own: Manifest) -> Manifest:
+            return appended(self._extended(base, newest), addition, number, own, superseded)
 
-    def _appended(self, base: str, addition: Dataset, number: int, own: Manifest, newest: bool) -> Manifest:
-        """The manifest of an append under the lock of the dataset; arguments and errors as of :meth:`append`."""
+        version = self._store(addition, channels, made, progress, build, after)
+        return version.version if isinstance(version, Dataset) else version
+
+    def reduce(self, base: str, digest: str, superseded: Superseded) -> int:
+        """Store the newest version ``base`` without some recordings; returns the number. Errors as of :meth:`extend`."""
+        name = self.manifest(base)["name"]
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
+            whole = self._extended(base, newest=True)
+            return self._publish(name, digest, lambda number: reduced(whole, number, digest, superseded))
+
+    def _extended(self, base: str, newest: bool) -> Manifest:
+        """The manifest that is extended, under the lock of the dataset; arguments and errors as of :meth:`extend`."""
         manifest = self._whole(base)
-        last = self.versions(addition.name)[-1]
+        last = self.versions(manifest["name"])[-1]
         if newest and last != manifest["version"]:
-            found = f"{addition.name}@{last} was stored in the meantime"
+            found = f"{manifest['name']}@{last} was stored in the meantime"
             remedy = "Run the command again to append to it."
-            raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
-        return appended(manifest, addition, number, own)
+            raise OvertakenError(f"dataset {manifest['name']}", found, f"{base} to be the newest version", remedy)
+        return manifest
 
     def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
         """A version with the same tables and other roles, or an existing one with these roles.
@@ -210,13 +242,14 @@ class Store(VersionIndex):
         made: PartRecord,
         progress: Progress,
         build: Callable[[int, Manifest], Manifest],
+        after: int = 0,
     ) -> Dataset | int:
         """Write tables into a new folder, then the manifest ``build(number, part)``; returns its number, or an existing version
         with this content.
         """
         name = dataset.name
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
-            known = self.intact(name, dataset.digest)
+            known = self.intact(name, dataset.digest, after)
             if known is not None:
                 return known
             self._remove_leftovers(name, dataset.digest)
@@ -264,7 +297,9 @@ class Store(VersionIndex):
         Args:
             part: their entry of the manifest.
         """
-        number = self._publish_written(addition, part, lambda number: self._appended(base, addition, number, part, newest))
+        number = self._publish_written(
+            addition, part, lambda number: appended(self._extended(base, newest), addition, number, part)
+        )
         return self.load(f"{addition.name}@{number}")
 
     def _publish_written(self, dataset: Dataset, part: Manifest, build: Callable[[int], Manifest]) -> int:
@@ -280,9 +315,10 @@ class Store(VersionIndex):
 
     def _remove_leftovers(self, name: str, digest: str) -> None:
         """Remove the folders of killed ingests of the same content."""
-        for folder in self.leftovers(name) if self.files.locks else ():
+        same = [folder for folder in self.files.folders(f"datasets/{name}/data") if folder.startswith(digest[:16])]
+        for folder in self.leftovers(name) if same and self.files.locks else ():  # reads every manifest
             path = f"datasets/{name}/data/{folder}"
-            if folder.startswith(digest[:16]) and not self.files.is_locked(path):
+            if folder in same and not self.files.is_locked(path):
                 self.files.remove(path)
 
     def _remove_unpublished(self, name: str, folder: str) -> None:
@@ -319,6 +355,15 @@ class Store(VersionIndex):
 
     def _has_tables(self, manifest: Manifest) -> bool:
         return all(is_there(self.files, part, which) for part in manifest["parts"] for which in ("samples", "channels"))
+
+    def _channels(self, manifest: Manifest, part: Manifest) -> pa.Table:
+        """The raw channels of a part, without those of recordings that a later part supersedes."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        table = self._table(manifest, part, "channels")
+        gone = part.get("superseded", ())
+        return table.filter(pc.invert(pc.is_in(table["recording"], pa.array(gone, pa.string())))) if gone else table
 
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)

@@ -7,7 +7,7 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.versions.files import Files
+from sysid.datasets.versions.manifest import uncut_name
 from sysid.errors import StoreError
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
@@ -60,11 +61,6 @@ def write_samples(files: Files, folder: str, dataset: Dataset, names: Iterable[s
         written.append(write_sample_file(files, folder, number, own, columns, share))
         done += rows
     return committed(files, folder, written or [write_sample_file(files, folder, 0, [], columns)])
-
-
-def uncut_name(name: str, names: Container[str]) -> str:
-    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
-    return name if name in names or "#" not in name else name.rpartition("#")[0]
 
 
 #: Columns of samples: name, NumPy type and SI unit, None for one without.
