@@ -32,8 +32,8 @@ test-slow: $(READY)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "(slow or hypothesis) and not realtime" --timeout 7200
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "hypothesis and realtime" --timeout 7200
 
-# Damaged bytes at every reader, and at workspaces, registry rows, machines, URDFs, recipes and names; guided by the code they
-# reach; what is found is kept in the workspace.
+# Damaged bytes at every reader, at workspaces, registry rows, results, machines, URDFs, recipes, names and watched folders, and at
+# whole verbs on machines at the edges of numbers; guided by the code they reach; what is found is kept in the workspace.
 SECONDS ?= 60
 fuzz: $(READY)
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[fuzz]'

@@ -60,7 +60,7 @@ class NamedEffect:
     name: str
     target: str
     parameters: Mapping[str, Value]
-    interval95: Mapping[str, tuple[Any, Any]]
+    interval95: Mapping[str, tuple[Value, Value]]
     gap_share: float
     alternatives: tuple[Alternative, ...] = ()
     aliases: tuple[tuple[str, str], ...] = ()
@@ -95,7 +95,7 @@ class WrittenEffect:
     kind: Literal["named", "tied", "adjusted"]
     parameters: Mapping[str, Any]
     before: Mapping[str, Any] = field(default_factory=dict)
-    interval95: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    interval95: Mapping[str, tuple[Value, Value]] = field(default_factory=dict)
     gap_share: float | None = None
     why: str = ""
     side: str | None = None

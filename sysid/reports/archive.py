@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pandas as pd
 from filelock import FileLock
@@ -15,27 +16,7 @@ from pydantic import TypeAdapter
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.files import json_text
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
-from sysid.gap.result import (
-    EXPERIMENTS,
-    AxisDelay,
-    ComparedModel,
-    Excitation,
-    ForceComparison,
-    Gap,
-    GapResult,
-    Map,
-    Missing,
-    NamedEffect,
-    NearMissResult,
-    Promotion,
-    ResidualModelResult,
-    Share,
-    StageGap,
-    Traces,
-    Unnamed,
-    WorldGap,
-    WrittenEffect,
-)
+from sysid.gap.result import EXPERIMENTS, GapResult, Traces
 from sysid.parse import parse_json
 from sysid.root import Root
 
@@ -43,6 +24,8 @@ RESULT, TRACES, DIFFERENCE, SEAL = "result.json", "traces.parquet", "machine.dif
 REMEDY = "Run `sysid gap` again."
 VERSIONS = ("measured", "before", "after")
 _SEALED = TypeAdapter(dict[str, str])
+#: Beyond any number of a result; squares of smaller ones are finite.
+_LARGEST = 1e100
 
 
 def save_gap(folder: Path, result: GapResult) -> Path:
@@ -87,7 +70,7 @@ def load_gap(folder: Path) -> GapResult | None:
         values = _numbers(parse_json(root.read(RESULT)))
         experiments = tuple(read_experiment(root.path(item["file"])) for item in values.get("experiments", []))
         return _result(values, _traces(root.path(TRACES)), experiments)
-    except (ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         message = str(error).splitlines()[0]
         raise StoreError(path, f"not readable ({message})", "a result as it was written", REMEDY) from None
 
@@ -158,56 +141,30 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         for key, left in effect.get("undetermined", {}).items():
             effect["parameters"][key], effect["interval95"][key] = left["in_plant"], left["interval95"]
         effect["undetermined"] = tuple(effect.get("undetermined", ()))
-    return GapResult(
-        dataset=values["dataset"],
-        plant_before=values["plant"]["before"],
-        plant_after=values["plant"]["after"],
-        verdict=values["verdict"],
-        effects=_many(NamedEffect, values["effects"]),
-        unnamed=_many(Unnamed, values["unnamed"]),
-        ambiguous=tuple(tuple((item["name"], item["target"]) for item in tie) for tie in values["ambiguous"]),
-        next_experiment=tuple(values["next_experiment"]),
-        gap=TypeAdapter(Gap).validate_python(values["gap"]),
-        stage_gap=TypeAdapter(Gap).validate_python(values["stage_gap"]),
-        excitation=_many(Excitation, values["excitation"]),
-        held_out_recordings=tuple(values["held_out_recordings"]),
-        seconds=values["seconds"],
-        localised=_many(StageGap, values["localised"]),
-        shares=_many(Share, values.get("shares", [])),
-        maps=_many(Map, values.get("maps", [])),
-        candidates=_many(ComparedModel, values["candidates"]),
-        traces=traces,
-        notes=tuple(values["notes"]),
-        experiments=experiments,
-        settings=values["settings"],
-        carried=_many(ResidualModelResult, values.get("carried", [])),
-        written=_many(WrittenEffect, values.get("written", [])),
-        delays=_many(AxisDelay, values.get("delays", [])),
-        forces=_many(ForceComparison, values.get("forces", [])),
-        near_misses=_many(NearMissResult, values.get("near_misses", [])),
-        missing=_many(Missing, values.get("missing", [])),
-        world_gap=_world_gap(values.get("world_gap")),
-        machine_diff=values.get("machine_diff", ""),
-        promotion=_promotion(values.get("promotion")),
-    )
+    raw = {key: values[key] for key in _types() if key in values}
+    raw |= {"plant_before": values["plant"]["before"], "plant_after": values["plant"]["after"]}
+    raw["ambiguous"] = [[(item["name"], item["target"]) for item in tie] for tie in values["ambiguous"]]
+    raw |= {"world_gap": _world_gap(values.get("world_gap")), "promotion": _promotion(values.get("promotion"))}
+    checked = {key: _types()[key].validate_python(value) for key, value in raw.items()}
+    return GapResult(**checked, traces=traces, experiments=experiments)
 
 
-def _world_gap(values: dict[str, Any] | float | None) -> WorldGap | None:
+@functools.cache
+def _types() -> dict[str, TypeAdapter[Any]]:
+    """Field of a result → its type; without those that are in other files."""
+    kinds = get_type_hints(GapResult, localns={"Experiment": Experiment})
+    return {key: TypeAdapter(kind) for key, kind in kinds.items() if key not in ("traces", "experiments")}
+
+
+def _world_gap(values: dict[str, Any] | float | None) -> dict[str, Any] | None:
     if not isinstance(values, dict):
         return None
     world = {key: values.pop(key) for key in ("before", "after", "noise_floor")}
-    return TypeAdapter(WorldGap).validate_python({"world": world, **values})
+    return {"world": world, **values}
 
 
-def _promotion(values: dict[str, Any] | float | None) -> Promotion | None:
-    if not isinstance(values, dict):
-        return None
-    return TypeAdapter(Promotion).validate_python({key: value for key, value in values.items() if key != "promoted"})
-
-
-def _many(cls: type[Any], items: list[Any]) -> tuple[Any, ...]:
-    adapter = TypeAdapter(cls)
-    return tuple(adapter.validate_python(item) for item in items)
+def _promotion(values: dict[str, Any] | float | None) -> dict[str, Any] | None:
+    return {key: value for key, value in values.items() if key != "promoted"} if isinstance(values, dict) else None
 
 
 def _traces(path: Path) -> tuple[Traces, ...]:
@@ -233,4 +190,6 @@ def _numbers(value: Any) -> Any:
         return {key: _numbers(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_numbers(item) for item in value]
+    if isinstance(value, float | int) and abs(value) > _LARGEST:
+        raise ValueError(f"a number beyond {_LARGEST:g}")
     return math.nan if value is None else value

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from sysid.files import plain
+
 Array = npt.NDArray[np.float64]
 
 #: Largest number of points of a curve: the resolution of a screen.
@@ -30,7 +32,7 @@ def packed(values: Array) -> dict[str, str]:
 
 def embed(identifier: str, value: Mapping[str, Any]) -> Markup:
     """A JSON element that the page's script reads; ``<`` is escaped so that no value can close the element."""
-    text = json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(plain(value), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     return Markup('<script type="application/json" id="{}">{}</script>').format(identifier, Markup(text))
 
 

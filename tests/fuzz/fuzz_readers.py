@@ -4,10 +4,11 @@
 
     python tests/fuzz/fuzz_readers.py [READER | TARGET …] [--seconds 120] [--work FOLDER]
 
-Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, MJCFs, recipes, names.
+Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, MJCFs, recipes, names;
+and those of ``verbs.py``: edges of numbers, names in exports, watched folders, stored results, the current folder.
 Each runs in a process of its own, starting from the small logs of its format or from what the project ships, and ends early
-with the first input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 2 GiB.
-It is kept in ``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.
+with the first input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 1 GiB
+beside the libraries. It is kept in ``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
 
 LARGEST_INPUT = 16 * 1024
 #: For one input: seconds, and memory beyond what the libraries take.
-SECONDS_EACH, MEMORY = 20, 2 * 2**30
+SECONDS_EACH, MEMORY = 20, 2**30
 #: Not a file format: one message of a type that the input describes, read by the layout that another message taught.
 MESSAGE = "message"
 
@@ -120,14 +121,14 @@ def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:
     import atheris
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    taken, resident = (int(pages) * resource.getpagesize() for pages in Path("/proc/self/statm").read_text().split()[:2])
     limits = [
         f"-max_total_time={seconds}",
         f"-timeout={SECONDS_EACH}",
-        f"-rss_limit_mb={MEMORY // 2**20}",
+        f"-rss_limit_mb={(resident + MEMORY) // 2**20}",
         f"-max_len={LARGEST_INPUT}",
     ]
     atheris.Setup([sys.argv[0], *limits, f"-artifact_prefix={corpus}/", "-print_final_stats=1", str(corpus)], target)
-    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
     atheris.Fuzz()
 

@@ -16,6 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import verbs
+
 ROOT = Path(__file__).parents[2]
 AUTOLOG = ROOT / "datasets" / "autolog"
 
@@ -342,6 +344,12 @@ def _name_seeds() -> tuple[bytes, ...]:
 
 
 TARGETS: dict[str, Target] = {
+    "edges": Target(verbs.edges, verbs.edge_seeds),
+    "export-names": Target(verbs.exported_names, verbs.name_seeds),
+    "watch-state": Target(verbs.watch_state, verbs.watch_seeds),
+    "arrivals": Target(verbs.arrivals, verbs.arrival_seeds),
+    "gap-result": Target(verbs.gap_result, verbs.result_seeds),
+    "current-folder": Target(verbs.current_folder, verbs.current_seeds),
     "workspace": Target(workspace, _workspace_seeds),
     "registry-row": Target(registry_row, _registry_seeds),
     "plant": Target(plant, lambda: (_models()[0]["plant.json"],)),
@@ -360,3 +368,4 @@ def forget() -> None:
         if made.cache_info().currsize:
             shutil.rmtree(made().parent, ignore_errors=True)
             made.cache_clear()
+    verbs.forget()
