@@ -5,7 +5,7 @@
     python tests/fuzz/fuzz_readers.py [READER | TARGET …] [--seconds 120] [--work FOLDER]
 
 Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, MJCFs, recipes, names;
-and those of ``verbs.py``: edges of numbers, names in exports, watched folders, stored results, the current folder.
+and those of ``whole_verbs.py``: edges of numbers, names in exports, watched folders, stored results, the current folder.
 Each runs in a process of its own, starting from the small logs of its format or from what the project ships, and ends early
 with the first input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 1 GiB
 beside the libraries. It is kept in ``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.

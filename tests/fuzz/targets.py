@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import verbs
+import whole_verbs
 
 ROOT = Path(__file__).parents[2]
 AUTOLOG = ROOT / "datasets" / "autolog"
@@ -344,12 +344,12 @@ def _name_seeds() -> tuple[bytes, ...]:
 
 
 TARGETS: dict[str, Target] = {
-    "edges": Target(verbs.edges, verbs.edge_seeds),
-    "export-names": Target(verbs.exported_names, verbs.name_seeds),
-    "watch-state": Target(verbs.watch_state, verbs.watch_seeds),
-    "arrivals": Target(verbs.arrivals, verbs.arrival_seeds),
-    "gap-result": Target(verbs.gap_result, verbs.result_seeds),
-    "current-folder": Target(verbs.current_folder, verbs.current_seeds),
+    "edges": Target(whole_verbs.edges, whole_verbs.edge_seeds),
+    "export-names": Target(whole_verbs.exported_names, whole_verbs.name_seeds),
+    "watch-state": Target(whole_verbs.watch_state, whole_verbs.watch_seeds),
+    "arrivals": Target(whole_verbs.arrivals, whole_verbs.arrival_seeds),
+    "gap-result": Target(whole_verbs.gap_result, whole_verbs.result_seeds),
+    "current-folder": Target(whole_verbs.current_folder, whole_verbs.current_seeds),
     "workspace": Target(workspace, _workspace_seeds),
     "registry-row": Target(registry_row, _registry_seeds),
     "plant": Target(plant, lambda: (_models()[0]["plant.json"],)),
@@ -368,4 +368,4 @@ def forget() -> None:
         if made.cache_info().currsize:
             shutil.rmtree(made().parent, ignore_errors=True)
             made.cache_clear()
-    verbs.forget()
+    whole_verbs.forget()

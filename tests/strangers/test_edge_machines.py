@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
-from verbs import run_edges
+from whole_verbs import run_edges
 
 
 @settings(max_examples=5, suppress_health_check=[HealthCheck.too_slow])
