@@ -198,8 +198,9 @@ def one_turn(unit: str) -> list[float]:
 def is_position(signal: str, machine: Machine) -> bool:
     """Whether a signal is a position of an axis, measured or demanded."""
     owner, quantity = split_signal(signal)
-    axis = next((axis for axis in machine.axes if axis.name == owner), None)
-    return axis is not None and (quantity in ("joint", "cylinder") or (quantity == "command" and axis.actuation == "position"))
+    if not machine.has_axis(owner):
+        return False
+    return quantity in ("joint", "cylinder") or (quantity == "command" and machine.axis(owner).actuation == "position")
 
 
 def in_range(channels: Sequence[Channel], machine: Machine) -> list[Channel]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -127,10 +128,16 @@ class Machine(Strict):
         return canonical_signals(self.axis_names, tuple(self.markers))
 
     def axis(self, name: str) -> Axis:
-        for axis in self.axes:
-            if axis.name == name:
-                return axis
-        raise SettingsError(f"machine {self.name}", f"unknown axis {name!r}", nearest(name, self.axis_names))
+        if name not in self._by_name:
+            raise SettingsError(f"machine {self.name}", f"unknown axis {name!r}", nearest(name, self.axis_names))
+        return self._by_name[name]
+
+    def has_axis(self, name: str) -> bool:
+        return name in self._by_name
+
+    @cached_property
+    def _by_name(self) -> dict[str, Axis]:
+        return {axis.name: axis for axis in self.axes}
 
     def drive_of(self, name: str) -> Drive:
         """The kind of drive of an axis.

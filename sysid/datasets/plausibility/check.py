@@ -51,7 +51,12 @@ def findings_of(
     rates = rates_of(streams or {}, recordings)
     found, time_scale = time_findings(rates, recordings, machine.rate_hz)
     rate_ratio = float(np.median(list(rates.values()))) / machine.rate_hz if rates and not found else None
-    figures = {axis.name: figures_of(recordings, machine, axis, units or {}, rate_ratio, time_scale) for axis in machine.axes}
+    recorded = {signal.partition(".")[0] for recording in recordings for signal in recording.signals}
+    figures = {
+        axis.name: figures_of(recordings, machine, axis, units or {}, rate_ratio, time_scale)
+        for axis in machine.axes
+        if axis.name in recorded
+    }
     wrapped = wrap_findings(recordings, machine)
     figures = {name: each for name, each in figures.items() if name not in wrapped}
     found += wrapped.values()

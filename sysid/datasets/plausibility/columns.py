@@ -41,8 +41,9 @@ def column_findings(recordings: Sequence[Recording], machine: Machine) -> Iterat
 def wrap_findings(recordings: Sequence[Recording], machine: Machine) -> dict[str, Finding]:
     """Axis → finding, for each axis with a position that wraps: its steps are no motion, so that nothing else is checked."""
     found = {}
+    recorded = {signal for recording in recordings for signal in recording.signals}
     for signal in machine.signals:
-        if not is_position(signal, machine):
+        if signal not in recorded or not is_position(signal, machine):
             continue
         wrapped = {r.name: wraps for r in recordings if r.kind == "motion" if (wraps := _wraps(r, signal, machine)) is not None}
         if wrapped:
