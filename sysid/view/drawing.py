@@ -109,12 +109,17 @@ def log_machine(stream: Any, root: str, machine: Machine, kinematics: Kinematics
         log_shapes(stream, root, machine, kinematics, style)
 
 
+def link_entity(root: str, link: str) -> str:
+    """The entity of a link, beside the points of the machine; a link may have any name."""
+    return f"{root}/links/{sdk().escape_entity_path_part(link)}"
+
+
 def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics, style: Style) -> None:
     """Shapes of the links, valid at all times."""
     rr = sdk()
     for link, shapes in link_shapes(machine.urdf_text or "", kinematics).items():
         for number, shape in enumerate(shapes):
-            rr.log(f"{root}/{link}/shape-{number}", *primitives(shape, style), static=True, recording=stream)
+            rr.log(f"{link_entity(root, link)}/shape-{number}", *primitives(shape, style), static=True, recording=stream)
 
 
 def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame) -> bool:
@@ -131,7 +136,7 @@ def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, 
     for link, pose in kinematics.link_poses(joints[known]).items():
         turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
         place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
-        send_columns(stream, f"{root}/{link}", time, place)
+        send_columns(stream, link_entity(root, link), time, place)
     return True
 
 

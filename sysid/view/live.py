@@ -15,7 +15,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, log_shapes, saved, sdk
+from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, link_entity, log_shapes, saved, sdk
 from sysid.view.layout import blueprint
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
@@ -102,9 +102,8 @@ def _log_bodies(stream: Any, world: World, state: WorldState, links: Iterable[st
     poses = world.link_poses()
     for link in links:
         place, turn = poses[link]
-        rr.log(
-            f"machine/world/{link}", rr.Transform3D(translation=place, quaternion=rr.Quaternion(xyzw=turn)), recording=stream
-        )
+        pose = rr.Transform3D(translation=place, quaternion=rr.Quaternion(xyzw=turn))
+        rr.log(link_entity("machine/world", link), pose, recording=stream)
     colour = STYLES["after"].colour
     for point, place in (("ee", state.ee), ("tool", state.tool)):
         rr.log(f"machine/world/{point}", rr.Points3D([place], radii=[0.008], colors=[colour]), recording=stream)

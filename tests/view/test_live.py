@@ -43,7 +43,7 @@ def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path)
         rows = np.rint(time * 100.0).astype(int)
         assert len(rows) == shown
         np.testing.assert_allclose(values, np.degrees(expected[signal].to_numpy()[rows]), atol=1e-6)
-    assert {"/machine/world/boom", "/machine/world/tool", "/signals/boom.cylinder/measured"} <= set(entities)
+    assert {"/machine/world/links/boom", "/machine/world/tool", "/signals/boom.cylinder/measured"} <= set(entities)
     assert len(entities["/camera"][0]) == 2.0 * CAMERA_HZ
 
 

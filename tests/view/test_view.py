@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from sample_crane import sample_gap, sample_traces
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
-from sysid.machine import Kinematics
+from sysid.machine import Kinematics, machine_from_files
 from sysid.view import write_rerun
+from sysid.view.drawing import link_entity
 from sysid.view.visuals import link_shapes
 
 
@@ -53,7 +55,22 @@ def test_every_link_moves_in_every_version(written: Written, crane: Dataset) -> 
     assert kinematics is not None
     for version in ("measured", "before", "after"):
         for link in ("base", *(joint.child for joint in kinematics.chain)):
-            assert f"/machine/{version}/{link}" in written.tables
+            assert f"/machine/{version}/links/{link}" in written.tables
+
+
+@pytest.mark.parametrize("name", ["ee", "a/b", "x y", '"><b>', "links", "🙂", "a\\"])
+def test_a_link_may_have_any_name(name: str, crane: Dataset, tmp_path: Path) -> None:
+    """It is one entity, and none of those of the points."""
+    files = dict(crane.machine.files())
+    files |= {file: text.replace('"stick"', quoteattr(name)) for file, text in files.items() if file.endswith(".urdf")}
+    dataset = replace(crane, machine=machine_from_files(files, "test"))
+    written = Written(write_rerun(tmp_path / "a.rrd", dataset, "manual-04", {}))
+    kinematics = dataset.machine.kinematics()
+    assert kinematics is not None
+    moved = {entity for entity in written.tables if entity.startswith("/machine/measured/links/") and "/shape-" not in entity}
+    assert moved == {f"/{link_entity('machine/measured', link)}" for link in kinematics.link_poses(np.zeros((1, 4)))}
+    points = written.tables["/machine/measured/ee"]
+    assert not any("Transform3D" in column for batch in points for column in batch.schema.names)
 
 
 def test_link_poses_are_those_of_the_kinematics(written: Written, crane: Dataset) -> None:
@@ -62,10 +79,10 @@ def test_link_poses_are_those_of_the_kinematics(written: Written, crane: Dataset
     assert kinematics is not None
     joints = np.column_stack([recording.values(f"{axis}.joint") for axis in crane.machine.axis_names])
     pose = kinematics.link_poses(joints)["stick"]
-    time, places = written.column("/machine/measured/stick", "translation")
+    time, places = written.column("/machine/measured/links/stick", "translation")
     np.testing.assert_allclose(time, recording.values("time"), atol=1e-9)
     np.testing.assert_allclose([place[0] for place in places], pose[:, :3, 3], atol=1e-6)
-    _, turns = written.column("/machine/measured/stick", "quaternion")
+    _, turns = written.column("/machine/measured/links/stick", "quaternion")
     x, y, z, w = np.array([turn[0] for turn in turns]).T
     first_axis = np.column_stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)])
     np.testing.assert_allclose(first_axis, pose[:, :3, 0], atol=1e-5)
