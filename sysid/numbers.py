@@ -35,8 +35,10 @@ Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0.0, le=LARGEST)]
 #: At least 1e-12, so that quotients stay finite.
 Positive = Annotated[float, Field(ge=1e-12, le=LARGEST)]
+#: Bound of what a converter counts, and of any measured value: an overflow is written as infinity, 9.9e37 (SCPI) or 3.4e38.
+LARGEST_COUNT = 1e15
 #: A count of a converter, before it is scaled.
-Raw = Annotated[float, Field(ge=-1e15, le=1e15)]
+Raw = Annotated[float, Field(ge=-LARGEST_COUNT, le=LARGEST_COUNT)]
 #: Samples a second.
 Rate = Annotated[float, Field(ge=1e-3, le=1e6)]
 #: A conversion factor between units, or from raw counts to a unit; of either sign, not zero.

@@ -17,6 +17,7 @@ from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
+from sysid.numbers import LARGEST_COUNT
 from sysid.scratch import computed
 from sysid.signals import split_signal
 from sysid.units import si_factor
@@ -61,8 +62,24 @@ class Channel:
         return median_step(self.stamps) * 1e-9 if len(self.stamps) > 1 else float("nan")
 
 
-def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> tuple[npt.NDArray[np.float64], str, float]:
-    """The mapped field of ``stream`` in SI, the SI unit, and the change of the SI value per raw one.
+@dataclass(frozen=True)
+class Converted:
+    """A field in SI.
+
+    Args:
+        values: (n,), NaN where the source had none or an overflow.
+        per_raw: change of the SI value per raw one.
+        overflows: number of values beyond :data:`sysid.numbers.LARGEST_COUNT`.
+    """
+
+    values: npt.NDArray[np.float64]
+    unit: str
+    per_raw: float
+    overflows: int
+
+
+def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> Converted:
+    """The mapped field of ``stream`` in SI.
 
     Raises:
         InputError: no such field, the unit of the file contradicts the recipe, a unit of another quantity, or no number.
@@ -78,8 +95,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         raise InputError(where, f"the file states [{stated}]", expected, "Correct `unit` in the recipe.")
     factor, unit = _unit(mapping.unit or (None if rescaled else stated), signal, machine, where)
     raw = stream.columns[mapping.field]
-    if len(raw) and not np.isfinite(raw).any():
-        raise InputError(where, f"field {mapping.field!r} has no number", "measured values", "Correct the recipe's field.")
+    overflows = 0
 
     def piece(first: int, last: int) -> npt.NDArray[np.float64]:
         values = raw[first:last] - mapping.zero
@@ -87,9 +103,17 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         values /= mapping.span
         values *= factor
         values += mapping.offset
+        beyond = np.abs(values) > LARGEST_COUNT
+        if beyond.any():
+            nonlocal overflows
+            overflows += int(np.count_nonzero(beyond))
+            values[beyond] = np.nan
         return values
 
-    return computed(len(raw), piece), unit, mapping.sign * mapping.scale / mapping.span * factor
+    values = computed(len(raw), piece)
+    if len(raw) and np.isnan(values).all():
+        raise InputError(where, f"field {mapping.field!r} has no number", "measured values", "Correct the recipe's field.")
+    return Converted(values, unit, mapping.sign * mapping.scale / mapping.span * factor, overflows)
 
 
 #: Units of signals of an axis for which the machine description leaves rotation or translation open.

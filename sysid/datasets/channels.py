@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, convert, in_order
+from sysid.datasets.channel import Channel, Converted, convert, in_order
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
@@ -26,6 +26,7 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
 from sysid.machine import Machine
+from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
@@ -238,7 +239,8 @@ def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: 
 def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
 ) -> tuple[Channel, str]:
-    values, unit, per_raw = convert(stream, entry, signal, machine)
+    converted = convert(stream, entry, signal, machine)
+    values = converted.values
     clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
     if clock not in stream.stamps:
         raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
@@ -252,14 +254,20 @@ def _channel(
         domain=mapping.domain,
         stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # shared by all signals of a stream
         values=values[order] if repaired else values,
-        unit=unit,
+        unit=converted.unit,
         primary=primary,
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
         repaired=repaired,
         flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
     )
-    return continuous(channel, entry, per_raw, machine)
+    unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
+    return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
+
+
+def _overflows(signal: str, converted: Converted) -> str:
+    count = converted.overflows
+    return f"{signal}: {count} overflow{'s' if count > 1 else ''} (beyond {LARGEST_COUNT:g}) taken as missing" if count else ""
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:

@@ -25,7 +25,7 @@ AXES = (1, 2, 3, 6, 40)
 RECORDINGS = (3, 1, 2, 5)
 DRIVES = (("velocity", "joint"), ("velocity", "cylinder"), ("position", "joint"), ("force", "joint"), ("position", "cylinder"))
 COMMANDS = ("steps", "constant", "zero", "sine", "noise", "gap", "missing", "late")
-MOTIONS = ("follows", "still", "ramp", "noise", "gap", "missing", "one", "jump", "counts")
+MOTIONS = ("follows", "still", "ramp", "noise", "gap", "missing", "one", "jump", "counts", "overflow")
 SIZES = (1.0, 1e-12, 1e-6, 1e-3, 1e3, 1e6, 1e12, 1e300, -1.0, 0.0)
 UNITS = (None, "rad", "deg", "m", "mm", "um", "rev")
 STAMPS = ("even", "epoch", "jitter", "twice", "back", "still", "huge", "gap")
@@ -214,6 +214,8 @@ def _motion(axis: EdgeAxis, command: Array, rate: float, rng: np.random.Generato
         path = np.full(n, np.nan)
     elif axis.motion == "one":
         path = np.where(np.arange(n) == n // 2, path, np.nan)
+    elif axis.motion == "overflow":
+        path[n // 3 : n // 2] = rng.choice([np.inf, -np.inf, 9.9e37, -3.4e38, 1e308], n // 2 - n // 3)
     elif axis.motion == "jump":
         path = path + 5.0 * (np.arange(n) >= n // 2)
     elif axis.motion == "counts":
