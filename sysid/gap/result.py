@@ -349,6 +349,16 @@ class Map:
     measured: tuple[float, ...] = ()
     simulated: tuple[float, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Check the lengths.
+
+        Raises:
+            ValueError: no bin, or curves of other lengths.
+        """
+        bins, optional = len(self.at), (self.after, self.measured, self.simulated)
+        if not bins or {len(self.count), len(self.mean), len(self.spread), *map(len, filter(None, optional))} != {bins}:
+            raise ValueError("one value for each bin of a map")
+
 
 @dataclass(frozen=True)
 class Traces:

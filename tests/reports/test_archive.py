@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -78,3 +79,28 @@ def test_nothing_there_and_something_broken(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{")
     with pytest.raises(StoreError, match="Run `sysid gap` again"):
         load_gap(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("dataset",), None), (("plant", "before"), []), (("plant", "after"), 1), (("verdict",), "good"), (("verdict",), []),
+        (("seconds",), "long"), (("notes",), [1]), (("effects", 0, "interval95", "positive"), ["a", "b"]),
+        (("gap", "before", "ee.x"), 1e308), (("gap", "before"), []),
+        (("maps", 0, "at"), []), (("maps", 0, "mean"), [1.0]), (("held_out_recordings",), [None]), (("settings",), []),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_type_is_refused(
+    place: tuple[str | int, ...], value: object, crane: Dataset, tmp_path: Path
+) -> None:
+    """A seal proves nothing about who wrote it: it can be left out."""
+    path = save_gap(tmp_path / "gap", sample_gap(crane))
+    (tmp_path / "gap" / "seal.json").unlink()
+    content = json.loads(path.read_text("utf-8"))
+    holder = content
+    for key in place[:-1]:
+        holder = holder[key]
+    holder[place[-1]] = value
+    path.write_text(json.dumps(content), "utf-8")
+    with pytest.raises(StoreError, match=r"result.json: not readable .*Run `sysid gap` again"):
+        load_gap(tmp_path / "gap")
