@@ -2,14 +2,14 @@
 
 The state is a file of the workspace: the dataset version at which watching began, the effects, and their values in every
 recording so far. A call estimates the recordings that the newest version has beyond those, or with other content. Each value
-follows from its own recording and the version of the beginning, and recordings are in the order of their time stamps: the state
-follows from these two versions, however many recordings arrived at once and wherever a call was interrupted.
+follows from its own recording and the version of the beginning, and later recordings are in the order of their time stamps: the
+state follows from these two versions, however many recordings arrived at once and wherever a call was interrupted.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -220,7 +220,7 @@ def _begin(
     histories = estimate(dataset, tested, machine.effects, progress=part(progress, 0.8, 1.0)) if machine.effects else ()
     manifest = place.datasets.manifest(machine.dataset)
     state = WatchState(SCHEMA, machine, plant_sha256(tested))
-    state = _arranged(state, manifest, _watched(dataset.recordings, manifest), histories)
+    state = _arranged(state, manifest, (), _watched(dataset.recordings, manifest), histories)
     return replace(state, reported=_reported(drifts(state.histories, false_alarms_per_hour)))
 
 
@@ -270,6 +270,7 @@ def _continued(
     if plant_sha256(tested) != state.plant:
         other, remedy = "another simulation than at its beginning", "Begin again with --restart."
         raise SettingsError(f"watch {name}", other, "the same one", remedy)
+    begun = {recording.name for recording in base.recordings}
     manifest = place.datasets.manifest(name)
     contents = contents_of(manifest)
     held = {item["name"]: contents.get(uncut_name(item["name"], contents), "") for item in manifest["recordings"]}
@@ -278,7 +279,7 @@ def _continued(
     later = [recording for recording in held if recording not in names]
     dropped = tuple(own.name for own in state.recordings if own.name not in held)
     if kept != list(state.recordings):
-        state = _arranged(state, manifest, kept, state.histories)
+        state = _arranged(state, manifest, begun, kept, state.histories)
         _keep(place, _path(name), state)
     for number, batch in _batches(later):
         share = part(progress, number / len(later), min(1.0, (number + BATCH) / len(later)))
@@ -289,7 +290,7 @@ def _continued(
         if motion and state.machine.effects:
             found = estimate(base, tested, state.machine.effects, progress=share, later=motion)
         recordings = (*state.recordings, *_watched(loaded.recordings, manifest))
-        state = _arranged(state, manifest, recordings, (*state.histories, *found))
+        state = _arranged(state, manifest, begun, recordings, (*state.histories, *found))
         _keep(place, _path(name), state)
     return state, tuple(later), dropped
 
@@ -299,15 +300,31 @@ def _batches(names: Sequence[str]) -> Iterable[tuple[int, Sequence[str]]]:
 
 
 def _arranged(
-    state: WatchState, manifest: Manifest, recordings: Sequence[WatchedRecording], histories: Sequence[ParameterHistory]
+    state: WatchState,
+    manifest: Manifest,
+    begun: Collection[str],
+    recordings: Sequence[WatchedRecording],
+    histories: Sequence[ParameterHistory],
 ) -> WatchState:
-    """The state with these recordings and their values, in the order of their time stamps; equal ones as in the dataset.
+    """The state with these recordings and their values, those of the beginning first, else in the order of their time stamps.
+
+    Blocks of one recording are together; without stamps the order is that of the dataset.
 
     Args:
+        begun: recordings of the beginning.
         histories: of one parameter there may be several, with values of different recordings.
     """
     places = {item["name"]: number for number, item in enumerate(manifest["recordings"])}
-    ordered = sorted(recordings, key=lambda own: (own.start_ns, places.get(own.name, len(places))))
+    contents = contents_of(manifest)
+    starts: dict[str, int] = {}
+    for own in recordings:
+        whole = uncut_name(own.name, contents)
+        starts[whole] = min(own.start_ns, starts.get(whole, own.start_ns))
+
+    def place(own: WatchedRecording) -> tuple[bool, int, int]:
+        return own.name not in begun, starts[uncut_name(own.name, contents)], places[own.name]
+
+    ordered = sorted(recordings, key=place)
     ends = dict(zip((own.name for own in ordered), itertools.accumulate(own.hours for own in ordered), strict=True))
     rows: dict[tuple[FleetEffect, str], dict[str, tuple[float, float]]] = {}
     for history in histories:
