@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import AXES, DRIVEN, KEEPS, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, wiring
+from runner_flight import AXES, DRIFT, DRIVEN, KEEPS, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, first_moves, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -81,6 +81,14 @@ READER = "import os, sys; f = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\nwhi
 COMMISSION_S, FAR, FAST, OVER_S = 150.0, 0.02, 0.05, 0.05
 #: Evaluated time after a fault [s].
 AFTER = 4.0
+
+
+#: A first move: duration [s], way of the joint that moves [rad or m], and the reason of a waiver.
+FIRST_MOVE_S = 14.0
+STROKES = {"slew": 0.3, "boom": 0.25, "stick": 0.3, "telescope": 0.06}
+WAIVED = "the simulated test bench of the fault tests"
+#: For ``--only``: all first moves.
+FIRST_MOVES = "first moves"
 
 
 @dataclass
@@ -196,6 +204,7 @@ ENDS: dict[str, tuple[str, ...]] = {
     "kill -9 of the machine": ("fault",),
     "kill -9 of the runner": ("machine's own time-out",),
     **dict.fromkeys(POLICY, ("goes on",)),
+    DRIFT: ("fault",),
     "terminal stopped for 2 s (Ctrl-S)": ("goes on",),
     "a second runner on the line": ("goes on",),
     LOOP: ("fault",),
@@ -326,8 +335,11 @@ def run_once(
             values["database"] = folder / "wrong.dbc"
         recipe = folder / "runner.toml"
         with machine(folder, seconds + 120.0, database) as bench, ExitStack() as stack:
-            if values["mode"] == "commission":
-                values["more"] = f"[commission.reference]\n{_parked_joints(folder / 'truth.bin')}"
+            if values["mode"] in ("commission", "replay"):
+                parked = _parked(folder / "truth.bin")
+                values["more"] += f"[commission.reference]\n{_parked_joints(parked)}"
+            if values["mode"] == "replay":
+                _write_stroke(folder / "stroke.csv", parked, change["axis"])
             text = RECIPE.format(**values)
             recipe.write_text(text.replace(change.get("recipe_old", "\0"), change.get("recipe_new", "")), "utf-8")
             second = stack.enter_context(_second(recipe, options)) if outside.second else None
@@ -348,12 +360,25 @@ def _program(recipe: Path, options: argparse.Namespace, *more: str) -> list[str]
     return [sys.executable, str(ROOT / "pipelines/runner_flight.py"), str(recipe), str(options.workspace), *more]
 
 
-def _parked_joints(truth: Path) -> str:
-    """Where the machine is parked, as lines of a recipe."""
+def _parked(truth: Path) -> dict[str, float]:
+    """Where the machine is parked."""
     until = time.monotonic() + 5.0
     while not len((rows := read_truth(truth))["at_ns"]) and time.monotonic() < until:
         time.sleep(0.01)
-    row = {name: float(values[0]) for name, values in rows.items()}
+    return {name: float(values[0]) for name, values in rows.items()}
+
+
+def _write_stroke(path: Path, parked: dict[str, float], moved: str) -> None:
+    """A replay of joints in which one axis alone goes forth and back."""
+    s = np.linspace(0.0, 1.0, 601)
+    way = {axis: STROKES[axis] * np.sin(np.pi * s) ** 2 * (axis == moved) for axis in AXES}
+    columns = [6.0 * s, *(parked[f"{axis}.joint"] + way[axis] for axis in AXES)]
+    head = ",".join(["time", *(f"{axis}.joint" for axis in AXES)])
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=head, comments="")
+
+
+def _parked_joints(row: dict[str, float]) -> str:
+    """Where the machine is parked, as lines of a recipe."""
     return "".join(f'"{signal}" = {row[signal.replace(".cylinder", ".drive")]!r}\n' for signal in DRIVEN)
 
 
@@ -555,6 +580,18 @@ def commissioned(options: argparse.Namespace, name: str) -> dict[str, Any]:
     return commissioning_row(name, run_once(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
 
 
+def first_moved(options: argparse.Namespace, name: str, waived: bool) -> dict[str, Any]:
+    """What a first move makes of a fault that came after the commissioning, or of one that was waived."""
+    axis = AXES[0] if name == NO_FAULT else first_moves(dict.fromkeys(DRIVEN, 0.0))[name].axis
+    more = '[replay]\nfile = "stroke.csv"\n' + (f'[commission]\nwaived = "{WAIVED}"\n' if waived else "")
+    record = run_once(options, options.paths[0], "ik-lookahead", FIRST_MOVE_S, name, mode="replay", more=more, axis=axis)
+    record.fault_ns = record.lines[0][1] if record.lines else 0
+    row = commissioning_row(name, record)
+    if name == NO_FAULT:
+        row["ok"] = not row["found"]
+    return {**row, "waived": waived, "commissioned": record.outcome.get("commissioned", "")}
+
+
 def commissioning_row(name: str, record: RunRecord) -> dict[str, Any]:
     """What came of a commissioning: found or not, after how long, and how the boom tip moved until then."""
     at, places = record.truth["at_ns"], _tip_positions(record.truth)
@@ -585,7 +622,7 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     for phase in range(PHASES if name == "disk full" else 1):
         turns = TURNS + phase * 100 // PHASES
         for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
-            seconds = 7.0 + EXTERNAL_FAULTS.get(name, ExternalFault()).lasts
+            seconds = 16.0 + EXTERNAL_FAULTS.get(name, ExternalFault()).lasts
             row = evaluated(name, run_once(options, options.paths[0], policy, seconds, name, turns, **REFUSED.get(name, {})))
             if row["state"] != EARLY:
                 break
@@ -644,13 +681,23 @@ def main(options: argparse.Namespace) -> None:
             print(json.dumps(known[name]), flush=True)
         result["commissioning"] = list(known.values())
         write_result(options.out, result)
+    moved = {(row["fault"], row["waived"]): row for row in before.get("first_moves", [])} if options.only else {}
+    for name in (NO_FAULT, *first_moves(dict.fromkeys(DRIVEN, 0.0))) if options.faults else ():
+        # Each kind of fault is waived once, on the first axis.
+        for waived in (False, True) if name == NO_FAULT or AXES[0] in name else (False,):
+            if not options.only or name in options.only or FIRST_MOVES in options.only:
+                moved[name, waived] = first_moved(options, name, waived)
+                print(json.dumps(moved[name, waived]), flush=True)
+        result["first_moves"] = list(moved.values())
+        write_result(options.out, result)
     write_result(options.out, result)
     if options.out == ROOT / "reports" / "runner" / "result.json":
         pipeline = COMMAND.partition(" ")[2]
         write_tables(ROOT / "docs" / "can.md", runs_table(result), pipeline)
         write_tables(ROOT / "docs" / "guide" / "runner.md", faults_table(result), pipeline)
         write_tables(ROOT / "docs" / "guide" / "commissioning.md", commissioning_table(result), pipeline)
-    wrong = [row["fault"] for row in (*result["faults"], *result.get("commissioning", ())) if not row["ok"]]
+    every = (*result["faults"], *result.get("commissioning", ()), *result.get("first_moves", ()))
+    wrong = [row["fault"] for row in every if not row["ok"]]
     print(f"{options.out}; not as they should be: {', '.join(wrong) or 'none'}")
 
 

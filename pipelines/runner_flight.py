@@ -2,7 +2,8 @@
 
     python pipelines/runner_flight.py RUNNER.toml WORKSPACE [FAULT [TURNS]]
 
-A recipe in mode ``commission`` has its fault, one of :func:`wiring`, from the beginning. Lines on standard output say, on the
+A recipe in mode ``commission`` has its fault, one of :func:`wiring`, from the beginning, and one in mode ``replay`` one of
+:func:`first_moves`. Lines on standard output say, on the
 monotonic clock, when something changed: ``track``, ``fault``, ``state`` and ``verdict``. Standard input and error are its
 terminal, as they are to `sysid run`.
 """
@@ -26,8 +27,9 @@ import numpy.typing as npt
 
 from sysid.errors import StorageError, SysidError
 from sysid.registry import Registry
-from sysid.runner.assemble import assemble
+from sysid.runner.assemble import Assembly, assemble
 from sysid.runner.chain import ControlChain
+from sysid.runner.commissioning import digests, record_path, require_commissioned
 from sysid.runner.cycle import Cycle, State
 from sysid.runner.faults import (
     BusOff,
@@ -41,10 +43,14 @@ from sysid.runner.faults import (
     NotANumber,
     ReadFails,
     Scaled,
+    SensorShared,
     Swapped,
+    ValveDead,
+    ValveShared,
     ValvesSwapped,
     ValveTurned,
 )
+from sysid.runner.first_move import FirstMove as FirstMoveSupervision
 from sysid.runner.flight_log import FlightLog, provenance
 from sysid.runner.modes.commission import Commission
 from sysid.runner.operator import Interruptible, Unattended
@@ -95,6 +101,39 @@ def wiring(positions: Mapping[str, float]) -> dict[str, Fault | None]:
     return found
 
 
+@dataclass(frozen=True)
+class FirstMove:
+    """A fault of the wiring that came after the commissioning, and the axis that moves first."""
+
+    fault: Fault
+    axis: str
+
+
+def first_moves(positions: Mapping[str, float]) -> dict[str, FirstMove]:
+    """Faults of the wiring at the first move; ``positions`` as in :func:`wiring`."""
+    known = wiring(positions)
+    found = {}
+    for name, fault in known.items():
+        if isinstance(fault, ValvesSwapped):
+            found[name] = FirstMove(fault, AXES[fault.one])
+        elif isinstance(fault, Swapped):
+            found[name] = FirstMove(fault, fault.one.partition(".")[0])
+    for axis, (name, signal) in enumerate(zip(AXES, DRIVEN, strict=True)):
+        other = (axis + 1) % len(AXES)
+        faults: dict[str, Fault] = {
+            f"valve of {name} turned": ValveTurned(axis), f"sensor of {name} turned": Scaled(signal, -1.0, positions[signal]),
+            f"valve of {name} dead": ValveDead(axis), f"sensor of {name} dead": Frozen(signal),
+            f"sensor of {name} × 2": Scaled(signal, 2.0, positions[signal]),
+            f"sensor of {name} ÷ 2": Scaled(signal, 0.5, positions[signal]),
+            f"valves of {name} and {AXES[other]} on the message of {name}": ValveShared(axis, other),
+            f"valves of {AXES[other]} and {name} on the message of {AXES[other]}": ValveShared(other, axis),
+            f"sensor of {name} also for {AXES[other]}": SensorShared(signal, DRIVEN[other]),
+            f"sensor of {AXES[other]} also for {name}": SensorShared(DRIVEN[other], signal),
+        }  # fmt: skip
+        found |= {title: FirstMove(fault, name) for title, fault in faults.items()}
+    return found
+
+
 def _raises(error: Exception) -> Callable[[Array], Any]:
     def act(answer: Array) -> Any:
         raise error
@@ -122,6 +161,21 @@ def _keeps(answer: Array) -> Any:
 
 #: A policy that stops the loop.
 KEEPS = "policy keeps the interpreter for 2 s"
+
+
+class _Drifts:
+    """Leads the slew away from the path, from one answer to the next by as much as at 0.22 rad/s."""
+
+    def __init__(self) -> None:
+        self._away = 0.0
+
+    def __call__(self, answer: Array) -> Any:
+        self._away += 0.0022
+        answer[:, 0] += self._away
+        return answer
+
+
+DRIFT = "policy drifts smoothly"
 #: Of the policy itself: what it makes of its answer.
 POLICY: dict[str, Callable[[Array], Any]] = {
     "policy emits NaN": lambda answer: np.full_like(answer, np.nan),
@@ -130,6 +184,7 @@ POLICY: dict[str, Callable[[Array], Any]] = {
     "policy raises MemoryError": _raises(MemoryError()),
     "policy answers None": lambda answer: None,
     "policy answers in another shape": lambda answer: answer[:, :2],
+    DRIFT: _Drifts(),
     "policy computes for ever": _never,
     "policy waits for ever": _waits,
     KEEPS: _keeps,
@@ -149,8 +204,8 @@ class RunSettings:
     Args:
         recipe: of the runner; log and outcome go into its folder.
         fault: of ``LINE`` or ``POLICY``, ``LOOP``, ``disk full``, or another one where it comes from outside; of
-            :func:`wiring` in a commissioning.
-        cycles: it comes so many after tracking began.
+            :func:`wiring` in a commissioning, of :func:`first_moves` in a replay.
+        cycles: it comes so many after the path is followed at its speed.
     """
 
     recipe: Path
@@ -212,8 +267,14 @@ class FaultInjection:
     """Writes changes to standard output, and injects the fault."""
 
     def __init__(
-        self, settings: RunSettings, transport: FaultyTransport, policy: FaultyPolicy | None, notify: Callable[[str], None]
+        self,
+        settings: RunSettings,
+        transport: FaultyTransport,
+        policy: FaultyPolicy | None,
+        notify: Callable[[str], None],
+        first_move: FirstMoveSupervision,
     ) -> None:
+        self._first_move = first_move
         self.settings, self.transport, self.policy, self._notify = settings, transport, policy, notify
         self._state, self._checks, self._tracked, self._injected = "", set[tuple[str, str]](), 0, False
 
@@ -225,7 +286,8 @@ class FaultInjection:
             if (verdict.check, verdict.reaction) not in self._checks:
                 self._checks.add((verdict.check, verdict.reaction))
                 emit("verdict", cycle.at_ns, f"{verdict.check} {verdict.reaction} {verdict.text}")
-        self._tracked += bool(np.isfinite(cycle.target).all())
+        at_speed = self._first_move.done and self._first_move.pace >= 1.0
+        self._tracked += bool(np.isfinite(cycle.target).all() and at_speed)
         if self._injected and self.settings.fault in LONG_MESSAGES:
             self._notify(200 * "told ")
         if self._tracked == self.settings.turns and not self._injected:
@@ -264,12 +326,25 @@ class CommissioningWatch:
         self._mode.watch(cycle)
 
 
+def _wired_wrong(assembly: Assembly, fault: str) -> Fault | None:
+    """The fault of the wiring from the beginning, if any."""
+    recipe = assembly.recipe
+    if recipe.mode == "commission":
+        return wiring(recipe.commission.reference)[fault]
+    return first_moves(recipe.commission.reference)[fault].fault if recipe.mode == "replay" and fault != NO_FAULT else None
+
+
 def run_once(settings: RunSettings) -> dict[str, Any]:
     folder = settings.recipe.parent
     registry = Registry(settings.workspace)
     assembly = assemble(load_runner(settings.recipe), registry, settings.recipe)
-    wrong = wiring(assembly.recipe.commission.reference)[settings.fault] if assembly.recipe.mode == "commission" else None
+    commissioned, wrong = "", _wired_wrong(assembly, settings.fault)
     plan = (Injection(wrong, 0.0),) if wrong is not None else ()
+    if assembly.recipe.mode == "replay":
+        if not assembly.recipe.commission.waived:
+            record = {"schema": 1, "passed": True, "digests": digests(assembly)}
+            record_path(settings.recipe).write_text(json.dumps(record), "utf-8")
+        commissioned = require_commissioned(assembly, settings.recipe)
     transport = FaultyTransport(connect(assembly, registry).transport, plan)
     versions = {version.kind: version.reference for version in assembly.loaded.versions}
     words = provenance({"machine": assembly.machine_file, "recipe": settings.recipe}, versions)
@@ -284,7 +359,9 @@ def run_once(settings: RunSettings) -> dict[str, Any]:
         if settings.fault in POLICY:
             policy = FaultyPolicy(loop.chain, POLICY[settings.fault])
             loop.chain.policy, loop.chain.thread = policy, PolicyThread(policy, len(loop.chain.axes))
-        watch: Callable[[Cycle], None] = FaultInjection(settings, transport, policy, operator.notify)
+        watch: Callable[[Cycle], None] = FaultInjection(
+            settings, transport, policy, operator.notify, loop.supervisor.first_move
+        )
         if isinstance(loop.mode, Commission):
             watch = CommissioningWatch(loop.mode)
         outcome = loop.run(watch)
@@ -301,6 +378,7 @@ def run_once(settings: RunSettings) -> dict[str, Any]:
         "lateness_us": outcome.lateness.to_json(),
         "turn_us": outcome.latency.to_json(),
         "notes": outcome.notes,
+        "commissioned": commissioned,
         "versions": versions,
     }
 

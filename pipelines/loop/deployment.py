@@ -15,6 +15,8 @@ from sysid.runner.recipe import KINEMATIC, parse_runner
 WITHOUT = {
     "domain": "the forward model is the kinematics of the plant, not a network",
     "delay": "the machine's dead time is unknown, and a simulated machine cannot be damaged",
+    "motion": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
+    "first_move": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
 }
 #: Rest before a run, in which the motion capture sees the parked machine [s].
 REST_S = 3.0

@@ -104,7 +104,10 @@ class Assembly:
         chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
-        supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
+        supervisor = Supervisor(
+            axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, estimator.response,
+            estimator.response_range, checks, inside,
+        )  # fmt: skip
         mode = self.mode(self.recipe.mode, chain, supervisor.command_filter)
         loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
         loop.warm_up(self.middle)

@@ -103,6 +103,13 @@ class CommandFilter:
             )
         return self.joints(driven)
 
+    def tip_ratios(self, drive: Array) -> Array:
+        """Motion of the end effector per unit of what is driven at ``drive`` (A,), (A,) [m per m or rad]."""
+        low, high = np.array([valve.low for valve in self.valves]), np.array([valve.high for valve in self.valves])
+        steps = 0.01 * (high - low) * np.where(drive > 0.5 * (low + high), -1.0, 1.0)
+        ends = self.tip(self.joints(np.concatenate([drive[None], drive + np.diag(steps)])))
+        return np.asarray(np.maximum(np.linalg.norm(ends[1:] - ends[0], axis=1) / np.abs(steps), 1e-6))
+
     def joints(self, driven: Array) -> Array:
         """Joints (n, A) at positions (n, A) of what the commands drive."""
         joints = driven.copy()

@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.runner.chain import ControlChain
+from sysid.runner.checks.path import PathDistance
 from sysid.runner.cycle import Violation
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
 from sysid.runner.policy_thread import PolicyError, error_text
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
+from sysid.runner.task_clock import TaskClock
 
 Array = npt.NDArray[np.float64]
 
@@ -64,15 +66,23 @@ class Decider:
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
         #: Of the cycle before, (A,); None without any.
         self.drive_setpoints: Array | None = None
-        self._k, self._policy_disabled, self._late = 0, False, 0
+        self._policy_disabled, self._late = False, 0
         self._held_at: Array | None = None
+        self._clock = TaskClock(mode)
+        dt = supervisor.dt
+        response = dt * max(valve.dead_steps for valve in supervisor.command_filter.valves)
+        self._path = PathDistance(supervisor.checks.path, chain.tip, response + chain.lookahead, dt)
 
     def begin(self, estimate: StateEstimate) -> None:
         """Begin the task with the machine at rest at the estimate."""
-        self.supervisor.begin(estimate.joints)
+        self.supervisor.begin(estimate.joints, estimate.drive)
+        if self.mode.name == "commission" or not self.supervisor.checks.on("first_move"):
+            self.supervisor.first_move.skip()
         self.chain.rest(estimate.drive, estimate.joints)
         self.mode.begin(estimate.joints, estimate.ee)
-        self._k, self._policy_disabled, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
+        self._clock.begin()
+        self._path.begin()
+        self._policy_disabled, self._late, self._held_at, self.drive_setpoints = False, 0, None, None
 
     def decide(self, estimate: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
         """A cycle of the task; violations found in it are appended to ``verdicts``.
@@ -81,7 +91,7 @@ class Decider:
             until_ns: deadline of a policy.
         """
         decision = neutral_decision(len(self.chain.axes))
-        goal = self.mode.goal(self._k, estimate.joints, estimate.ee)
+        goal = self._clock.goal(estimate.joints, estimate.ee)
         if goal.stop:
             decision.ended = goal
             return decision
@@ -90,12 +100,14 @@ class Decider:
         if goal.commands is not None and not held:
             decision.source, decision.requested_commands = goal.phase, goal.commands
             self.drive_setpoints = None
-            self.supervisor.limiter.reset(estimate.joints)
+            self.supervisor.without_setpoints(estimate.joints)
             self.chain.controller.reset(estimate.drive)
         else:
             decision.requested, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
-            decision.setpoints, exceeded = self.supervisor.setpoints(decision.requested)
+            decision.setpoints, exceeded = self.supervisor.setpoints(decision.requested, estimate.joints)
             verdicts += [] if held else exceeded  # the limits that a hold exceeds at its beginning are no violations
+            if decision.source != "hold":
+                verdicts += self._path.check(goal, decision.setpoints, estimate.ee)
             drive_setpoints, decision.requested_commands = self.chain.commands(decision.setpoints, estimate.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
         decision.commands, exceeded = self.supervisor.commands(
@@ -104,7 +116,7 @@ class Decider:
         verdicts += exceeded
         self.chain.override(decision.commands)
         if not held:
-            self._k += 1
+            self._clock.advance(self.supervisor.first_move.pace)
         return decision
 
     def slow_down(self, estimate: StateEstimate) -> CycleDecision:

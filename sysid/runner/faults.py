@@ -90,6 +90,29 @@ class ValveTurned:
 
 
 @dataclass(frozen=True)
+class ValveDead:
+    """The valve of an axis, by number, does not open."""
+
+    axis: int
+
+
+@dataclass(frozen=True)
+class ValveShared:
+    """The valves of two axes, by number, obey the command of ``one``."""
+
+    one: int
+    other: int
+
+
+@dataclass(frozen=True)
+class SensorShared:
+    """The sensor ``one`` is read for ``other`` as well."""
+
+    one: str
+    other: str
+
+
+@dataclass(frozen=True)
 class Unplugged:
     """A sensor has no readings."""
 
@@ -146,7 +169,8 @@ class MachineReportsFault:
 
 Fault = (
     DroppedFrames | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
-    | ClockJumped | Swapped | ValvesSwapped | ValveTurned | DeadManReleased | EmergencyPressed | MachineReportsFault
+    | ClockJumped | Swapped | ValvesSwapped | ValveTurned | ValveDead | ValveShared | SensorShared
+    | DeadManReleased | EmergencyPressed | MachineReportsFault
 )  # fmt: skip
 
 
@@ -257,6 +281,9 @@ class FaultyTransport:
         elif isinstance(fault, Swapped):
             if fault.one in readings and fault.other in readings:
                 readings[fault.one], readings[fault.other] = readings[fault.other], readings[fault.one]
+        elif isinstance(fault, SensorShared):
+            if fault.one in readings and fault.other in readings:
+                readings[fault.other] = replace(readings[fault.other], value=readings[fault.one].value)
         elif isinstance(fault, Unplugged):
             readings.pop(fault.signal, None)
         elif isinstance(fault, Frozen | NotANumber | Jumped | Scaled) and fault.signal in readings:
@@ -287,4 +314,8 @@ def _wired(fault: Fault, commands: Array) -> Array:
         found[[fault.one, fault.other]] = commands[[fault.other, fault.one]]
     elif isinstance(fault, ValveTurned):
         found[fault.axis] = -commands[fault.axis]
+    elif isinstance(fault, ValveDead):
+        found[fault.axis] = 0.0
+    elif isinstance(fault, ValveShared):
+        found[fault.other] = commands[fault.one]
     return found

@@ -164,30 +164,42 @@ class SetpointLimiter:
         self.position = np.full(len(limits.low), np.nan)
         self.speed = np.zeros(len(limits.low))
         self._acceleration = np.zeros(len(limits.low))
-        self._wanted = np.full(len(limits.low), np.nan)
-        self._own = np.zeros(len(limits.low))
+        #: Requested setpoints within the limits of position, (A,).
+        self.wanted = np.full(len(limits.low), np.nan)
+        #: The target's speed: low-pass filtered where it is not smooth, and as it is.
+        self._own, self._moved = np.zeros(len(limits.low)), np.zeros(len(limits.low))
 
     def reset(self, joints: Array) -> None:
         """Reset to rest at ``joints`` (A,)."""
-        self.position, self._wanted = np.array(joints, dtype=np.float64), np.array(joints, dtype=np.float64)
-        self.speed, self._acceleration, self._own = np.zeros(len(joints)), np.zeros(len(joints)), np.zeros(len(joints))
+        self.position, self.wanted = np.array(joints, dtype=np.float64), np.array(joints, dtype=np.float64)
+        self.speed, self._acceleration = np.zeros(len(joints)), np.zeros(len(joints))
+        self._own, self._moved = np.zeros(len(joints)), np.zeros(len(joints))
 
-    def step(self, wanted: Array) -> tuple[Array, list[tuple[str, int, float, float]]]:
-        """Limited setpoints (A,) for requested ones (A,), and exceeded limits: (check, axis, found, limit)."""
+    def step(self, wanted: Array, shares: Array | None = None) -> tuple[Array, list[tuple[str, int, float, float]]]:
+        """Limited setpoints (A,) for requested ones (A,), and exceeded limits: (check, axis, found, limit).
+
+        Args:
+            shares: of the speed limits, (A,); None: all of them.
+        """
         exceeded: list[tuple[str, int, float, float]] = []
         for i in range(len(wanted)):
-            self._step(i, float(wanted[i]), exceeded)
+            self._step(i, float(wanted[i]), 1.0 if shares is None else float(shares[i]), exceeded)
         return self.position.copy(), exceeded
 
-    def _step(self, i: int, requested: float, exceeded: list[tuple[str, int, float, float]]) -> None:
+    def _step(self, i: int, requested: float, share: float, exceeded: list[tuple[str, int, float, float]]) -> None:
         dt, at, speed, acceleration = self.dt, float(self.position[i]), float(self.speed[i]), float(self._acceleration[i])
         of = self.limits
-        top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
+        top, most, jerk = share * float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
         low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # motion back inside is permitted
         wanted = min(max(requested, low), high) if math.isfinite(requested) else at  # not finite: no motion
-        moved = (wanted - float(self._wanted[i])) / dt  # the target's speed; zero for a jump
-        self._wanted[i] = wanted
-        self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
+        moved = (wanted - float(self.wanted[i])) / dt  # the target's speed; zero for a jump
+        self.wanted[i] = wanted
+        moved = moved if abs(moved) <= float(of.speed[i]) else 0.0
+        # Noise of a target must not reach the setpoint; a smooth one is followed without lag.
+        smooth = abs(moved - float(self._moved[i])) <= most * dt
+        turning = (moved - float(self._moved[i])) / dt if smooth else 0.0
+        self._own[i] = moved if smooth else self._own[i] + SMOOTH * (moved - float(self._own[i]))
+        self._moved[i] = moved
         if wanted != requested:
             exceeded.append(("position", i, requested, low if requested < low else high))
         v = (wanted - at) / dt
@@ -197,12 +209,13 @@ class SetpointLimiter:
         found = [(name, i, value, limit) for name, value, limit in over if value > limit * (1.0 + 1e-9) + 1e-9]
         if found:
             exceeded += found
-            error = wanted - at
+            error = wanted - at - float(self._own[i]) * dt
             toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), CATCH_UP * abs(error)), error)
             v = min(max(float(self._own[i]) + toward, -top), top)
-            ease = min(most, math.sqrt(2.0 * jerk * abs(v - speed)))  # the acceleration must vanish at the target speed
-            a = min(max((v - speed) / dt, -ease, acceleration - jerk * dt), max(ease, acceleration - jerk * dt))
-            a = min(a, acceleration + jerk * dt)
+            left = v - speed - turning * dt
+            ease = math.sqrt(2.0 * jerk * abs(left))  # at the target's speed, the acceleration must be that of the target
+            a = min(max(turning + min(max(left / dt, -ease), ease), -most), most)
+            a = min(max(a, acceleration - jerk * dt), acceleration + jerk * dt)
             v = min(max(speed + a * dt, -top), top)
         after = at + v * dt
         if not low <= after <= high:

@@ -76,7 +76,7 @@ class Loop:
         drive = self.chain.controller.drive(joints)[0]
         self.chain.rest(drive, joints)
         ee = self.chain.tip(joints[None])[0]
-        self.supervisor.begin(joints)
+        self.supervisor.begin(joints, drive)
         for dead_reckoning, place in zip(self.estimator.dead_reckonings, drive, strict=True):
             dead_reckoning.reset(float(place))
         estimate = self.estimator.update({}, RELEASED_INPUTS, 0)
@@ -85,11 +85,11 @@ class Loop:
         with contextlib.suppress(PolicyError):  # it occurs again in the run, and the fallback continues
             self.chain.ask(joints, ee, ee, self.transport.now_ns() + round(WARM_UP_S * SECOND), self.transport.now_ns)
         self.chain.solve(joints, ee)
-        setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
+        setpoints, _ = self.supervisor.setpoints(joints + 1e-3, joints)
         _, commands = self.chain.commands(setpoints, drive)
         self.supervisor.check(estimate, True, drive)
         self.supervisor.commands(commands + 0.3, estimate, self.estimator.dead_reckonings)
-        self.supervisor.begin(joints)
+        self.supervisor.begin(joints, drive)
         self.chain.rest(drive, joints)
         self.estimator.reset()
 
@@ -128,6 +128,8 @@ class Loop:
                     self.transport.close()
                 except Exception as error:  # a missing line cannot be closed
                     outcome.notes.append(f"the line was not closed: {error_text(error)}")
+        if summary := self.supervisor.first_move.summary():
+            self.state_machine.note(summary)
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
 

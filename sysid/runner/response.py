@@ -11,6 +11,7 @@ least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` tim
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,6 +43,11 @@ LEAST_S, FLOOR_S = 0.006, 0.0015
 SHARE = 1.0 / 3.0
 #: Share of the window with fresh readings that a comparison needs.
 ENOUGH = 0.6
+#: Residual of a response that model and noise leave in a comparison of gains, as time at top speed [s].
+RESIDUAL_S = 0.0007
+#: Gains that count as a wrong scale or another valve: at most, and at least. Logarithm of the likelihood ratio by which gains
+#: within :data:`GAINS` or these are excluded, and fewest samples for that, and length of an interval [s].
+OTHER_GAINS, ODDS, FEWEST, INTERVAL_S = (0.55, 1.8), 6.0, 25, 0.4
 
 
 @dataclass(frozen=True)
@@ -72,10 +78,10 @@ class ResponseMonitor:
         rows = [np.full(len(samples), lag) for lag in (*usual, *late)]
         for since in SINCE_S:
             rows += [np.where(samples < self._window - round(since / dt), 0, lag) for lag in late]
-        self._delays, self._usual, self._samples = np.array(rows), len(usual), samples
+        self._delays, self.usual, self._samples = np.array(rows), len(usual), samples
         self._columns = longest + samples - self._delays
         self._hits = np.zeros(axes, dtype=int)
-        self._fastest = np.array([valve.fastest for valve in valves])
+        self.fastest = np.array([valve.fastest for valve in valves])
         self._up = np.array([valve.up for valve in valves])
         self._down = np.array([valve.down for valve in valves])
         self._exponent = np.array([valve.exponent for valve in valves])
@@ -121,24 +127,82 @@ class ResponseMonitor:
         if axis < len(self._late):
             self._late[axis] = self._compare(axis)
 
+    def moments(self, i: int, cycles: int) -> tuple[Array, Array, float, int]:
+        """Of the motion of axis ``i`` in the last ``cycles``, about its mean.
+
+        Returns:
+            Sums of squares by the commands, for each dead-band and delay in time, and of products with the measured motion,
+            (n,) each; of squares of the latter, and their number.
+        """
+        own = np.flatnonzero(np.isfinite(self._measured[i, -cycles:])) + self._window - cycles
+        if len(own) < 2:
+            return np.zeros(len(BANDS) ** 2 * self.usual), np.zeros(len(BANDS) ** 2 * self.usual), 0.0, 0
+        columns = self._travel.shape[-1] - self._window + own - self._delays[: self.usual, :1]
+        x = _sums(self._travel[:, :, i])[:, columns]
+        x -= x.mean(axis=2, keepdims=True)
+        y = self._measured[i, own] - self._measured[i, own].mean()
+        return np.einsum("bln,bln->bl", x, x).ravel(), (x @ y).ravel(), float(y @ y), len(own)
+
     def _compare(self, i: int) -> LateAxis | None:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
-        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self._fastest[i]:
+        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self.fastest[i]:
             self._hits[i] = 0
             return None
         both = _sums(travel)
         turns = self._columns[:, own]
-        usual = float(_errors(measured[own], both[:, turns[: self._usual]]).min()) / self._fastest[i]
+        usual = float(_errors(measured[own], both[:, turns[: self.usual]]).min()) / self.fastest[i]
         if usual <= LEAST_S:
             self._hits[i] = 0
             return None
         both = _sums(travel[:, ::COARSE])
-        late = _errors(measured[own], both[:, turns[self._usual :]]).min(axis=0) / self._fastest[i]
+        late = _errors(measured[own], both[:, turns[self.usual :]]).min(axis=0) / self.fastest[i]
         self._hits[i] = self._hits[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
         if self._hits[i] < REPEATS:
             return None
-        return LateAxis(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
+        return LateAxis(i, float(self._delays[self.usual + int(np.argmin(late)), -1]) * self.dt)
+
+
+class GainComparison:
+    """Whether the motion of axes is that of their plant: gains within :data:`GAINS` or beyond :data:`OTHER_GAINS`, whatever the
+    dead-band. Motion is compared in intervals, each about its mean, so that play that was taken up before does not matter.
+
+    Args:
+        response: measurements and commands.
+    """
+
+    def __init__(self, response: ResponseMonitor) -> None:
+        self.response, self.cycles = response, round(INTERVAL_S / response.dt)
+        self._axes, self._hypotheses = len(response.fastest), len(BANDS) ** 2 * response.usual
+        self.begin()
+
+    def begin(self) -> None:
+        """Discard all intervals."""
+        self._xx, self._xy = np.zeros((2, self._axes, self._hypotheses))
+        self._yy, self._number = np.zeros((2, self._axes))
+
+    def odds(self, i: int, cycles: int) -> tuple[float, float]:
+        """Logarithm of the likelihood ratio for the plant of axis ``i``, and the more likely gain over the plant's.
+
+        Args:
+            cycles: of the present stroke so far; every :attr:`cycles` an interval ends.
+        """
+        part = 1 + (cycles - 1) % self.cycles
+        xx, xy, yy, number = self.response.moments(i, part)
+        xx, xy, yy, number = self._xx[i] + xx, self._xy[i] + xy, float(self._yy[i]) + yy, int(self._number[i]) + number
+        if part == self.cycles:
+            self._xx[i], self._xy[i], self._yy[i], self._number[i] = xx, xy, yy, number
+        if number < FEWEST:
+            return 0.0, math.nan
+        free = xy / np.maximum(xx, 1e-18)
+        gains = np.stack([np.clip(free, *GAINS), np.minimum(free, OTHER_GAINS[0]), np.maximum(free, OTHER_GAINS[1])])
+        errors = np.maximum(yy - 2.0 * gains * xy + gains**2 * xx, 0.0) / number
+        best = errors.argmin(axis=1)
+        least = errors[np.arange(3), best] + (RESIDUAL_S * self.response.fastest[i]) ** 2
+        other = 1 + int(np.argmin(least[1:]))
+        odds = 0.5 * number * math.log(float(least[other] / least[0]))
+        likely = 0 if odds >= 0.0 else other
+        return odds, float(gains[likely, best[likely]])
 
 
 def _sums(travel: Array) -> Array:

@@ -13,6 +13,7 @@ from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
 from sysid.runner.response import LateAxis, ResponseMonitor
+from sysid.runner.response_range import ResponseRange
 from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 from sysid.runner.valves import AxisValve, DeadReckoning
 from sysid.signals import axis_signal
@@ -112,6 +113,7 @@ class StateEstimator:
         self.sensors = [*self.driven, *self.extra]
         self.dead_reckonings = [DeadReckoning(valve, dt, CORRECTION_S) for valve in valves]
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
+        self.response_range = ResponseRange(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
         """Reset the history, after a fault and before the first cycle.
@@ -123,10 +125,12 @@ class StateEstimator:
         for dead_reckoning in self.dead_reckonings:
             dead_reckoning.reset(math.nan)
         self.response.reset()
+        self.response_range.reset()
 
     def step(self, commands: Array) -> None:
         """Record a step with ``commands`` (A,), zero if neutral."""
         self.response.step(commands)
+        self.response_range.step(commands)
         for sensor, dead_reckoning, command in zip(self.driven, self.dead_reckonings, commands, strict=True):
             before = dead_reckoning.position
             dead_reckoning.step(float(command))
@@ -152,6 +156,7 @@ class StateEstimator:
             joints[i] = drive[i] if linkage is None else linkage.joint(drive[i : i + 1])[0]
         fresh = np.array([sensor.value if sensor.valid and sensor.fresh else math.nan for sensor in self.driven])
         self.response.measure(fresh)
+        self.response_range.measure(fresh)
         return StateEstimate(
             now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.valid for sensor in self.driven]),
             np.array([item.position for item in self.dead_reckonings]), joints,

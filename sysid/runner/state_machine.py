@@ -18,7 +18,19 @@ from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, most_severe
 
 #: After a stop by one of these checks a person must look, and reset the machine.
-LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
+LATCHING = (
+    "stale",
+    "not_finite",
+    "jump",
+    "frozen",
+    "clock",
+    "contradiction",
+    "motion",
+    "path",
+    "delay",
+    "following",
+    "expired",
+)
 
 
 class RunStateMachine:

@@ -15,7 +15,10 @@ from sysid.runner.checks.sensors import check_sensors
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.command_filter import CommandFilter, ExceededLimit, outside
 from sysid.runner.cycle import REACTIONS, Reaction, Violation
+from sysid.runner.first_move import FirstMove
 from sysid.runner.limits import Limits, SetpointLimiter
+from sysid.runner.response import ResponseMonitor
+from sysid.runner.response_range import ResponseRange
 from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.valves import AxisValve, DeadReckoning
 
@@ -35,6 +38,7 @@ class Supervisor:
     Args:
         axes: names, in order.
         limits, valves, linkages, tip, dt: of the machine.
+        response, response_range: of the state estimator.
         checks: of the recipe.
         inside: a text about the network that extrapolates; "" if none does.
     """
@@ -47,17 +51,21 @@ class Supervisor:
         linkages: Sequence[TabulatedLinkage | None],
         tip: Callable[[Array], Array],
         dt: float,
+        response: ResponseMonitor,
+        response_range: ResponseRange,
         checks: CheckSettings,
         inside: Inside = lambda estimate: "",
     ) -> None:
         self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
         self.limiter = SetpointLimiter(limits, dt)
         self.command_filter = CommandFilter(limits, valves, linkages, tip, dt)
-        self._motion = MotionChecks(self.axes, valves, linkages, dt, checks, inside)
+        self.first_move = FirstMove(self.axes, self.command_filter, checks.first_move, response, response_range)
+        self._motion = MotionChecks(self.axes, valves, linkages, dt, response_range, checks, inside)
         self._held_s = 0.0
 
-    def begin(self, joints: Array) -> None:
-        """Reset at ``joints`` (A,), before the valves are enabled."""
+    def begin(self, joints: Array, drive: Array) -> None:
+        """Reset at ``joints`` and ``drive`` (A,), before the valves are enabled."""
+        self.first_move.begin(joints, drive)
         self.limiter.reset(joints)
         self.command_filter.reset()
         self._motion.reset()
@@ -72,6 +80,7 @@ class Supervisor:
         """
         found = check_machine(estimate, self.checks)
         found += check_sensors(estimate, self.checks, moving)
+        found += self.first_move.check() if moving else []
         return found + self._motion.check(estimate, moving, drive_setpoints)
 
     def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
@@ -87,16 +96,27 @@ class Supervisor:
             return [*verdicts, Violation(first.check, first.target, "stop", first.found, first.limit, text)]
         return list(verdicts)
 
-    def setpoints(self, requested: Array) -> tuple[Array, list[Violation]]:
-        """Limited joint setpoints (A,) for requested ones (A,), and violations."""
-        passed, exceeded = self.limiter.step(requested)
-        return passed, self._verdicts(exceeded)
+    def setpoints(self, requested: Array, joints: Array) -> tuple[Array, list[Violation]]:
+        """Limited joint setpoints (A,) for requested ones (A,) at ``joints`` (A,), and violations."""
+        first_move = self.first_move
+        passed, exceeded = self.limiter.step(requested, first_move.shares)
+        # Setpoints of a first move, and those that catch up after it, exceed no limit of the recipe.
+        limited = np.zeros(len(passed), dtype=np.bool_)
+        limited[[axis for check, axis, *_ in exceeded if check != "position"]] = True
+        first_move.follow(self.limiter.wanted, passed, joints, limited)
+        return passed, self._verdicts([item for item in exceeded if item[0] == "position" or not first_move.exempt[item[1]]])
+
+    def without_setpoints(self, joints: Array) -> None:
+        """A cycle in which the task states commands, at joints (A,)."""
+        self.limiter.reset(joints)
+        self.first_move.without_setpoints()
 
     def commands(
         self, requested: Array, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
     ) -> tuple[Array, list[Violation]]:
         """Permitted commands (A,) for requested ones (A,), and violations."""
-        passed, exceeded = self.command_filter.filter(requested, estimate.drive, dead_reckonings)
+        permitted = self.first_move.commands(requested, estimate.joints, estimate.drive)
+        passed, exceeded = self.command_filter.filter(permitted, estimate.drive, dead_reckonings)
         return passed, self._verdicts(exceeded)
 
     def ramp(self, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:

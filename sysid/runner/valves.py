@@ -34,7 +34,7 @@ class AxisValve:
         self.positive, self.negative = tuning.positive, tuning.negative
         self.exponent, self.limit = tuning.exponent, tuning.limit
         self.low, self.high = tuning.low, tuning.high
-        self.fastest = tuning.fastest
+        self.fastest, self.backlash = tuning.fastest, tuning.backlash
         #: Steps from a command to its motion.
         self.dead_steps = max(1, math.ceil(tuning.dead_time / dt - 1e-9))
         self.rate = tuning.rate

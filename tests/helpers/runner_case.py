@@ -171,9 +171,10 @@ def case(
     noise: bool = True,
     seed: int = 0,
     kind: type[Traced] = Traced,
+    first_move: bool = False,
     **settings: object,
 ) -> Case:
-    """A loop that is ready to run; the plan's times count from the first turn."""
+    """A loop that is ready to run; the plan's times count from the first turn. Its axes are released unless ``first_move``."""
     machine = kind(true, start, noise=noise, seed=seed)
     transport = FaultyTransport(machine, tuple(plan))
     ahead = response_time(PLANT) if lookahead is None else lookahead
@@ -182,7 +183,12 @@ def case(
     bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
     rules = checks or CheckSettings()
     estimator = StateEstimator(PLANT, parts, DT, transport.signals, rules)
-    supervisor = Supervisor(chain.axes, bounds, parts, estimator.linkages, chain.tip, DT, rules)
+    supervisor = Supervisor(
+        chain.axes, bounds, parts, estimator.linkages, chain.tip, DT, estimator.response, estimator.response_range, rules
+    )
+    if not first_move:
+        begin, release = supervisor.first_move.begin, supervisor.first_move.skip
+        supervisor.first_move.begin = lambda joints, drive: (begin(joints, drive), release())[1]  # type: ignore[method-assign]
     memory, person = recorder or Memory(), operator(transport)
     values = {"priority": 0, "lock_memory": False, "settle_s": 0.1, **settings}
     loop = Loop(transport, chain, estimator, supervisor, mode(bounds, chain), memory, person, LoopSettings(**values))  # type: ignore[arg-type]

@@ -35,6 +35,7 @@ STANDS = {
     for axis, linkage, q in zip(PLANT.machine.axes, LINKAGES, MIDDLE, strict=True)
 }
 AXES = PLANT.machine.axis_names
+REVERSED = "the wrong direction|moves against its command"
 TIMES = "times as fast as its plant|moves nothing"
 
 
@@ -92,7 +93,10 @@ def _named(fault: Fault, said: str, name: str, *, slow: bool = False) -> Any:
     return pytest.param(fault, said, id=name, marks=[pytest.mark.slow] if slow else [])
 
 
-SWAPPED = "swapped|moves nothing|moves the reading|is off: by reference|its cylinder gives|though its valve is neutral"
+SWAPPED = (
+    "swapped|moves nothing|moves the reading|is off: by reference|its cylinder gives|though its valve is neutral"
+    "|though no command moves it"
+)
 FAULTS = [
     _named(f.ValvesSwapped(0, 1), SWAPPED, "valves of slew and boom"),
     *[
@@ -104,11 +108,8 @@ FAULTS = [
         _named(f.Swapped(DRIVEN[a], DRIVEN[b]), SWAPPED, f"sensors {a} {b}", slow=True)
         for a, b in ((0, 1), (0, 2), (0, 3), (2, 3))
     ],
-    *[
-        _named(f.Scaled(DRIVEN[a], -1.0, STANDS[DRIVEN[a]]), "the wrong direction", f"sensor {a} turned", slow=a > 0)
-        for a in range(4)
-    ],
-    *[_named(f.ValveTurned(a), "the wrong direction", f"valve {a} turned", slow=a > 0) for a in range(4)],
+    *[_named(f.Scaled(DRIVEN[a], -1.0, STANDS[DRIVEN[a]]), REVERSED, f"sensor {a} turned", slow=a > 0) for a in range(4)],
+    *[_named(f.ValveTurned(a), REVERSED, f"valve {a} turned", slow=a > 0) for a in range(4)],
     *[_named(f.Scaled(DRIVEN[a], 2.0, STANDS[DRIVEN[a]]), TIMES, f"sensor {a} x 2", slow=a > 0) for a in range(4)],
     *[_named(f.Scaled(DRIVEN[a], 0.1, STANDS[DRIVEN[a]]), TIMES, f"sensor {a} / 10", slow=a > 0) for a in range(4)],
     *[_named(f.Jumped(DRIVEN[a], 0.02), "zero of .* is off|its cylinder gives", f"zero {a}", slow=a < 3) for a in range(4)],

@@ -81,3 +81,14 @@ def test_no_number_asks_for_nothing() -> None:
     passed, broken = limiter.step(np.array([np.nan, np.inf, MIDDLE[2], -np.inf]))
     np.testing.assert_array_equal(passed, MIDDLE)
     assert [(check, axis) for check, axis, *_ in broken] == [("position", 0), ("position", 1), ("position", 3)]
+
+
+@pytest.mark.parametrize("behind", [0.002, -0.01])
+def test_a_setpoint_that_fell_behind_catches_up_with_a_target_that_speeds_up(behind: float) -> None:
+    """It stayed behind by a step and more for as long as the target moved."""
+    limiter = SetpointLimiter(LIMITS, DT)
+    limiter.reset(MIDDLE + behind)
+    smooth = MIDDLE + np.outer(0.5 - 0.5 * np.cos(1.2 * np.arange(400) * DT), [0.2, 0.1, 0.1, 0.02])
+    path = np.array([limiter.step(wanted)[0] for wanted in smooth])
+    assert np.abs(path[:100] - smooth[:100]).max() > 0.5 * abs(behind)
+    np.testing.assert_array_equal(path[250:], smooth[250:])

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sysid.machine import TabulatedLinkage
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Violation
+from sysid.runner.response_range import ResponseRange
 from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.valves import AxisValve
 
@@ -22,6 +23,7 @@ class MotionChecks:
 
     Args:
         axes, valves, linkages, dt: of the machine.
+        response_range: of the state estimator.
         settings: of the recipe.
         inside: a text about the network that extrapolates; "" if none does.
     """
@@ -32,11 +34,12 @@ class MotionChecks:
         valves: Sequence[AxisValve],
         linkages: Sequence[TabulatedLinkage | None],
         dt: float,
+        response_range: ResponseRange,
         settings: CheckSettings,
         inside: Callable[[StateEstimate], str],
     ) -> None:
         self.axes, self.valves, self.linkages, self.dt = tuple(axes), tuple(valves), tuple(linkages), dt
-        self.settings, self._inside = settings, inside
+        self.range, self.settings, self._inside = response_range, settings, inside
         self._durations: dict[tuple[str, str], float] = {}
         self._drive = np.full(len(self.axes), np.nan)
         self._moved = np.zeros(len(self.axes))
@@ -53,7 +56,7 @@ class MotionChecks:
         if settings.on("contradiction"):
             found += self._contradictions(estimate)
         if settings.on("motion") and moving:
-            found += self._motion(estimate)
+            found += self._motion()
         if settings.on("following") and moving and drive_setpoints is not None:
             found += self._following(estimate, drive_setpoints)
         if settings.on("domain") and moving:
@@ -78,13 +81,12 @@ class MotionChecks:
                 found.append(Violation("contradiction", sensor.signal, rule.reaction, deviation, limit, text))
         return found
 
-    def _motion(self, estimate: StateEstimate) -> list[Violation]:
+    def _motion(self) -> list[Violation]:
         found, rule = [], self.settings.motion
-        for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            deviation, limit = abs(float(estimate.drive[i] - estimate.estimated_position[i])), rule.seconds * valve.fastest
-            if deviation > limit:
-                text = f"{name} is {deviation:.4g} away from its dead reckoning by the commands"
-                found.append(Violation("motion", name, rule.reaction, deviation, limit, text))
+        excess, limits = self.range.excess.max(axis=0), self.range.allowance(rule.seconds)
+        for i in np.flatnonzero(excess > limits):
+            name, text = self.axes[i], self.range.described(int(i), self.axes[i])
+            found.append(Violation("motion", name, rule.reaction, float(excess[i]), float(limits[i]), text))
         return found
 
     def _following(self, estimate: StateEstimate, drive_setpoints: Array) -> list[Violation]:

@@ -41,10 +41,10 @@ class JumpCheck(Strict):
 
 @dataclass(frozen=True)
 class FrozenValueCheck(Strict):
-    """A reading stays the same to the last bit while, by dead reckoning, its axis moved by ``share`` of the range."""
+    """A reading stays the same to the last bit while, by dead reckoning, its axis moved for ``seconds`` at top speed."""
 
     reaction: Reaction = "stop"
-    share: float = 0.005
+    seconds: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,28 @@ class ContradictionCheck(Strict):
 
 @dataclass(frozen=True)
 class MotionCheck(Strict):
-    """Measured position and dead reckoning differ by ``seconds`` at top speed: the machine does not follow its commands."""
+    """Measured motion leaves the range of responses of machines like the plant by ``seconds`` at top speed."""
 
     reaction: Reaction = "stop"
-    seconds: float = 0.3
+    seconds: float = 0.015
+
+
+@dataclass(frozen=True)
+class FirstMoveCheck(Strict):
+    """In its first move after a start, at about ``speed`` at the end effector, an axis does not answer as its plant, or
+    another one answers; ``seconds`` as in ``motion``."""
+
+    reaction: Reaction = "fault"
+    speed: float = 0.03
+    seconds: float = 0.015
+
+
+@dataclass(frozen=True)
+class PathCheck(Strict):
+    """The end effector, or the joint setpoints, are farther than ``distance`` [m] from the path of the task."""
+
+    reaction: Reaction = "stop"
+    distance: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -176,6 +194,8 @@ class CheckSettings(Strict):
     clock: ClockCheck = field(default_factory=ClockCheck)
     contradiction: ContradictionCheck = field(default_factory=ContradictionCheck)
     motion: MotionCheck = field(default_factory=MotionCheck)
+    first_move: FirstMoveCheck = field(default_factory=FirstMoveCheck)
+    path: PathCheck = field(default_factory=PathCheck)
     delay: DelayCheck = field(default_factory=DelayCheck)
     domain: DomainLeftCheck = field(default_factory=DomainLeftCheck)
     following: FollowingCheck = field(default_factory=FollowingCheck)
@@ -210,7 +230,8 @@ CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if i
 #: Mildest permitted reactions.
 MILDEST: dict[str, Reaction] = {
     "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
-    "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "expired": "fault",
+    "motion": "hold", "first_move": "fault", "path": "stop", "delay": "stop", "domain": "clamp", "following": "hold",
+    "overrun": "stop", "expired": "fault",
     "policy": "hold", "position": "clamp", "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp",
     "fence": "clamp", "dead_man": "stop", "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault",
     "recording": "clamp",
@@ -232,13 +253,16 @@ _WATCHED = "the machine closes its valves by itself after 0.1 s without commands
 BOUNDS: dict[str, ThresholdBounds] = {
     "stale.after_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
     "jump.share": ThresholdBounds(0.1, "the fastest axis of the demo's crane moves that share of its range in 0.25 s"),
-    "frozen.share": ThresholdBounds(0.05, "an axis with a stuck sensor moves that share of its range undetected"),
+    "frozen.seconds": ThresholdBounds(0.1, "an axis with a stuck sensor moves undetected for that time"),
     "clock.jump_s": ThresholdBounds(0.5, "readings count as newer than they are by that time"),
     "contradiction.share": ThresholdBounds(
         0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"
     ),
     "contradiction.for_s": ThresholdBounds(0.5, "the machine moves with a wrong sensor for that time"),
-    "motion.seconds": ThresholdBounds(1.0, "the fastest axis of the demo's crane moves 40 % of its range in 1 s, undetected"),
+    "motion.seconds": ThresholdBounds(0.3, "an axis that does not obey moves for that time at full speed"),
+    "first_move.speed": ThresholdBounds(0.05, "that is how fast an axis with reversed valve or sensor moves the end effector"),
+    "first_move.seconds": ThresholdBounds(0.05, "an axis that answers another command moves for that time at full speed"),
+    "path.distance": ThresholdBounds(0.1, "the end effector leaves its path by that distance before it stops"),
     "delay.after_s": ThresholdBounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
     "domain.for_s": ThresholdBounds(2.0, "networks are not reliable outside of their training data"),
     "following.seconds": ThresholdBounds(1.0, "a setpoint 1 s ahead at full speed is not followed"),
@@ -253,7 +277,7 @@ BOUNDS: dict[str, ThresholdBounds] = {
     "restless.after_s": ThresholdBounds(2.0, "valves close in a tenth of a second"),
 }
 #: Checks that can be disabled, one by one.
-OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "delay", "domain", "following", "jerk")
+OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "first_move", "delay", "domain", "following", "jerk")
 
 
 def check_checks(settings: CheckSettings, where: object) -> CheckSettings:

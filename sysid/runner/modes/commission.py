@@ -148,7 +148,7 @@ class Commission:
             self._failure = "it did not receive the cycles: loop.run(watch=mode.watch)"
             return
         positions = np.array([np.mean(self._last[signal]) for signal in self.driven])
-        self._tip_ratio = self._tip_ratios(positions)
+        self._tip_ratio = self.command_filter.tip_ratios(positions)
         self._failure = self._zero(positions)
         self._plan = []
         for i, axis in enumerate(self.axes):
@@ -297,17 +297,6 @@ class Commission:
                     f"[commission.reference], or the reason without one in [commission.unseen]"
                 )
         return ""
-
-    def _tip_ratios(self, positions: Array) -> Array:
-        """Motion of the boom tip per unit of what is driven, (A,)."""
-        found = np.empty(len(positions))
-        for i, valve in enumerate(self.valves):
-            step = 0.01 * (valve.high - valve.low) * (-1.0 if positions[i] > 0.5 * (valve.low + valve.high) else 1.0)
-            moved = positions.copy()
-            moved[i] += step
-            ends = self.tip(self.command_filter.joints(np.array([positions, moved])))
-            found[i] = max(float(np.linalg.norm(ends[1] - ends[0])) / abs(step), 1e-6)
-        return found
 
     def figures(self) -> dict[str, object]:
         """Strokes and zeros, for the record."""
