@@ -208,19 +208,21 @@ def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) ->
 
     machine, units = dataset.machine, dataset.units
     ends = item.interval95.get(key)
-    single = ends is not None and not isinstance(ends[0], (list, tuple))
-    digits = digits_for(float(ends[0]), float(ends[1])) if ends is not None and single else 3
+    single: tuple[float, float] | None = None
+    if ends is not None and not isinstance(ends[0], tuple) and not isinstance(ends[1], tuple):
+        single = float(ends[0]), float(ends[1])
+    digits = digits_for(*single) if single else 3
     text = shown(item.name, key, item.target, value, machine, digits, units)
     if key in item.before:
         text += f" (was {shown(item.name, key, item.target, item.before[key], machine, 3, units)})"
     if ends is None:
         return text, NOTHING
-    if not single:
+    if single is None:
         low, high = (shown(item.name, key, item.target, end, machine, 4, units) for end in ends)
         return text, f"{low} to {high}"
-    if not (math.isfinite(float(ends[0])) and math.isfinite(float(ends[1]))):
+    if not (math.isfinite(single[0]) and math.isfinite(single[1])):
         return text, NOTHING
-    return text, interval(float(ends[0]), float(ends[1]), parameter_unit(item.name, key, item.target, machine, units))
+    return text, interval(*single, parameter_unit(item.name, key, item.target, machine, units))
 
 
 def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:

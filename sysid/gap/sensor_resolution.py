@@ -202,8 +202,8 @@ def _changes_speed(parts: Sequence[Array], step: float) -> bool:
     turns, moves = 0, 0
     for part in parts:
         whole = np.round(np.diff(part[~np.isnan(part)]) / step)
-        turns += np.count_nonzero(np.diff(whole))
-        moves += np.count_nonzero(whole)
+        turns += int(np.count_nonzero(np.diff(whole)))
+        moves += int(np.count_nonzero(whole))
     return turns >= MIN_CHANGES * moves
 
 

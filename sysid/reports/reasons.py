@@ -134,7 +134,7 @@ def relative_width(effect: NamedEffect) -> float:
     widths = []
     for name, value in effect.given.items():
         low, high = effect.interval95.get(name, (math.nan, math.nan))
-        if isinstance(value, (list, tuple)) or isinstance(low, (list, tuple)) or value == 0.0:
+        if isinstance(value, tuple) or isinstance(low, tuple) or isinstance(high, tuple) or value == 0.0:
             return math.nan
         widths.append(0.5 * (float(high) - float(low)) / abs(float(value)))
     widest = max(widths, default=math.nan)

@@ -89,5 +89,7 @@ def _value(effect: NamedEffect, name: str, machine: Machine) -> str:
     if not isinstance(value, int | float):
         return f"{name.replace('_', ' ')} {value}"
     low, high = effect.interval95.get(name, (np.nan, np.nan))
-    spread = f" ({interval(low, high, unit, 4)})" if np.isfinite(low) and np.isfinite(high) else ""
+    spread = ""
+    if not isinstance(low, tuple) and not isinstance(high, tuple) and np.isfinite([low, high]).all():
+        spread = f" ({interval(low, high, unit, 4)})"
     return f"{name.replace('_', ' ')} {quantity(value, unit, 4)}{spread}"
