@@ -26,7 +26,7 @@ from sysid.runner.checks.settings import FirstMoveCheck
 from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Violation
 from sysid.runner.response import ODDS, GainComparison, ResponseMonitor
-from sysid.runner.response_range import ResponseRange
+from sysid.runner.response_range import BAND, ResponseRange
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -35,8 +35,8 @@ Mask = npt.NDArray[np.bool_]
 LAG = (0.002, 0.01)
 #: Lag of an axis that has not answered for which the others wait [m].
 WAITS = 0.002
-#: A setpoint waits at this distance from an axis that has not answered, at the end effector [m].
-AHEAD = 0.006
+#: A setpoint waits at this distance from an axis that has not answered, or is not released, at the end effector [m].
+AHEAD = (0.006, 0.015)
 #: Acceleration of a slow axis at the end effector, also of one that is wired to the command by mistake [m/s²].
 ACCELERATION = 0.1
 #: Speed at the end effector by the first command of an axis [m/s].
@@ -124,10 +124,8 @@ class FirstMove:
         self._at(joints, drive)
         own = np.array([max(valve.up, valve.down) for valve in self.valves]) * self._at_tip
         bands = np.array([min(valve.positive, valve.negative) for valve in self.valves])
-        #: Largest commands, (A,), their rate [1/s], and what they rise to, (A,).
+        #: Largest commands, (A,), and their rate [1/s].
         self._most, self._rate = np.full(axes, float((bands + START / own).min())), ACCELERATION / float(own.max())
-        widest = np.array([max(valve.positive, valve.negative) for valve in self.valves])
-        self._top = widest + np.minimum(EXTRA_BAND, 1.5 * self.rule.speed / own)
         self.range.begin()
         self.gains.begin()
 
@@ -156,12 +154,13 @@ class FirstMove:
         self.elapsed_s += self.dt
         wanted = np.nan_to_num(requested)
         self._take_turns(wanted, joints, drive)
-        passed = np.where(self.answered, wanted, 0.0)
-        for i in np.flatnonzero(~self.released & (self.answered | (np.arange(len(self.axes)) == self._turn))):
-            most = float(self._most[i])
-            if abs(wanted[i]) > most and abs(float(self.range.speed[i])) * self._at_tip[i] < self.rule.speed:
-                most = max(most, min(most + self._rate * self.dt, float(self._top[i])))
-            self._most[i], passed[i] = most, min(max(float(wanted[i]), -most), most)
+        turn = np.arange(len(self.axes)) == self._turn
+        rises = (np.abs(wanted) > self._most) & (np.abs(self.range.speed) * self._at_tip < self._speeds)
+        self._most = np.where(
+            rises, np.maximum(self._most, np.minimum(self._most + self._rate * self.dt, self._top)), self._most
+        )
+        slow = np.where(self.answered | turn, np.clip(wanted, -self._most, self._most), 0.0)
+        passed = np.where(self.released, wanted, slow)
         self.reduced += np.abs(wanted - passed) > 1e-9
         return passed
 
@@ -187,14 +186,14 @@ class FirstMove:
         self.pace = min(max(self.pace + self._pace_rate * self.dt, 0.0), 1.0)
         if pace >= 1.0 and self.pace > FULL_PACE:
             self.pace = 1.0
-        speed = self.rule.speed * (1.0 + self._travel / ENOUGH)
-        slow = np.minimum(speed / (self._per_joint * self.command_filter.limits.speed), 1.0)
+        slow = np.minimum(self._speeds / (self._per_joint * self.command_filter.limits.speed), 1.0)
         turn = np.arange(len(self.axes)) == self._turn
         # What has answered stands while another axis has to, and is slow while another axis is.
         free = np.where(self.released & ~(late & ~self.released).any(), 1.0, slow)
         waits = bool((self._lag[~self.answered] > WAITS).any())
         target = np.where(self.answered, 0.0 if waits else free, np.where(turn, slow, 0.0))
-        target[~self.answered & (np.abs(setpoints - joints) * self._per_joint > AHEAD)] = 0.0
+        ahead = np.abs(setpoints - joints) * self._per_joint
+        target[~self.released & (ahead > np.where(self.answered, AHEAD[1], AHEAD[0]))] = 0.0
         rise = np.where(self.released, 1.0 / RELEASE_S, slow * ACCELERATION / self.rule.speed) * self.dt
         self.shares = np.clip(target, self.shares - self.dt / REST_S, self.shares + rise)
 
@@ -237,6 +236,19 @@ class FirstMove:
         self._direction = np.where(direction != 0.0, direction, self._direction)
         moved = np.abs(self.range.measured - self._rest) > self._least
         self._onset = np.where(self._onset >= 0, self._onset + 1, np.where(moved, 0, -1))
+
+    @property
+    def _speeds(self) -> Array:
+        """Speeds of axes that are not released, at the end effector, (A,) [m/s]: higher ones tell more of the gain."""
+        return self.rule.speed * (1.0 + np.where(self.answered, self._travel / ENOUGH, 0.0))
+
+    @property
+    def _top(self) -> Array:
+        """The largest commands of axes that are not released, (A,)."""
+        own = np.array([max(valve.up, valve.down) for valve in self.valves]) * self._at_tip
+        bands = np.array([max(valve.positive, valve.negative) for valve in self.valves])
+        beyond = 1.5 * self._speeds / own
+        return np.asarray(bands + np.where(self.answered, BAND + beyond, np.minimum(EXTRA_BAND, beyond)))
 
     @property
     def _least(self) -> Array:
