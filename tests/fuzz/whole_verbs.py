@@ -13,6 +13,7 @@ import sys
 import tempfile
 import tomllib
 import warnings
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +52,7 @@ def _verb(*argv: object) -> int:
 # -- machines -------------------------------------------------------------------------------------------------------
 
 
-def run_edges(case: Any, place: Path, target: str = "json") -> None:
+def run_edges(case: Any, place: Path, target: str = "json", view: bool = True) -> None:
     """Every verb that reads a dataset, on a machine of :mod:`edge_machines`."""
     from edge_machines import write_machine
 
@@ -70,7 +71,8 @@ def run_edges(case: Any, place: Path, target: str = "json") -> None:
         assert not json.loads(out.read_text("utf-8")).get("missing"), "a part of the answer failed"
     _verb(*workspace, "gap", "edge", "--localise", "--accept", "*", "--json", out)
     assert not json.loads(out.read_text("utf-8")).get("missing"), "a part of the answer failed"
-    _verb(*workspace, "view", "edge", "--out", place / "edge.rrd", "--json", out)
+    if view:
+        _verb(*workspace, "view", "edge", "--out", place / "edge.rrd", "--json", out)
     dataset = open_workspace(place / "ws").dataset("edge")
     try:
         export_plant(nominal_plant(dataset.machine), dataset, target_named(target), place / "export", samples=2)
@@ -84,7 +86,8 @@ def edges(data: bytes) -> None:
 
     targets = ("json", "lut", "simulink", "sdf", "mjcf", "urdf", "fmu")
     with _folder() as place:
-        run_edges(from_bytes(data[:-1]), place, targets[(data[-1] if data else 0) % len(targets)])
+        viewed = zlib.crc32(data) % 4 == 0  # four threads of Rerun stay after each
+        run_edges(from_bytes(data[:-1]), place, targets[(data[-1] if data else 0) % len(targets)], viewed)
 
 
 def edge_seeds() -> tuple[bytes, ...]:
