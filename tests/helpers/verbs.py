@@ -15,6 +15,7 @@ from one_axis_logs import MACHINE, record
 from registry_verbs import FILES, PASSED, broken, promote, register, registered, repair
 from stored import small_dataset
 
+from sysid.config import parse_settings
 from sysid.datasets import Store, append, ingest
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
@@ -63,7 +64,7 @@ def watched(workspace: Path) -> State:
     """What the states of watched machines hold."""
     found = []
     for path in sorted((workspace / "fleet" / "watch").glob("*.json")):
-        state = WatchState.from_json(json.loads(path.read_text("utf-8")))
+        state = parse_settings(json.loads(path.read_text("utf-8")), WatchState, str(path))
         found.append((state.machine.dataset, state.recordings, tuple(h.recordings for h in state.histories)))
     return tuple(found)
 

@@ -196,7 +196,7 @@ def test_friction_of_both_joints_is_named_beside_wrong_masses_and_a_payload() ->
 def test_an_arm_with_a_joint_that_is_not_measured_has_no_force_stage() -> None:
     data = dataset()
     blind = tuple(replace(r, table=r.table.assign(**{"elbow.joint": np.nan})) for r in data.recordings)
-    with pytest.raises(ExcitationError, match="no stage is measured"):
+    with pytest.raises(ExcitationError, match="elbow: force and motion are not measured together"):
         steps.open_study(replace(data, recordings=blind), nominal_plant(data.machine))
 
 
