@@ -731,12 +731,19 @@ def faults_table(result: dict[str, Any]) -> str:
 
 
 def commissioning_table(result: dict[str, Any]) -> str:
+    """Commissionings; then first moves, with a record of the wiring before, or with a waiver."""
+    moves = [{**row, "fault": row["fault"] + (", waived" if row["waived"] else "")} for row in result.get("first_moves", ())]
+    tables = [_wiring_table(result.get("commissioning", ()), "wiring")]
+    return "\n\n".join([*tables, *([_wiring_table(moves, "wiring at the first move of a run")] if moves else [])])
+
+
+def _wiring_table(measured: Sequence[dict[str, Any]], what: str) -> str:
     rows = [
         [row["fault"], "yes" if row["found"] else "no", f"{row['moved_for_s']:.1f} s", f"{1e3 * row['tip_m']:.1f} mm",
          f"{row['tip_speed']:.3f} m/s", "yes" if row["ok"] else "**no**"]
-        for row in result.get("commissioning", ())
+        for row in measured
     ]  # fmt: skip
-    head = ["wiring", "refused", "valves neutral after", "farthest from the beginning", "fastest", "as it should"]
+    head = [what, "refused", "valves neutral after", "farthest from the beginning", "fastest", "as it should"]
     return markdown(head, rows)
 
 

@@ -82,7 +82,7 @@ WIRING = wrong_wiring()
 FEW = WIRING[::5]
 
 
-def check(axis: int, fault: Fault, true: Plant, seed: int, far: float) -> None:
+def check(axis: int, fault: Fault, true: Plant, seed: int, far: float, top: float) -> None:
     made = moved(alone(axis), fault, true=true, seed=seed)
     assert made.loop.outcome.ended != "done"
     fast, way = slow(made)
@@ -90,20 +90,20 @@ def check(axis: int, fault: Fault, true: Plant, seed: int, far: float) -> None:
         # The axis itself is wired right, and may be released before the other valve opens.
         drives, ratios = np.array(made.machine.drives)[:, fault.other], np.array([0.9, 15.2, 9.2, 1.0])
         fast, way = 0.0, float(np.ptp(drives)) * ratios[fault.other]
-    assert fast <= 0.06
+    assert fast <= top
     assert way <= far, made.loop.outcome.why
 
 
 @pytest.mark.parametrize(("axis", "fault"), [row[1:] for row in FEW], ids=[row[0] for row in FEW])
 def test_wrong_wiring_moves_little_and_slowly(axis: int, fault: Fault) -> None:
-    check(axis, fault, PLANT, 0, 0.025)
+    check(axis, fault, PLANT, 0, 0.025, 0.055)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "fault"), [row[1:] for row in WIRING], ids=[row[0] for row in WIRING])
 @pytest.mark.parametrize("seed", range(3))
 def test_wrong_wiring_moves_little_on_machines_that_are_not_as_planned(axis: int, fault: Fault, seed: int) -> None:
-    check(axis, fault, off(seed, 0.04), seed, 0.03)
+    check(axis, fault, off(seed, 0.04), seed, 0.035, 0.07)
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.5])
@@ -131,7 +131,7 @@ def null(seed: int, mode: Callable[[Limits, ControlChain], Mode]) -> None:
     made = moved(mode, true=off(seed, 0.04), seed=seed)
     outcome = made.loop.outcome
     assert outcome.ended == "done", outcome.why
-    assert not outcome.verdicts
+    assert set(outcome.verdicts) <= {"jerk"}
     assert "first move: released slew after" in outcome.notes[-1]
 
 
