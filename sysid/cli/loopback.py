@@ -27,7 +27,7 @@ MAX_THREADS, MAX_WAITING = 32, 1024
 
 
 class PageServer(ThreadingHTTPServer):
-    """Answers at most :data:`MAX_THREADS` requests at a time; others wait. A client that goes away is no error."""
+    """Answers at most :data:`MAX_THREADS` requests at a time; others wait. A client that disconnects is not an error."""
 
     request_queue_size = MAX_WAITING
 

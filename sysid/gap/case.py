@@ -215,9 +215,9 @@ def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 def _untested_forces(plant: Plant, split: Split, tested: Sequence[str]) -> dict[str, ExcitationError | None]:
     """Force axes that are not ``tested``, and what a recording lacks for it."""
-    model = compile_plant(plant)
     axes = [axis for axis in plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
-    return {axis.name: why_no_force(model, axis, split) for axis in axes}
+    model = compile_plant(plant) if axes else None
+    return {axis.name: why_no_force(model, axis, split) for axis in axes if model is not None}
 
 
 def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
@@ -285,10 +285,9 @@ def _typical_force(stage: Stage) -> float:
 
     Where most are at rest (below a thousandth of the largest), it is the median of the others; zero without any force.
     """
-    measured = [stage.problem.measured(r)[:, 0] for r in stage.split.fit]
-    simulated = [stage.problem.predict(stage.theta[None], r)[0, :, 0] for r in stage.split.fit]
-    for forces in (measured, simulated):
-        sizes = np.abs(np.concatenate(forces))
+    problem, simulated = stage.problem, stage.theta[None]
+    for force in (problem.measured, lambda recording: problem.predict(simulated, recording)[0]):
+        sizes = np.abs(np.concatenate([force(recording)[:, 0] for recording in stage.split.fit]))
         acting = sizes[sizes > 1e-3 * sizes.max()]
         if len(acting):
             return float(np.median(sizes if 2 * len(acting) > len(sizes) else acting))

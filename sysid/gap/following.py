@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,7 @@ class Following:
         proof: of the decision; its errors are empty until they are measured.
         shown: excitation of every candidate.
         notes: of the decision; those of the parts are added.
+        version: of the stored repair; empty without one.
     """
 
     study: steps.Study
@@ -92,6 +93,7 @@ class Following:
     shown: Sequence[Excitation]
     notes: tuple[str, ...]
     report: Progress
+    version: str = field(default="", init=False)
 
     def carry(self) -> Fields:
         """Residual networks for what is unnamed."""
@@ -124,19 +126,25 @@ class Following:
             "machine_diff": steps.machine_diff(self.study, self.proof),
         }
 
+    @property
+    def repairs(self) -> bool:
+        """Whether the decision changes the plant under test."""
+        return self.proof.outcome.repaired is not self.study.case.plant
+
     def store(self, registry: Registry) -> Fields:
         """The repair as a version; none where nothing is repaired."""
         self._check_measured()
-        if self.proof.outcome.repaired is self.study.case.plant:
-            return {}
-        return {"plant_after": steps.store(self.study, self.proof, registry)}
+        if self.repairs:
+            self.version = steps.store(self.study, self.proof, registry)
+        return {"plant_after": self.version}
 
     def promote(self, registry: Registry) -> Fields:
         """Whether the stored repair is promoted."""
-        fields = self.store(registry)  # the same content is the same version
-        if not fields:
+        if not self.repairs:
             return {}
-        return {"promotion": steps.promote(self.study, self.proof, registry, fields["plant_after"])}
+        if not self.version:
+            raise ExcitationError(self.study.case.dataset.reference, "no stored repair", "one that can be promoted")
+        return {"promotion": steps.promote(self.study, self.proof, registry, self.version)}
 
     def plan(self, planning: Planning) -> Fields:
         """Recordings that would resolve open hypotheses."""
@@ -164,7 +172,7 @@ class Following:
         """Maps over the fit and selection recordings, stage by stage."""
         case, repaired = self.study.case, self.proof.outcome.repaired
         machine, units = case.plant.machine, case.dataset.units
-        vector = repaired.vector() if repaired is not case.plant else None
+        vector = repaired.vector() if self.repairs else None
         of_stages = (maps_of(s.problem, case.theta, s.split.seen, s.sigma, machine, units, vector) for s in self.study.stages)
         return {"maps": tuple(item for maps in of_stages for item in maps)}
 

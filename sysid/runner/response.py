@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.valves import AxisValve
+from sysid.runner.valves import AxisValve, ValveArray
 
 Array = npt.NDArray[np.float64]
 
@@ -81,14 +81,8 @@ class ResponseMonitor:
         self._delays, self.usual, self._samples = np.array(rows), len(usual), samples
         self._columns = longest + samples - self._delays
         self._hits = np.zeros(axes, dtype=int)
-        self.fastest = np.array([valve.fastest for valve in valves])
-        self._up = np.array([valve.up for valve in valves])
-        self._down = np.array([valve.down for valve in valves])
-        self._exponent = np.array([valve.exponent for valve in valves])
-        self._limit = np.array([valve.limit for valve in valves])
-        bands = np.array(BANDS)[:, None]
-        self._positive = np.maximum(np.array([valve.positive for valve in valves]) + bands, 0.0)
-        self._negative = np.maximum(np.array([valve.negative for valve in valves]) + bands, 0.0)
+        self._valves = ValveArray(valves)
+        self.fastest = self._valves.fastest
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(BANDS), axes, self._window + longest))
         #: Speeds within the dead time, (2, bands, A, cycles), the newest first.
@@ -114,9 +108,8 @@ class ResponseMonitor:
         self._travel[..., :-1] = self._travel[..., 1:]
         self._travel[..., -1] += self._coming[:, :, *self._arrives] * self.dt
         self._coming[..., 1:] = self._coming[..., :-1].copy()
-        forwards = np.minimum(np.maximum(commands - self._positive, 0.0) ** self._exponent, self._limit)
-        backwards = np.minimum(np.maximum(-commands - self._negative, 0.0) ** self._exponent, self._limit)
-        self._coming[0, ..., 0], self._coming[1, ..., 0] = self._up * forwards, -self._down * backwards
+        forwards, backwards = self._valves.speeds(commands, np.array(BANDS)[:, None])
+        self._coming[0, ..., 0], self._coming[1, ..., 0] = forwards, -backwards
 
     def measure(self, measured: Array) -> None:
         """Record ``measured`` (A,), what the commands drive; NaN without a fresh and valid reading."""

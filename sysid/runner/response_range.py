@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.valves import AxisValve
+from sysid.runner.valves import AxisValve, ValveArray
 
 Array = npt.NDArray[np.float64]
 
@@ -48,10 +48,8 @@ class ResponseRange:
 
     def __init__(self, valves: Sequence[AxisValve], dt: float, accepted: float) -> None:
         self.dt, axes = dt, len(valves)
-        self._up, self._down, self._positive, self._negative, self._exponent, self._limit, self._fastest = (
-            np.array([getattr(valve, name) for valve in valves])
-            for name in ("up", "down", "positive", "negative", "exponent", "limit", "fastest")
-        )
+        self._valves = ValveArray(valves)
+        self._fastest = self._valves.fastest
         self._play = np.array([valve.backlash for valve in valves]) + PLAY_S * self._fastest
         late = [valve.dead_steps + round((accepted + FILTER_S) / dt) for valve in valves]
         #: Speeds by the plant, the least and the greatest of the range, (3, A, cycles), the newest first.
@@ -143,7 +141,5 @@ class ResponseRange:
         self._possible = np.where(fresh, 0.0, self._possible)
 
     def _speed(self, commands: Array, gain: float, wider: float) -> Array:
-        forwards = np.maximum(commands - np.maximum(self._positive + wider, 0.0), 0.0) ** self._exponent
-        backwards = np.maximum(-commands - np.maximum(self._negative + wider, 0.0), 0.0) ** self._exponent
-        up, down = self._up * np.minimum(forwards, self._limit), self._down * np.minimum(backwards, self._limit)
-        return np.asarray(gain * (up - down))
+        forwards, backwards = self._valves.speeds(commands, wider)
+        return np.asarray(gain * (forwards - backwards))

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from sysid.control import AxisTuning
 
+Array = npt.NDArray[np.float64]
 #: A number or an array.
-Speed = TypeVar("Speed", float, npt.NDArray[np.float64])
+Speed = TypeVar("Speed", float, Array)
 
 #: Below this share of the top speed a valve counts as closed.
 SHUT = 1e-3
@@ -55,6 +56,30 @@ class AxisValve:
         effective = min(abs(speed) / top, self.limit) ** (1.0 / self.exponent)
         found = effective + (self.positive if speed > 0.0 else self.negative)
         return math.copysign(min(found, 1.0), speed)
+
+
+class ValveArray:
+    """The valves of several axes as arrays, (A,) each.
+
+    Args:
+        valves: of the axes.
+    """
+
+    def __init__(self, valves: Sequence[AxisValve]) -> None:
+        self.up, self.down, self.positive, self.negative, self.exponent, self.limit, self.fastest = (
+            np.array([getattr(valve, name) for valve in valves])
+            for name in ("up", "down", "positive", "negative", "exponent", "limit", "fastest")
+        )
+
+    def speeds(self, commands: Array, wider: Array | float) -> tuple[Array, Array]:
+        """Speeds forwards and backwards, at least zero, at ``commands`` (A,) after the dead time.
+
+        Args:
+            wider: by what the dead-bands are wider than those of the valves; (k, 1) gives (k, A).
+        """
+        forwards = np.maximum(commands - np.maximum(self.positive + wider, 0.0), 0.0) ** self.exponent
+        backwards = np.maximum(-commands - np.maximum(self.negative + wider, 0.0), 0.0) ** self.exponent
+        return self.up * np.minimum(forwards, self.limit), self.down * np.minimum(backwards, self.limit)
 
 
 def braking_speed(distance: float, after: float, braking: float) -> float:

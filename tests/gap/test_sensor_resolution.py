@@ -96,7 +96,7 @@ def test_steps_that_a_data_sheet_does_not_promise_are_noise_with_a_name() -> Non
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0])
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_steady_motion_has_no_step(rate_hz: float, noise: float) -> None:
-    """At constant speed all readings lie on a lattice of the way between two samples, which is no property of the sensor."""
+    """At constant speed readings are multiples of the distance between two samples, which is no resolution of it."""
     time = np.arange(600) / rate_hz
     draw = np.random.default_rng(0)
     ramps = [0.3 * speed * time + noise * draw.standard_normal(len(time)) for speed in (0.5, 1.0, -1.0)]

@@ -24,7 +24,7 @@ print(any("for this process only" in str(w.message) for w in seen), folder.is_di
 """
 
 
-def told(**environment: str) -> list[str]:
+def printed_by_child(**environment: str) -> list[str]:
     done = subprocess.run(
         [sys.executable, "-c", CHILD], env={"PATH": "", **environment}, capture_output=True, text=True, check=True
     )
@@ -49,13 +49,13 @@ def test_it_is_kept_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(("variable", "below"), [("XDG_CACHE_HOME", "sysid/numba"), ("NUMBA_CACHE_DIR", "")])
 def test_its_folder_is_named_after_the_sources(tmp_path: Path, variable: str, below: str) -> None:
     folder = tmp_path / below / compiled.source_digest()[:16]
-    assert told(**{variable: str(tmp_path)}) == ["False", "True", str(folder)]
+    assert printed_by_child(**{variable: str(tmp_path)}) == ["False", "True", str(folder)]
 
 
 def test_a_folder_that_cannot_be_written_warns(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
-    assert told(XDG_CACHE_HOME=str(blocked), TMPDIR=str(tmp_path))[:2] == ["True", "True"]
+    assert printed_by_child(XDG_CACHE_HOME=str(blocked), TMPDIR=str(tmp_path))[:2] == ["True", "True"]
 
 
 def test_the_setting_of_other_packages_is_restored() -> None:
