@@ -21,6 +21,8 @@ from typing import Any
 import numba
 from numba import njit
 
+from sysid.location import cache_home
+
 _PACKAGE = Path(__file__).parent
 
 
@@ -36,8 +38,7 @@ def source_digest() -> str:
 @functools.cache
 def cache_folder() -> Path:
     """The folder for these sources, in ``NUMBA_CACHE_DIR`` if set; a temporary one, and a warning, if it cannot be written."""
-    home = Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache")
-    root = Path(os.environ.get("NUMBA_CACHE_DIR", "") or home / "sysid" / "numba")
+    root = Path(os.environ.get("NUMBA_CACHE_DIR", "") or cache_home() / "numba")
     folder = root / source_digest()[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The location of a workspace: a folder, or the URL of an object store for its datasets."""
+"""The location of a workspace (a folder, or the URL of an object store for its datasets), and that of the user's cache."""
 
 from __future__ import annotations
 
@@ -32,3 +32,8 @@ def absolute_location(location: str | os.PathLike[str]) -> str:
     """``location`` for processes with another current folder."""
     text = os.fspath(location)
     return text if "://" in text else str(Path(text).absolute())
+
+
+def cache_home() -> Path:
+    """The folder of files that save computation and may be deleted at any time; it need not exist."""
+    return Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache") / "sysid"

@@ -5,6 +5,7 @@ A name is checked where it is read (manifest, registry row, recipe, command line
 
 from __future__ import annotations
 
+import hashlib
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,8 +15,9 @@ from typing import Any
 from sysid.errors import SettingsError
 from sysid.foreign import shown
 
-#: Of models, policies, and files of a model.
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+#: Largest length of a name of a model, a policy, or a file of a model.
+MAX_MODEL = 128
+_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9._-]{{0,{MAX_MODEL - 1}}}")
 #: Largest length of a name [bytes]: below the file system's 255, because a version number and a suffix are added.
 MAX_BYTES = 200
 
@@ -61,13 +63,26 @@ def check_name(name: Any, role: str = "model name") -> str:
         SettingsError: another name; the message states the rules.
     """
     if not isinstance(name, str) or not is_name(name):
-        raise SettingsError(role, shown(name), "letters, digits, '.', '_' and '-', a letter or digit first, at most 128")
+        raise SettingsError(
+            role, shown(name), f"letters, digits, '.', '_' and '-', a letter or digit first, at most {MAX_MODEL}"
+        )
     return name
 
 
 def is_name(name: str) -> bool:
     """Whether :func:`check_name` takes it."""
     return _NAME.fullmatch(name) is not None and ".." not in name
+
+
+def model_name(named: str, ending: str = "") -> str:
+    """The name of a model of a machine or a dataset ``named`` so: that name where a model can have it, else its slug.
+
+    Without a Latin letter it is ``model-`` and the begin of its sha256, so that different names have different models.
+    """
+    if is_name(f"{named}{ending}"):
+        return f"{named}{ending}"
+    digest = hashlib.sha256(named.encode("utf-8", "surrogatepass")).hexdigest()
+    return f"{slug(named, f'model-{digest[:8]}')[: MAX_MODEL - len(ending)]}{ending}"
 
 
 def check_dataset_name(name: Any, role: str = "dataset name", remedy: str = "") -> str:

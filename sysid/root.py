@@ -54,6 +54,18 @@ class Root:
         except (FileNotFoundError, NotADirectoryError):
             return None
 
+    def identity(self, path: str) -> tuple[int, ...]:
+        """Numbers that change with every change of a file: device, inode, size, times of content and state [ns].
+
+        Raises:
+            StoreError: a link on the way.
+            FileNotFoundError: there is none.
+        """
+        parts = self._parts(path)
+        with self._opened(parts[:-1]) as above, self._named(path):
+            state = os.stat(parts[-1], dir_fd=above, follow_symlinks=False)
+        return (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+
     def entries(self, folder: str) -> dict[str, Kind]:
         """Name → kind of the entries in ``folder``, sorted by name; empty if there is no such folder.
 

@@ -23,7 +23,7 @@ from sysid.extras import versions_of
 from sysid.gap import GapResult
 from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.location import LOCAL, checked_location, local_folder
-from sysid.names import check_dataset_name
+from sysid.names import check_dataset_name, model_name
 from sysid.networks import (
     ActuatorNetwork,
     Model,
@@ -124,14 +124,14 @@ class Workspace:
         kind, files = to_files(model)
         lineage = {"dataset": dataset.reference, "dataset_digest": dataset.digest, "recipe": recipe.to_json()}
         metrics = report.metrics() if report is not None else {}
-        return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics)
+        return self.models.register(model_name(dataset.name, f"-{kind}"), kind, files, lineage, metrics)
 
     def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
         """The network of ``kind`` fitted on this dataset version, else on any version of the dataset.
 
         Of several, the champion, else the newest.
         """
-        versions = [version for version in self.models.versions(f"{dataset.name}-{kind}") if version.kind == kind]
+        versions = [version for version in self.models.versions(model_name(dataset.name, f"-{kind}")) if version.kind == kind]
         exact = [version for version in versions if version.lineage.get("dataset_digest") == dataset.digest]
         return max(exact or versions, key=lambda version: (CHAMPION in version.aliases, version.version), default=None)
 
@@ -202,7 +202,7 @@ class Workspace:
             StoreError: no such plant.
             SettingsError: the plant is of another machine.
         """
-        promoted = self.models.promoted(dataset.machine.name) if reference is None else None
+        promoted = self.models.promoted(model_name(dataset.machine.name)) if reference is None else None
         return self.plant(dataset, promoted.reference if promoted is not None else reference)
 
     def results(self, dataset: Dataset) -> Path:

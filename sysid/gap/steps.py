@@ -36,6 +36,7 @@ from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
 from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.world_proof import world_gap
+from sysid.names import model_name
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
 from sysid.progress import Progress, silent
@@ -244,7 +245,7 @@ def store(study: Study, proof: Proof, registry: Registry) -> str:
     """
     case, repaired = study.case, proof.outcome.repaired
     tested = register(case, case.plant, registry, {})
-    if tested.partition("@")[0] == repaired.machine.name:
+    if tested.partition("@")[0] == model_name(repaired.machine.name):
         first_promotion(registry, tested)
     evidence = {"plant": tested, **lineage_of(case, proof.outcome, proof.gap, proof.stage_gap, study.settings)}
     accepted = [asdict(item) for item in proof.outcome.carried if item.accepted]
@@ -305,7 +306,7 @@ def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, A
         return plant.reference
     lineage = {"dataset": case.dataset.reference, "machine": plant.machine.name, **plant.origin, **evidence}
     beside = {MACHINE_DIFF: difference.encode("utf-8")} if difference else {}
-    version = registry.register(plant.machine.name, "plant", {**plant.to_files(), **beside}, lineage, {})
+    version = registry.register(model_name(plant.machine.name), "plant", {**plant.to_files(), **beside}, lineage, {})
     return f"{version.name}@{version.version}"
 
 

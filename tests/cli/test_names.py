@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.cli.output import command, rerun_command
-from sysid.names import is_dataset_name, is_name, slug
+from sysid.names import is_dataset_name, is_name, model_name, slug
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,19 @@ def test_every_slug_is_a_name_and_stays_itself(text: str) -> None:
     assert is_dataset_name(name)
     assert is_name(name[:100].rstrip("-_"))
     assert slug(name, "machine") == name
+
+
+@given(st.text(max_size=300), st.sampled_from(["", "-forward", "-gripper_actuator"]))
+def test_every_machine_and_dataset_has_a_model_name(text: str, ending: str) -> None:
+    name = model_name(text, ending)
+    assert is_name(name)
+    assert name.endswith(ending)
+    assert (name == text + ending) == is_name(text + ending)
+
+
+def test_names_without_latin_letters_stay_apart() -> None:
+    assert model_name("Kran Größe 1") == "kran-groesse-1"
+    assert model_name("機械", "-forward") == "model-81c946ea-forward" != model_name("械機", "-forward")
 
 
 @given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=20), max_size=4))

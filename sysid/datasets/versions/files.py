@@ -49,6 +49,10 @@ class Files(Protocol):
 
     def read(self, path: str) -> bytes: ...
 
+    def identity(self, path: str) -> tuple[int, ...] | None:
+        """Numbers that change with every change of a file; None where the store has none that are quicker than its content."""
+        ...
+
     def address(self, path: str) -> tuple[int, str]:
         """Size [bytes] and sha256 of a file."""
         ...

@@ -6,10 +6,11 @@ Listing them must be quick, so that nothing here imports numpy, pandas or the ta
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+from sysid.datasets.versions.entries import Entry, KeptEntries, kept_entries
 from sysid.datasets.versions.files import Files
 from sysid.datasets.versions.local_files import LocalFiles
 from sysid.datasets.versions.manifest import Manifest, from_text
@@ -17,24 +18,6 @@ from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.foreign import shown
 from sysid.names import check_dataset_name
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of :meth:`VersionIndex.list`; ``damage``: why a version cannot be read, then the other fields are empty."""
-
-    name: str
-    version: int
-    digest: str = ""
-    created: str = ""
-    machine: str = ""
-    recordings: int = 0
-    seconds: float = 0.0
-    damage: str = ""
-
-    @property
-    def reference(self) -> str:
-        return f"{self.name}@{self.version}"
 
 
 def entry_of(manifest: Manifest) -> Entry:
@@ -63,26 +46,43 @@ class VersionIndex:
         return ObjectFiles(str(self.workspace).rstrip("/"))
 
     def list(self) -> tuple[Entry, ...]:
-        """All versions of all datasets, by name and number; those that cannot be read with their damage."""
-        return tuple(entry for entry, _ in self.survey())
+        """All versions of all datasets, by name and number; those that cannot be read with their damage.
+
+        A manifest that was read for an earlier list and is the same file is not read again.
+        """
+        with kept_entries(self.files.uri("datasets")) as kept:
+            return tuple(self._listed(entry, kept) for entry in self._found())
 
     def survey(self) -> Iterator[tuple[Entry, Manifest | None]]:
         """As :meth:`list`, each with its manifest; None for a version that cannot be read."""
+        for entry in self._found():
+            yield (entry, None) if entry.damage else self._read(entry)
+
+    def _found(self) -> Iterator[Entry]:
+        """Every version by its name and number alone; a dataset that cannot be listed with its damage."""
         for name in self.files.links("datasets"):
-            yield Entry(name, 0, damage="is a link, which is not followed"), None
+            yield Entry(name, 0, damage="is a link, which is not followed")
         for name in self.files.folders("datasets"):
             try:
-                versions = self.versions(check_dataset_name(name))
+                yield from (Entry(name, version) for version in self.versions(check_dataset_name(name)))
             except (StoreError, SettingsError) as error:
-                yield Entry(name, 0, damage=str(error)), None
-                continue
-            for version in versions:
-                try:
-                    manifest = self.read_manifest(name, version)
-                except StoreError as error:
-                    yield Entry(name, version, damage=str(error)), None
-                else:
-                    yield entry_of(manifest), manifest
+                yield Entry(name, 0, damage=str(error))
+
+    def _read(self, found: Entry) -> tuple[Entry, Manifest | None]:
+        try:
+            manifest = self.read_manifest(found.name, found.version)
+        except StoreError as error:
+            return replace(found, damage=str(error)), None
+        return entry_of(manifest), manifest
+
+    def _listed(self, found: Entry, kept: KeptEntries) -> Entry:
+        if found.damage:
+            return found
+        try:
+            identity = self.files.identity(manifest_path(found.name, found.version))
+        except (OSError, StoreError):
+            identity = None
+        return kept.entry(found, identity, lambda: self._read(found)[0])
 
     def manifest(self, reference: str) -> Manifest:
         """The manifest of a version in the newest schema (``docs/guide/versions.md``).

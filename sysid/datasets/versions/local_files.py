@@ -49,6 +49,9 @@ class LocalFiles:
     def read(self, path: str) -> bytes:
         return self.below.read(path)
 
+    def identity(self, path: str) -> tuple[int, ...] | None:
+        return self.below.identity(path)
+
     def address(self, path: str) -> tuple[int, str]:
         with self.below.open(path) as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
