@@ -74,6 +74,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
     from sysid.display import quantity
+    from sysid.gap.headline import order_sentence
 
     def change(ends: tuple[float, float]) -> str:
         texts = [quantity(value, "s") for value in ends]
@@ -86,6 +87,8 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     ]
     if rows:
         out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
+    if sentence := order_sentence(result.order):
+        entry(out, sentence, "", True)
 
 
 def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:

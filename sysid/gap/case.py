@@ -17,6 +17,7 @@ from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
+from sysid.gap.convention import with_order
 from sysid.gap.data import Data
 from sysid.gap.drive_delay import drive_delay
 from sysid.gap.drive_resonance import DriveResonance, drive_resonance
@@ -26,7 +27,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
-from sysid.gap.result import Excitation, ForceComparison
+from sysid.gap.result import CommandOrder, Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.gap.stage_result import StageResult
@@ -46,6 +47,7 @@ class Case:
         theta: vector of the plant.
         noise: standard deviation by signal; ``coarse``: sensors whose steps exceed their specified noise, included in it.
         adapter: the user's simulator under test, with its input and output effects.
+        order: of command and sample in the recordings; None where nothing depends on it.
     """
 
     dataset: Dataset
@@ -56,6 +58,7 @@ class Case:
     seed: int
     adapter: SimulatorAdapter | None = None
     coarse: tuple[CoarseSensor, ...] = ()
+    order: CommandOrder | None = None
 
     @property
     def reference(self) -> str:
@@ -119,9 +122,9 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
     check_needs(dataset)
-    split = split_of(dataset)
+    split, noise, order = split_of(dataset), noise_levels(dataset), None
     if isinstance(simulation, Plant):
-        plant, own = simulation, None
+        (plant, order), own = with_order(simulation, dataset, split, noise), None
         problems = problems_of(compile_plant(plant), dataset)
     else:
         own = adapt_simulator(simulation, dataset)
@@ -131,9 +134,8 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         lacking = filter(None, _untested_forces(plant, split, ()).values())
         nothing = "no stage is measured at both its ends", "commands and the motion they cause"
         raise next(lacking, ExcitationError(dataset.reference, *nothing))
-    noise = noise_levels(dataset)
     coarse = coarse_sensors(plant, split.seen, noise)
-    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse)
+    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse, order)
     return case, [_stage(case, problem) for problem in problems]
 
 

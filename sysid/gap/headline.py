@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from sysid.display import quantity
+
 if TYPE_CHECKING:
-    from sysid.gap.result import Missing
+    from sysid.gap.result import CommandOrder, Missing
 
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
@@ -31,6 +33,22 @@ def missing_sentences(missing: Sequence[Missing]) -> list[str]:
     return [
         f"Missing from this result: {item.part}. {item.reason[:1].upper()}{item.reason[1:].rstrip('.')}." for item in missing
     ]
+
+
+def order_sentence(order: CommandOrder | None) -> str:
+    """The estimated order of command and sample, and what it leaves open; empty where it is stated or without influence."""
+    if order is None or order.source == "stated":
+        return ""
+    first = {
+        "read_before_written": "the sample of a row is read before its command acts",
+        "written_before_read": "the command of a row has acted for a whole period when its sample is read",
+    }[order.convention]
+    row = quantity(order.open_s, "s")
+    return (
+        f"Order of command and sample, as the motion shows it: {first}. A dead time up to one row ({row}) gets no name, and a "
+        "named one may be one row longer. If you know the order, state it in machine.toml: "
+        f'convention = "{order.convention}".'
+    )
 
 
 def headline(verdict: str, effects: int) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
+from sysid.machine import Convention
 from sysid.registry.decision import Check as Check
 from sysid.registry.decision import Promotion as Promotion
 
@@ -378,6 +379,22 @@ class Missing:
     reason: str
 
 
+@dataclass(frozen=True)
+class CommandOrder:
+    """The order of command and sample in the rows of the recordings (:data:`sysid.machine.Convention`).
+
+    Args:
+        stream: of the commands; empty where it is not known.
+        source: ``stated`` in the machine's description, or ``estimated`` from the motion.
+        open_s: length of a dead time that an estimate leaves open [s].
+    """
+
+    stream: str
+    convention: Convention
+    source: Literal["stated", "estimated"]
+    open_s: float
+
+
 #: An error that was not measured.
 NOT_MEASURED = Gap({}, {}, {})
 
@@ -391,7 +408,7 @@ class GapResult:
     ``carried`` are residual networks, which are not effects. ``written`` are all effects whose values the repair changes, the
     named ones first; ``near_misses`` those that lack one condition for a name.
     ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
-    ``missing`` are parts that could not be computed; their fields are empty.
+    ``missing`` are parts that could not be computed; their fields are empty. ``order`` is None where nothing depends on it.
     """
 
     dataset: str
@@ -424,6 +441,7 @@ class GapResult:
     delays: tuple[AxisDelay, ...] = ()
     forces: tuple[ForceComparison, ...] = ()
     missing: tuple[Missing, ...] = ()
+    order: CommandOrder | None = None
 
     @property
     def repaired(self) -> bool:
@@ -464,6 +482,7 @@ class GapResult:
             "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "missing": [asdict(item) for item in self.missing],
+            "convention": {} if self.order is None else {self.order.stream: _without(asdict(self.order), "stream")},
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
             "world_gap": None if self.world_gap is None else _world_json(self.world_gap),
@@ -471,6 +490,10 @@ class GapResult:
             "carried": [asdict(item) for item in self.carried],
             "promotion": None if self.promotion is None else {"promoted": self.promotion.promoted, **asdict(self.promotion)},
         }
+
+
+def _without(values: dict[str, Any], key: str) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name != key}
 
 
 def _given(item: WrittenEffect | NearMissResult) -> dict[str, Any]:

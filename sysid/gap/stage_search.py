@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, inertia_error, load_bias
+from sysid.effects import backlash, clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
@@ -186,10 +186,12 @@ def _scales_of_drives(case: Case) -> set[EffectKey]:
 
 
 def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:
-    """Least half-widths of regions of equivalence: of clock offsets, and of backlash with a noisy measured input."""
+    """Least half-widths of regions of equivalence: of clock offsets, dead times, and backlash with a noisy measured input."""
     found: dict[EffectKey, float] = {}
     for candidate in candidates:
-        if candidate.effect is clock_offset.EFFECT:
+        if candidate.effect is input_delay.EFFECT and case.order is not None:
+            found[candidate.key] = case.order.open_s
+        elif candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
         elif candidate.effect is backlash.EFFECT and stage == "end_effector":
             found[candidate.key] = BACKLASH_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)

@@ -259,7 +259,8 @@ def machine_diff(study: Study, proof: Proof) -> str:
     repaired = proof.outcome.repaired
     if repaired is study.case.plant or study.case.adapter is not None:
         return ""
-    return machine_difference(replace(repaired, effects=repaired.machine.effects, uncertainty=NONE), repaired)
+    described = replace(repaired.machine, convention=study.case.dataset.machine.convention)
+    return machine_difference(replace(repaired, machine=described, effects=described.effects, uncertainty=NONE), repaired)
 
 
 def promote(study: Study, proof: Proof, registry: Registry, version: str) -> Promotion:

@@ -122,6 +122,7 @@ def find_gap(
         localised=located,
         near_misses=tuple(with_units(outcome.near_misses, dataset)),
         forces=force_comparisons(stages),
+        order=case.order,
         candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         notes=notes,
         settings={"seed": seed, "forms": forms, "carry": carry, "noise": dict(case.noise), "localise_only": localise_only},

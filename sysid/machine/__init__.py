@@ -1,11 +1,21 @@
 """The machine: its description, its kinematics, its linkages."""
 
-from sysid.machine.description import Axis, EffectKey, KnownEffect, Linkage, Machine, load_machine, machine_from_files
+from sysid.machine.description import (
+    Axis,
+    Convention,
+    EffectKey,
+    KnownEffect,
+    Linkage,
+    Machine,
+    load_machine,
+    machine_from_files,
+)
 from sysid.machine.kinematics import Kinematics
 from sysid.machine.linkage import CylinderJointMap, TabulatedLinkage, TriangleLinkage, tabulate
 
 __all__ = [
     "Axis",
+    "Convention",
     "CylinderJointMap",
     "EffectKey",
     "Kinematics",

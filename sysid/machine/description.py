@@ -20,6 +20,9 @@ from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interva
 from sysid.signals import canonical_signals, split_signal
 
 Actuation = Literal["velocity", "position", "force"]
+#: Order of command and sample in a row of the recordings. ``read_before_written``: the command acts after the sample of its row
+#: was read, so that the next row shows it first. ``written_before_read``: it has acted for a period when the sample is read.
+Convention = Literal["read_before_written", "written_before_read"]
 Drives = Literal["cylinder", "joint"]
 #: Kind of drive of an axis: see :meth:`Machine.drive_of`.
 Drive = Literal["hydraulic", "electric", "unknown"]
@@ -99,6 +102,7 @@ class Machine(Strict):
     """A machine description, built by :func:`load_machine`.
 
     Args:
+        convention: of all recordings; None: not known, taken as ``read_before_written``.
         left_out: what the description that it was drafted from contains beyond it, such as force limits.
         markers: name → URDF link that carries it, of points measured beside the end effector: signals ``<name>.x`` ….
         text, urdf_text: its source files, which a dataset version stores.
@@ -115,6 +119,7 @@ class Machine(Strict):
     noise: dict[str, NonNegative] = field(default_factory=dict)
     effects: tuple[KnownEffect, ...] = ()
     left_out: tuple[str, ...] = ()
+    convention: Convention | None = None
     text: str = ""
     urdf_text: str | None = None
 
@@ -131,6 +136,13 @@ class Machine(Strict):
         if name not in self._by_name:
             raise SettingsError(f"machine {self.name}", f"unknown axis {name!r}", nearest(name, self.axis_names))
         return self._by_name[name]
+
+    def command_shift(self, name: str) -> int:
+        """Rows by which the commands of recordings are moved for the plant: later (1), not at all (0) or earlier (−1).
+
+        The plant takes the command of a position axis as written before its sample is read, the others as read before.
+        """
+        return int(self.axis(name).actuation == "position") - int(self.convention == "written_before_read")
 
     def has_axis(self, name: str) -> bool:
         return name in self._by_name

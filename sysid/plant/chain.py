@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from sysid.effects import (
     asymmetric_gain,
     backlash,
@@ -195,6 +197,9 @@ def demand(u, p, s, m, size, axes, i, load, dt):
     if kind == VELOCITY:
         return command_stage(u, p, b, s, m, size, gain, axes[i, SENSE] * load, dt)
     if kind == POSITION:
+        if not np.isnan(s[m + STATE.setpoint]):  # before the recording, from what it led to
+            u = s[m + STATE.setpoint]
+            s[m + STATE.setpoint] = np.nan
         return min(max(position_stage(u, p, b, s, m, size, load, dt), axes[i, LOW]), axes[i, HIGH])
     return force_stage(u, p, b, s, m, gain, dt)
 

@@ -59,8 +59,8 @@ def _places() -> dict[str, int]:
 
 
 def _states() -> dict[str, int]:
-    """Position and speed, then the state of each effect of an axis; the delay's ring buffer, of variable length, is last."""
-    found, count = {"position": 0, "speed": 1}, 2
+    """Position, speed and an estimated first setpoint, then each effect's; the delay's ring, of variable length, is last."""
+    found, count = {"position": 0, "speed": 1, "setpoint": 2}, 3
     for effect in CATALOGUE:
         if effect.target == "axis" and effect is not input_delay.EFFECT:
             for side in effect.sides or (None,):

@@ -10,18 +10,20 @@ from typing import Any
 
 from sysid.config import parse_settings
 from sysid.errors import SettingsError
-from sysid.machine import KnownEffect
+from sysid.machine import Convention, KnownEffect
 from sysid.plant.plant import Plant, effect_key, effects_toml
+from sysid.quoting import toml_value
 
 MACHINE_TOML = "machine.toml"
 
+_ANY_TABLE, _RATE = re.compile(r"\s*\["), re.compile(r"\s*rate_hz\s*=")
 _TABLE = re.compile(r"\s*\[(?!\[?effects\.)")
 _EFFECT = re.compile(r"\s*\[\[\s*effects\s*\]\]")
 _PARAMETERS = re.compile(r"\s*parameters\s*=\s*\{[^{}]*\}")
 
 
 def machine_text(plant: Plant) -> str | None:
-    """``machine.toml`` with the effects of ``plant``; all other lines, comments too, stay as they are in the machine's file.
+    """``machine.toml`` with the effects and the convention of ``plant``; all other lines, comments too, stay as they are.
 
     Values have six significant digits; unchanged values keep their digits.
 
@@ -31,7 +33,7 @@ def machine_text(plant: Plant) -> str | None:
     text = plant.machine.text
     known = {effect_key(item): item for item in plant.machine.effects}
     new_effects = {effect_key(item): item for item in plant.effects}
-    lines = text.splitlines(keepends=True)
+    lines = _with_convention(text, plant.machine.convention)
     blocks = _blocks(lines)
     if len(blocks) != len(plant.machine.effects):
         return None
@@ -49,7 +51,7 @@ def machine_text(plant: Plant) -> str | None:
     if not blocks:
         edited, at = [*lines, *_added(list(new_effects.values()), lines)], len(lines)
     made = "".join([*edited, *lines[at:]])
-    return made if _describes(made, text, plant.effects) else None
+    return made if _describes(made, text, plant) else None
 
 
 def machine_difference(before: Plant, after: Plant) -> str:
@@ -64,6 +66,16 @@ def machine_difference(before: Plant, after: Plant) -> str:
         old, new = texts[0], texts[1]
     parts = difflib.unified_diff(old.splitlines(keepends=True), new.splitlines(keepends=True), MACHINE_TOML, MACHINE_TOML)
     return "".join(part if part.endswith("\n") else f"{part}\n\\ No newline at end of file\n" for part in parts)
+
+
+def _with_convention(text: str, convention: Convention | None) -> list[str]:
+    """The lines of the file with the convention that it does not state yet, behind the rate."""
+    lines = text.splitlines(keepends=True)
+    if convention is None or tomllib.loads(text).get("convention") == convention:
+        return lines
+    head = next((k for k, line in enumerate(lines) if _ANY_TABLE.match(line)), len(lines))
+    at = next((k + 1 for k, line in enumerate(lines[:head]) if _RATE.match(line)), 0)
+    return [*lines[:at], f"convention = {toml_value(convention)}\n", *lines[at:]]
 
 
 def _blocks(lines: Sequence[str]) -> list[tuple[int, int]]:
@@ -106,15 +118,17 @@ def _after_blank(lines: Sequence[str], end: int) -> int:
     return end + 1 if end < len(lines) and not lines[end].strip() else end
 
 
-def _describes(made: str, text: str, effects: Sequence[KnownEffect]) -> bool:
-    """Whether the edited file parses and describes the old machine with these effects."""
+def _describes(made: str, text: str, plant: Plant) -> bool:
+    """Whether the edited file parses and describes the old machine with the effects and the convention of ``plant``."""
     try:
         new, old = tomllib.loads(made), tomllib.loads(text)
         listed = [parse_settings(entry, KnownEffect, MACHINE_TOML) for entry in new.pop("effects", [])]
     except (tomllib.TOMLDecodeError, SettingsError):
         return False
-    old.pop("effects", None)
-    return new == old and _rounded(listed) == _rounded(effects)
+    for values in (old, new):
+        values.pop("effects", None)
+    old |= {} if plant.machine.convention is None else {"convention": plant.machine.convention}
+    return new == old and _rounded(listed) == _rounded(plant.effects)
 
 
 def _rounded(effects: Sequence[KnownEffect]) -> Mapping[Any, str]:

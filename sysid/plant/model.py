@@ -217,10 +217,11 @@ class Model:
     # -- further inputs of the stages --------------------------------------------------------------------------------
 
     def held(self, recording: Recording, axis: str) -> tuple[Array, Segments]:
-        """:func:`held` of a command, cached in the recording."""
-        known: tuple[Array, Segments] | None = recording.derived.get(("held", axis))
+        """:func:`held_for` of a command, cached in the recording."""
+        key = "held", axis, self.machine.command_shift(axis)
+        known: tuple[Array, Segments] | None = recording.derived.get(key)
         if known is None:
-            known = recording.derived["held", axis] = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
+            known = recording.derived[key] = held_for(self.machine, recording, axis)
         return known
 
     def window(self, recording: Recording) -> int:
@@ -338,6 +339,21 @@ def compile_plant(plant: Plant) -> Model:
     linked = frozenset(plant.linkages)
     arrays, rigid = machine_arrays(plant), rigid_body(plant.machine)
     return Model(plant.machine, plant.vector(), arrays, linked, plant.streams, plant.residuals, nets, rigid)
+
+
+def held_for(machine: Machine, recording: Recording, axis: str) -> tuple[Array, Segments]:
+    """:func:`held` of the command of an axis, in the rows in which the plant takes it (:meth:`Machine.command_shift`).
+
+    A command moved later begins with the first one of its stretch, one moved earlier ends with the last one.
+    """
+    filled, stretches = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
+    shift = machine.command_shift(axis)
+    if shift:
+        moved = filled.copy()
+        for first, last in stretches:
+            moved[first:last] = filled[np.clip(np.arange(first, last) - shift, first, last - 1)]
+        filled = moved
+    return filled, stretches
 
 
 def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:

@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from sysid.effects.described import check_known_effect, side_of
 from sysid.errors import SettingsError, StoreError
 from sysid.foreign import shown
 from sysid.machine import (
+    Convention,
     CylinderJointMap,
     EffectKey,
     KnownEffect,
@@ -175,6 +176,8 @@ class Plant:
         }
         if self.residuals:  # another schema, so that no reader ignores them
             content |= {"schema": 2, "residuals": [item.to_json() for item in self.residuals]}
+        if self.machine.convention is not None:
+            content |= {"schema": 3, "convention": self.machine.convention}
         files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
         if self.residuals:
             files[FILE] = to_tensors(self.residuals)
@@ -200,8 +203,8 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
         raise StoreError(where, "no plant.json among its files", "a plant version")
     try:
         content = parse_json(files["plant.json"])
-        if content["schema"] not in (1, 2):
-            raise StoreError(where, f"schema {shown(content['schema'])}", "schema 1 or 2", "Update the toolkit.")
+        if content["schema"] not in (1, 2, 3):
+            raise StoreError(where, f"schema {shown(content['schema'])}", "schema 1 to 3", "Update the toolkit.")
         return _plant_of(content, files, reference)
     except (ValueError, KeyError, TypeError, AttributeError, SafetensorError) as error:
         raise StoreError(where, f"not a plant ({type(error).__name__}: {error})", "a plant as it was stored") from None
@@ -211,6 +214,9 @@ def _plant_of(content: Mapping[str, Any], files: Mapping[str, bytes], reference:
     from safetensors.numpy import load
 
     machine = machine_from_files(content["machine_files"], where=reference or "plant")
+    if (convention := content.get("convention", machine.convention)) not in (None, *get_args(Convention)):
+        raise ValueError(f"convention {shown(convention)}")
+    machine = replace(machine, convention=convention)
     tables = load(files["linkages.safetensors"]) if "linkages.safetensors" in files else {}
     axes = {key.rpartition(".")[0] for key in tables}
     linkages = {a: TabulatedLinkage(tables[f"{a}.displacements"], tables[f"{a}.joints"]) for a in sorted(axes)}

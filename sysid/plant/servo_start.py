@@ -76,7 +76,7 @@ def start_servo(p, arrays, i, start, command, measured, load, first, last, dt, z
     ring, size = STATE.input_delay, len(start) - STATE.input_delay
     input_delay.fill(command[first], p, b + AT.input_delay, start, ring, size, dt)
     setpoint, known = command[first], False
-    for back in range(cells, 0, -1):
+    for back in range(cells, -1, -1):  # a command may be taken a row late, so that the first one is of the past too
         acts = first + delay / dt - back  # the sample that the step with this set-point leads to
         if acts >= first:
             x = _between(measured, acts, last) + sag
@@ -88,4 +88,7 @@ def start_servo(p, arrays, i, start, command, measured, load, first, last, dt, z
                     start[STATE.first_order_lag] = min(max(before, low), high)
                     for older in range(back, cells + 1):
                         input_delay.put(setpoint, start, ring, size, older)
-        input_delay.put(setpoint, start, ring, size, back)
+        if back > 0:
+            input_delay.put(setpoint, start, ring, size, back)
+        elif known:
+            start[STATE.setpoint] = setpoint

@@ -1,8 +1,8 @@
 """The compiled chain one step at a time, for many lanes at once: for environments and the PyBullet world.
 
 Same step functions as :func:`sysid.plant.free_run`; the caller runs the loop over time. After ``reset`` the state is that of
-sample 0; a step with the command of sample k leads to sample k + 1. The position of a position axis at a sample follows from
-the command of *that* sample, so the step to sample k + 1 takes its command k + 1 (:func:`step_commands`).
+sample 0; a step with the command of sample k leads to sample k + 1. Where a recording has another order of command and sample,
+:func:`held_commands` and :func:`step_commands` give the command of each step.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION
 from sysid.plant.machine_run import advance, enter, observe, settling
-from sysid.plant.model import WORKERS, compile_plant, frozen, held, in_parallel
+from sysid.plant.model import WORKERS, compile_plant, frozen, held_for, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH
 from sysid.plant.residual import check_step, new_memory
 from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
 from sysid.plant.settled_pose import settled_loads
-from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
@@ -283,10 +282,10 @@ def _checked_thetas(theta: Array, thetas: Array | None, lanes: int, where: str) 
 
 
 def held_commands(machine: Machine, recording: Recording) -> Array:
-    """Commands of all axes with short gaps held, (n, axes); NaN where longer ones interrupt a run."""
+    """Commands of all axes in the rows of the plant, short gaps held, (n, axes); NaN where longer ones interrupt a run."""
     columns = []
     for axis in machine.axes:
-        filled, stretches = held(recording.values(axis_signal(axis.name, "command")), recording.rate_hz)
+        filled, stretches = held_for(machine, recording, axis.name)
         column = np.full(len(filled), np.nan)
         for first, last in stretches:
             column[first:last] = filled[first:last]

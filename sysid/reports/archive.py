@@ -145,6 +145,8 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
     raw |= {"plant_before": values["plant"]["before"], "plant_after": values["plant"]["after"]}
     raw["ambiguous"] = [[(item["name"], item["target"]) for item in tie] for tie in values["ambiguous"]]
     raw |= {"world_gap": _world_gap(values.get("world_gap")), "promotion": _promotion(values.get("promotion"))}
+    ((stream, order),) = values.get("convention", {}).items() or (("", None),)
+    raw["order"] = {"stream": stream, **order} if isinstance(order, dict) else None
     checked = {key: _types()[key].validate_python(value) for key, value in raw.items()}
     return GapResult(**checked, traces=traces, experiments=experiments)
 

@@ -169,7 +169,7 @@ def test_a_machine_with_several_effects_is_composed(tmp_path: Path) -> None:
         KnownEffect("input_delay", "boom", {"delay": 0.042}),
         KnownEffect("first_order_lag", "boom", {"time_constant": 0.06}),
         KnownEffect("gain_error", "boom", {"ratio": 0.9}),
-        KnownEffect("backlash", "boom", {"width": 0.02}, "drive"),
+        KnownEffect("backlash", "boom", {"width": 0.018}, "drive"),
         KnownEffect("joint_offset", "boom", {"offset": 0.03}),
         KnownEffect("internal_leakage", "slew", {"rate": 0.004}),
         KnownEffect("backlash", "slew", {"width": 0.03}, "structure"),

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
+from plant_data import ROLES, arm, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
@@ -84,9 +84,12 @@ def test_a_scale_that_its_drive_contradicts_is_not_named() -> None:
 
 def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:
     """A dead time that is 0.7 ms longer: hardly more than clocks are known by, and most of what a precise servo is off."""
-    lag = KnownEffect("first_order_lag", "wrist", {"time_constant": 0.04})
-    plant = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.03}))
-    true = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.0307}))
+    lag, machine = (
+        KnownEffect("first_order_lag", "wrist", {"time_constant": 0.04}),
+        replace(arm(), convention="read_before_written"),
+    )
+    plant = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.03}), machine=machine)
+    true = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.0307}), machine=machine)
     found = find_gap(dataset_of(true, 20.0, seed=5), plant)
     assert [(effect.name, effect.target) for effect in found.effects] == [("input_delay", "wrist")]
     assert found.effects[0].parameters["delay"] == pytest.approx(0.0307, abs=1e-4)

@@ -77,8 +77,8 @@ def test_a_sway_is_found_and_the_repaired_plant_swings(length: float) -> None:
         if length > 0.02:
             assert after < 1.3 * floor
         else:  # thrown to 76°, it is swung by the noise of the measured tip to which it is fitted, 0.5 % of its length
-            assert after < 0.35 * result.gap.before[signal]
-            assert result.stage_gap.after[signal] < 1.1 * result.stage_gap.noise_floor[signal]
+            assert after < 0.5 * result.gap.before[signal]
+            assert result.stage_gap.after[signal] < 2.0 * result.stage_gap.noise_floor[signal]
     assert 'name = "gripper_sway"' in result.machine_diff
 
 

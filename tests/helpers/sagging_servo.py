@@ -53,7 +53,7 @@ def urdf(masses: bool = True) -> str:
 
 def machine_files(masses: bool | None = True) -> dict[str, str]:
     """Description of the machine: with masses, without them (False), or without a URDF (None)."""
-    head = f'schema = 1\nname = "servos"\nrate_hz = {RATE_HZ}\n'
+    head = f'schema = 1\nname = "servos"\nrate_hz = {RATE_HZ}\nconvention = "written_before_read"\n'
     head += "" if masses is None else 'urdf = "arm.urdf"\ntip = "tip"\n'
     axes = ""
     for name in AXES:

@@ -85,7 +85,7 @@ def _moved(command: Array, i: int, plant: Plant, lag: float, delay: float) -> Ar
     """What a command at 100 Hz moves, (n,)."""
     axis, h = plant.machine.axes[i], 1.0 / RATE_HZ / FINE
     position = axis.actuation == "position"
-    fine = np.repeat(np.append(command[1:], command[-1:]) if position else command, FINE)
+    fine = np.repeat(command, FINE)
     late = np.concatenate([np.full(round(delay / h), command[0]), fine])[: len(fine)]
     kept = math.exp(-h / lag)
     passed = signal.lfilter([1.0 - kept], [1.0, -kept], late[:-1] - late[0]) + late[0]

@@ -65,7 +65,7 @@ def test_what_comes_before_the_pump_counts_and_a_position_axis_does_not() -> Non
     demand = 0.6 + 0.6
     assert speeds(run)["slew"][100] == pytest.approx(0.6 * 0.8 / demand)
     assert speeds(run)["boom"][100] == pytest.approx(-0.6 * 0.8 / demand)
-    assert np.allclose(run["wrist.joint"], wrist, atol=1e-12)
+    assert np.allclose(run["wrist.joint"][1:], wrist[:-1], atol=1e-12)
 
 
 def test_an_axis_at_its_end_stop_still_takes_its_part() -> None:

@@ -189,7 +189,7 @@ def test_damaged_weights_are_refused(damage: str) -> None:
 def test_a_schema_from_the_future_is_refused() -> None:
     files = dict(BARE.to_files())
     files["plant.json"] = files["plant.json"].replace(b'"schema": 1', b'"schema": 9')
-    with pytest.raises(StoreError, match="schema 9; expected schema 1 or 2"):
+    with pytest.raises(StoreError, match="schema 9; expected schema 1 to 3"):
         plant_from_files(files)
 
 

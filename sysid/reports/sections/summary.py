@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from sysid import display
-from sysid.gap.headline import headline, left_out_sentence, missing_sentences
+from sysid.gap.headline import headline, left_out_sentence, missing_sentences, order_sentence
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
 from sysid.reports import words
@@ -80,6 +80,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "sure": [
             *_still_open(gap),
             *(note for note in gap.notes if note == left_out_sentence(machine.left_out)),
+            *filter(None, [order_sentence(gap.order)]),
             *missing_sentences(gap.missing),
         ],
     }
