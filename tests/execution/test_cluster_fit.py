@@ -33,7 +33,7 @@ def networks(place: Workspace) -> list[dict[str, str]]:
 
 
 def test_several_datasets_get_the_networks_of_single_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    alone, processes, distributed = (workspace(tmp_path / name) for name in ("alone", "processes", "cluster"))
+    alone, processes = (workspace(tmp_path / name) for name in ("alone", "processes"))
     for name in NAMES:
         fit(alone, name)
     fit(processes, *NAMES, "--workers", "2", "--json", str(tmp_path / "fits.json"))
@@ -41,7 +41,14 @@ def test_several_datasets_get_the_networks_of_single_fits(tmp_path: Path, capsys
     assert [each["model"] for each in fits] == [f"{name}-forward@1" for name in NAMES]
     assert "two-forward@1" in capsys.readouterr().out
     assert networks(processes) == networks(alone)
+
+
+@pytest.mark.slow
+def test_a_cluster_fits_the_same_networks(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    alone, distributed = (workspace(tmp_path / name) for name in ("alone", "cluster"))
+    for name in NAMES:
+        fit(alone, name)
     with cluster(tmp_path / "dask") as (address, _):
         fit(distributed, *NAMES, "--cluster", address)
     assert networks(distributed) == networks(alone)

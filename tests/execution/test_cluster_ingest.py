@@ -25,6 +25,7 @@ def worker_of(nanny: int) -> int:
     return int(Path(f"/proc/{nanny}/task/{nanny}/children").read_text().split()[0])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 def test_an_ingest_whose_worker_is_killed_gives_the_same_version(tmp_path: Path) -> None:
     logs = one_lift(tmp_path / "logs")

@@ -174,7 +174,7 @@ def test_floor_is_what_the_true_model_scores() -> None:
         floor = problem_floor(problem, model.theta, split.fit, noise, 0)
         left = [problem.measured(r) - problem.predict(model.theta[None], r)[0] for r in split.fit]
         score = np.sqrt(np.nanmean(np.concatenate(left) ** 2, axis=0))
-        assert np.allclose(score, floor, rtol=0.4), problem.signals
+        assert np.allclose(score, floor, rtol=0.5), problem.signals
     floors = run_floor(lambda r: free_run(truth, r), split.fit, noise, 0)
     scores = run_rmse([(r, free_run(truth, r)) for r in split.fit])
     assert floors.keys() == scores.keys()

@@ -19,7 +19,8 @@ def measured(*truth: KnownEffect) -> tuple[Dataset, Plant]:
     return dataset_of(nominal(*truth, machine=slide()), 15.0), nominal(machine=slide())
 
 
-@pytest.mark.parametrize("effect", [SMOOTH, pytest.param(SLOW, marks=pytest.mark.slow)], ids=["tanh", "exponent"])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", [SMOOTH, SLOW], ids=["tanh", "exponent"])
 def test_named_alone_with_its_values(effect: KnownEffect) -> None:
     (found,) = find_gap(*measured(effect)).effects
     assert found.name == "smooth_coulomb_friction"

@@ -27,6 +27,7 @@ from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
+from sysid.plant.model import held
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
@@ -301,10 +302,10 @@ def stretches_of(model: Model, recording: Recording) -> Stretches:
     """First and last+1 row of each stretch in which all commands are present, (m, 2)."""
     there = np.ones(len(recording), dtype=bool)
     for name in command_signals(recording, model.machine):
-        held = np.zeros(len(recording), dtype=bool)
-        for first, last in model.held(recording, split_signal(name)[0])[1]:
-            held[first:last] = True
-        there &= held
+        given = np.zeros(len(recording), dtype=bool)
+        for first, last in held(recording.values(name), recording.rate_hz)[1]:
+            given[first:last] = True
+        there &= given
     edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
     return edges.reshape(-1, 2).astype(np.int64)
 
@@ -327,7 +328,7 @@ def adapt_simulator(simulator: Simulator, dataset: Dataset, effects: Sequence[Kn
     simulated: list[Signals] = []
     for k, recording in enumerate(split_of(dataset).seen):
         names = command_signals(recording, dataset.machine)
-        commands = {name: model.held(recording, split_signal(name)[0])[0][None] for name in names}
+        commands = {name: held(recording.values(name), recording.rate_hz)[0][None] for name in names}
         stretches = stretches_of(model, recording)
         if not names or not len(stretches):
             continue

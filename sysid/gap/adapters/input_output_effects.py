@@ -16,7 +16,8 @@ from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import first_motion
 from sysid.plant.machine_arrays import GAIN, KIND, VELOCITY, MachineArrays
-from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
+from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model, held
+from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 Stretches = npt.NDArray[np.int64]
@@ -72,7 +73,8 @@ def apply_input_effects(
 
 def _axis_input_effects(model: Model, thetas: Array, recording: Recording, axis: str, stretches: Stretches) -> Array:
     """Command after the effects of the axis itself, (lanes, n)."""
-    i, dt, command = model.axis_index(axis), 1.0 / recording.rate_hz, model.held(recording, axis)[0]
+    i, dt = model.axis_index(axis), 1.0 / recording.rate_hz
+    command = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)[0]
     load = model.load(thetas, recording)[i]
     places = _command_places(model.machine.axis_names, axis)
     neutral = layout.neutral_vector(model.axes)[places]

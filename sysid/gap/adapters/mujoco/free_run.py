@@ -19,7 +19,8 @@ from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.adapters.simulator import RunCache, command_signals
 from sysid.gap.localise import run_rmse
 from sysid.plant import Plant, compile_plant
-from sysid.signals import axis_signal
+from sysid.plant.model import held
+from sysid.signals import axis_signal, split_signal
 
 
 def free_run_errors(
@@ -50,8 +51,8 @@ def free_run_errors(
         if len(command_signals(recording, machine)) < len(machine.axes) or not len(stretches):
             continue
         commands = {
-            axis_signal(name, "command"): model.held(recording, name)[0][None] / constants.get(name, 1.0)
-            for name in machine.axis_names
+            signal: held(recording.values(signal), recording.rate_hz)[0][None] / constants.get(split_signal(signal)[0], 1.0)
+            for signal in command_signals(recording, machine)
         }
         try:
             (signals,) = runs.of(recording, commands, stretches)
