@@ -77,6 +77,7 @@ def test_tasks_of_a_worker_that_stands_still_run_elsewhere(tmp_path: Path) -> No
     assert stopped
 
 
+@pytest.mark.slow
 def test_a_task_without_enough_memory_is_reported(tmp_path: Path) -> None:
     with pytest.raises(TaskError, match="not enough memory"):
         LocalExecutor(2).run(starved, [(0.0,), (1.0,)])

@@ -106,6 +106,7 @@ def test_flights_that_arrive_one_by_one(tmp_path: Path, named: list[str]) -> Non
     assert state.read_text() == before
 
 
+@pytest.mark.slow
 def test_effects_of_machines_like_it_are_watched_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = begun(tmp_path)
     ingest(tmp_path / "flights", place, recipe=tmp_path / "flights" / "recipe.toml", name="lift-2")
@@ -130,6 +131,7 @@ def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(tmp_path: Path, n
     assert [name for name, _ in result.arrivals.left_out] == [broken.parent.name]
 
 
+@pytest.mark.slow
 def test_two_watchers_at_once_hold_each_recording_once(tmp_path: Path, named: list[str]) -> None:
     place, flights = begun(tmp_path), tmp_path / "flights"
     watch(place, "lift-1")

@@ -25,6 +25,7 @@ def test_it_takes_the_place_of_inertia_and_friction() -> None:
     assert found.parameters["ratio"] == pytest.approx(0.85, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_beside_a_friction_that_is_wrong_too() -> None:
     stronger = KnownEffect("coulomb_friction", "slide", {"force": 30.0})
     found = {e.name: e for e in searched((COULOMB, VISCOUS), stronger, VISCOUS, CONSTANT).effects}
@@ -45,8 +46,8 @@ def test_without_described_friction_it_is_an_alias() -> None:
     "truth",
     [
         (COULOMB, VISCOUS, KnownEffect("inertia_error", "slide", {"ratio": 1.2})),
-        (KnownEffect("coulomb_friction", "slide", {"force": 24.0}), VISCOUS),
-        (COULOMB, KnownEffect("viscous_friction", "slide", {"coefficient": 60.0})),
+        pytest.param((KnownEffect("coulomb_friction", "slide", {"force": 24.0}), VISCOUS), marks=pytest.mark.slow),
+        pytest.param((COULOMB, KnownEffect("viscous_friction", "slide", {"coefficient": 60.0})), marks=pytest.mark.slow),
     ],
     ids=["inertia", "coulomb", "viscous"],
 )
@@ -56,7 +57,7 @@ def test_one_wrong_part_keeps_its_name(truth: tuple[KnownEffect, ...]) -> None:
     assert (found.name, found.aliases) == (changed.name, ())
 
 
-@pytest.mark.parametrize("velocity", [0.08, 0.15])
+@pytest.mark.parametrize("velocity", [pytest.param(0.08, marks=pytest.mark.slow), 0.15])
 def test_stribeck_friction_of_a_wide_film(velocity: float) -> None:
     """At speeds of joints: every interval contains the truth."""
     truth = {"static_force": 40.0, "coulomb_force": 16.0, "stribeck_velocity": velocity}

@@ -66,7 +66,9 @@ def test_a_force_that_moves_nothing_is_no_agreement() -> None:
     assert (result.verdict, result.effects, result.missing) == ("insufficient_excitation", (), ())
 
 
-@pytest.mark.parametrize(("rate_hz", "seconds"), [(10.0, 30.0), (50.0, 30.0), (1000.0, 8.0)])
+@pytest.mark.parametrize(
+    ("rate_hz", "seconds"), [(10.0, 30.0), (50.0, 30.0), pytest.param(1000.0, 8.0, marks=pytest.mark.slow)]
+)
 def test_a_pendulum_that_nothing_drives(rate_hz: float, seconds: float) -> None:
     """Forces of zero give neither a unit of friction nor a floor of noise; its weight, which the simulation lacks, is a gap."""
     result = searched("force", rate_hz, seconds, "swings")

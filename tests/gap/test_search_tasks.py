@@ -109,6 +109,7 @@ def test_tasks_need_a_registry(dataset: Dataset, workspace: Path) -> None:
         find_gap(dataset, nominal_plant(dataset.machine), tasks=SearchTasks(LocalExecutor(2), str(workspace)))
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_is_an_error(dataset: Dataset, workspace: Path) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(TaskError):

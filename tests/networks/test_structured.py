@@ -160,6 +160,7 @@ def test_files_bring_back_the_same_model(data: Dataset) -> None:
         from_files({**files, "network.json": other}, "crane-forward@1")
 
 
+@pytest.mark.slow
 def test_a_marker_of_the_recipe_is_placed_on_its_link(data: Dataset) -> None:
     machine = replace(data.machine, markers={"elbow": "stick"})
     kinematics = machine.kinematics()

@@ -209,7 +209,7 @@ INSIDE = (
         pytest.param(
             KnownEffect("valve_deadband", "boom", {"positive": 0.08, "negative": 0.05}), "positive", marks=pytest.mark.slow
         ),
-        (KnownEffect("backlash", "boom", {"width": 0.012}, "drive"), "width"),
+        pytest.param(KnownEffect("backlash", "boom", {"width": 0.012}, "drive"), "width", marks=pytest.mark.slow),
         pytest.param(KnownEffect("joint_offset", "boom", {"offset": 0.01}), "offset", marks=pytest.mark.slow),
         (None, ""),
     ],
