@@ -73,7 +73,7 @@ def _reacts_in_its_row(plant: Plant, problem: Problem, split: Split, noise: Mapp
     starts = _one_by_one(candidates)
     free = fit_candidates(data, theta, candidates, starts)
     at = next(c for c in candidates if c.effect is input_delay.EFFECT)
-    if free.values_of(at)[0] >= period:
+    if free.values_of(at)[0] > 0.5 * period:  # nearer to the other order
         return False
     offered = tuple(_at_least(c, period) if c is at else c for c in candidates)
     later = fit_candidates(data, theta, offered, starts)
