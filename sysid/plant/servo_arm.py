@@ -1,0 +1,190 @@
+"""All servo axes of a machine at once, compiled: their controllers and friction on the coupled dynamics of the links.
+
+``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the controllers
+are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all joints is
+solved together by projected Gauss-Seidel sweeps.
+
+Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and Canny, Symposium on Interactive 3D Graphics
+(1995), on friction by impulses; Cottle, Pang, Stone, The Linear Complementarity Problem (1992), §5.2 (Gauss-Seidel).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid.effects import input_delay
+from sysid.effects.compiled import inlined, kernel, loop
+from sysid.plant import chain, servo_law
+from sysid.plant.arm_dynamics import BODY, dynamics
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+
+#: Sweeps of the solution for dry friction, and the change of a speed, as a share of the largest, at which they end.
+SWEEPS, SETTLED = 200, 1e-9
+#: Corrections for controllers that reach their force limits, and for the friction of the mean speed.
+PASSES = 4
+
+# Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
+(
+    _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
+    _SIDE, _THETA, _BRAKE, _SPEED, _ROWS,
+) = range(21)  # fmt: skip
+
+
+def work_shape(axes: int) -> tuple[int, int]:
+    """Shape of the array ``work`` that :func:`advance` needs for a machine of so many axes."""
+    return 3 * axes + _ROWS, axes
+
+
+def kept_shape(joints: int) -> tuple[int, int]:
+    """Shape of the array ``kept`` that :func:`advance` needs for a chain of so many joints."""
+    return joints, BODY
+
+
+@loop
+def advance(p, arrays, s, command, dt, work, kept):
+    """One step of all axes under the ``command`` (A,) held over it; nothing moves while an axis has no position.
+
+    Args:
+        s: state (A · size,); ``work`` and ``kept``: used inside, see :func:`work_shape` and :func:`kept_shape`.
+    """
+    axes = len(arrays.axes)
+    size = len(s) // axes
+    mass, at = work[:axes], work[3 * axes :]
+    for i in range(axes):
+        if np.isnan(s[i * size + STATE.position]):
+            return
+    for i in range(axes):
+        b, m = i * AXIS_WIDTH, i * size
+        at[_KP, i], at[_KV, i], at[_LOWEST, i], at[_HIGHEST, i], at[_ARMATURE, i] = chain.servo_law(p, arrays.axes, i)
+        at[_LATER, i], at[_EARLIER, i], at[_PART, i] = input_delay.ends(
+            command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
+        )
+        at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
+    dynamics(at[_PLACE], at[_SPEED], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+    count = 1
+    for i in range(axes):
+        b, v = i * AXIS_WIDTH, at[_SPEED, i]
+        viscous, _ = chain.servo_friction(v, 0.0, v, p, b)
+        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous, mass[i, i] + at[_ARMATURE, i], dt))
+    h = dt / count
+    for k in range(count):
+        for i in range(axes):
+            at[_PLACE, i] = s[i * size + STATE.position] + 0.5 * h * at[_SPEED, i]
+            at[_MIDDLE, i] = at[_SPEED, i] + 0.5 * h * at[_RATE, i]
+        dynamics(at[_PLACE], at[_MIDDLE], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+        for i in range(axes):
+            mass[i, i] += at[_ARMATURE, i]
+            at[_SIDE, i] = 0.0
+            at[_MEAN, i] = at[_SPEED, i]
+            at[_PLACE, i] = s[i * size + STATE.position]
+        _solve(p, h, k, count, work)
+        for i in range(axes):
+            m = i * size
+            s[m + STATE.position] += h * at[_MEAN, i]
+            s[m + STATE.speed] = at[_AFTER, i]
+            chain.stop(s, m, arrays.axes, i)
+            at[_RATE, i] = (s[m + STATE.speed] - at[_SPEED, i]) / h
+            at[_SPEED, i] = s[m + STATE.speed]
+
+
+@inlined
+def _solve(p, h, k, count, work):
+    """Speeds after step ``k`` of ``count``, and their means over it."""
+    axes = work.shape[1]
+    mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
+    for turn in range(PASSES):
+        for i in range(axes):
+            b, v, w = i * AXIS_WIDTH, at[_SPEED, i], at[_MEAN, i]
+            damping, _ = chain.servo_friction(w, v, w, p, b)
+            stiffness, push = 0.0, -at[_BIAS, i]
+            if at[_SIDE, i] == 0.0:
+                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
+                damping, stiffness = damping + at[_KV, i], at[_KP, i]
+                push += at[_KP, i] * (u - at[_PLACE, i])
+            else:
+                push += at[_HIGHEST, i] if at[_SIDE, i] > 0.0 else at[_LOWEST, i]
+            at[_THETA, i] = servo_law.weight(h * damping / mass[i, i])
+            at[_BRAKE, i] = damping + 0.5 * h * stiffness
+            at[_PUSH, i] = push
+        rubs = False
+        for i in range(axes):
+            free = at[_PUSH, i] - (1.0 - at[_THETA, i]) * at[_BRAKE, i] * at[_SPEED, i]
+            for j in range(axes):
+                matrix[i, j] = mass[i, j] / h
+                free += matrix[i, j] * at[_SPEED, j]
+            matrix[i, i] += at[_THETA, i] * at[_BRAKE, i]
+            at[_FREE, i] = free
+            at[_AFTER, i] = free
+            rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
+        if rubs:
+            _rub(p, matrix, at)
+        else:
+            _divide(matrix, factor, at[_AFTER])
+        settled = turn > 0
+        for i in range(axes):
+            w = (1.0 - at[_THETA, i]) * at[_SPEED, i] + at[_THETA, i] * at[_AFTER, i]
+            at[_MEAN, i] = w
+            if at[_SIDE, i] == 0.0:
+                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
+                force = at[_KP, i] * (u - at[_PLACE, i] - 0.5 * h * w) - at[_KV, i] * w
+                if force > at[_HIGHEST, i] or force < at[_LOWEST, i]:
+                    at[_SIDE, i] = math.copysign(1.0, force)
+                    settled = False
+        if settled:
+            break
+
+
+@inlined
+def _divide(matrix, factor, x):
+    """Solve ``matrix · x = x`` in place by its Cholesky factor."""
+    axes = len(x)
+    for i in range(axes):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+        total = x[i]
+        for k in range(i):
+            total -= factor[i, k] * x[k]
+        x[i] = total / factor[i, i]
+    for i in range(axes - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, axes):
+            total -= factor[k, i] * x[k]
+        x[i] = total / factor[i, i]
+
+
+@inlined
+def _rub(p, matrix, at):
+    """Speeds behind dry friction: ``matrix · after + friction = free``, friction against the speed or holding it at zero."""
+    axes = matrix.shape[0]
+    for i in range(axes):
+        at[_AFTER, i] = at[_SPEED, i]
+    for _ in range(SWEEPS):
+        moved, largest = 0.0, 0.0
+        for i in range(axes):
+            free = at[_FREE, i]
+            for j in range(axes):
+                if j != i:
+                    free -= matrix[i, j] * at[_AFTER, j]
+            after = servo_law.against(free, chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)) / matrix[i, i]
+            moved = max(moved, abs(after - at[_AFTER, i]))
+            largest = max(largest, abs(after))
+            at[_AFTER, i] = after
+        if moved <= SETTLED * largest:
+            break
+
+
+@kernel
+def run_servos(p, arrays, commands, s, dt, out):
+    """Positions (n, A) of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next."""
+    axes = commands.shape[1]
+    size = len(s) // axes
+    work, kept = np.empty((3 * axes + _ROWS, axes)), np.empty((len(arrays.bodies), BODY))
+    for k in range(len(commands)):
+        for i in range(axes):
+            out[k, i] = s[i * size + STATE.position]
+        advance(p, arrays, s, commands[k], dt, work, kept)
