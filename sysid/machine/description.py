@@ -173,6 +173,16 @@ class Machine(Strict):
     def _by_name(self) -> dict[str, Axis]:
         return {axis.name: axis for axis in self.axes}
 
+    def by_responses(self) -> Machine:
+        """The machine for effects around a simulator that has the controllers itself: servo axes as position axes.
+
+        It has no effects where it has servo axes, since those describe the inside of the simulator.
+        """
+        if all(axis.servo is None for axis in self.axes):
+            return self
+        axes = (replace(axis, actuation="position", servo=None, inertia=None) for axis in self.axes)
+        return replace(self, axes=tuple(axes), effects=())
+
     def drive_of(self, name: str) -> Drive:
         """The kind of drive of an axis.
 

@@ -32,14 +32,10 @@ PASSES = 4
 ) = range(21)  # fmt: skip
 
 
-def work_shape(axes: int) -> tuple[int, int]:
-    """Shape of the array ``work`` that :func:`advance` needs for a machine of so many axes."""
-    return 3 * axes + _ROWS, axes
-
-
-def kept_shape(joints: int) -> tuple[int, int]:
-    """Shape of the array ``kept`` that :func:`advance` needs for a chain of so many joints."""
-    return joints, BODY
+@kernel
+def workspace(axes, joints):
+    """Arrays ``work`` and ``kept`` that :func:`advance` needs for a machine of so many axes and joints of its chain."""
+    return np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY))
 
 
 @loop
@@ -47,7 +43,7 @@ def advance(p, arrays, s, command, dt, work, kept):
     """One step of all axes under the ``command`` (A,) held over it; nothing moves while an axis has no position.
 
     Args:
-        s: state (A · size,); ``work`` and ``kept``: used inside, see :func:`work_shape` and :func:`kept_shape`.
+        s: state (A · size,); ``work`` and ``kept`` of :func:`workspace` are used inside.
     """
     axes = len(arrays.axes)
     size = len(s) // axes
@@ -183,7 +179,7 @@ def run_servos(p, arrays, commands, s, dt, out):
     """Positions (n, A) of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next."""
     axes = commands.shape[1]
     size = len(s) // axes
-    work, kept = np.empty((3 * axes + _ROWS, axes)), np.empty((len(arrays.bodies), BODY))
+    work, kept = workspace(axes, len(arrays.bodies))
     for k in range(len(commands)):
         for i in range(axes):
             out[k, i] = s[i * size + STATE.position]
