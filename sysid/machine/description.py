@@ -59,6 +59,8 @@ class ServoLaw(Strict):
         kp: force per error of position [N·m/rad or N/m].
         kv: force per speed [N·m·s/rad or N·s/m].
         force_limit: largest magnitude, or [lo, hi] around zero [N·m or N]; without it the force has no limit.
+        step: time step of the simulator that makes the motion [s]; 0 for a machine.
+        implicit: whether its step takes kv at the speed after it (MuJoCo: ``implicit``, ``implicitfast``; not ``Euler``).
 
     Source: MuJoCo 3, *XML Reference*, ``actuator/position``.
     """
@@ -66,6 +68,8 @@ class ServoLaw(Strict):
     kp: Positive
     kv: NonNegative = 0.0
     force_limit: Positive | Interval | None = None
+    step: NonNegative = 0.0
+    implicit: bool = True
 
     @property
     def force_range(self) -> tuple[float, float]:

@@ -46,7 +46,9 @@ from sysid.plant.machine_arrays import (
     GAIN,
     HIGH,
     HIGHEST,
+    IMPLICIT,
     KIND,
+    LEAD,
     LOW,
     LOWEST,
     POSITION,
@@ -168,14 +170,25 @@ def servo_law(p, axes, i):
 
 
 @inlined
-def servo_friction(moved, v, w, p, b):
-    """Friction of a servo axis: force over speed at the speed ``w``, and largest dry friction against a motion of ``moved``.
+def rotor(armature, kv, friction, axes, i):
+    """Inertia of the rotor as the steps of the described simulator make it, with the damping ``kv`` of an active controller.
 
-    ``v``: speed before the step.
+    ``friction``: viscous friction, which is implicit in them.
     """
-    slope = p[b + AT.viscous_friction] if w > 0.0 else p[b + AT.viscous_friction + 1]
-    slope += smooth_coulomb_friction.slope(w, p, b + AT.smooth_coulomb_friction)
-    return slope, dry(moved, v, p, b)
+    return armature + axes[i, LEAD] * (axes[i, IMPLICIT] * kv + friction)
+
+
+@inlined
+def led(s, m, axes, i):
+    """Position of a servo axis at a sample: steps of the described simulator are half a step ahead of the motion."""
+    return s[m + STATE.position] + axes[i, LEAD] * s[m + STATE.speed]
+
+
+@inlined
+def servo_friction(w, p, b):
+    """Viscous and smooth dry friction of a servo axis over its speed, at the speed ``w`` [N·m·s/rad or N·s/m]."""
+    viscous = p[b + AT.viscous_friction] if w > 0.0 else p[b + AT.viscous_friction + 1]
+    return viscous, smooth_coulomb_friction.slope(w, p, b + AT.smooth_coulomb_friction)
 
 
 @inlined

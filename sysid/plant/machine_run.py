@@ -31,7 +31,7 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
     size = len(s) // len(arrays.axes)
     for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
-        x = s[m + STATE.position]
+        x = chain.led(s, m, arrays.axes, i) if arrays.axes[i, KIND] == SERVO else s[m + STATE.position]
         drive[i] = x
         if arrays.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
             x = chain.look_up(x, arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])

@@ -28,8 +28,8 @@ PASSES = 4
 # Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
-    _SIDE, _THETA, _BRAKE, _SPEED, _ROWS,
-) = range(21)  # fmt: skip
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _ROWS,
+) = range(22)  # fmt: skip
 
 
 @kernel
@@ -62,8 +62,8 @@ def advance(p, arrays, s, command, dt, work, kept):
     count = 1
     for i in range(axes):
         b, v = i * AXIS_WIDTH, at[_SPEED, i]
-        viscous, _ = chain.servo_friction(v, 0.0, v, p, b)
-        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous, mass[i, i] + at[_ARMATURE, i], dt))
+        viscous, gradual = chain.servo_friction(v, p, b)
+        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous + gradual, mass[i, i] + at[_ARMATURE, i], dt))
     h = dt / count
     for k in range(count):
         for i in range(axes):
@@ -75,7 +75,7 @@ def advance(p, arrays, s, command, dt, work, kept):
             at[_SIDE, i] = 0.0
             at[_MEAN, i] = at[_SPEED, i]
             at[_PLACE, i] = s[i * size + STATE.position]
-        _solve(p, h, k, count, work)
+        _solve(p, arrays.axes, h, k, count, work)
         for i in range(axes):
             m = i * size
             s[m + STATE.position] += h * at[_MEAN, i]
@@ -86,29 +86,31 @@ def advance(p, arrays, s, command, dt, work, kept):
 
 
 @inlined
-def _solve(p, h, k, count, work):
+def _solve(p, about, h, k, count, work):
     """Speeds after step ``k`` of ``count``, and their means over it."""
     axes = work.shape[1]
     mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
     for turn in range(PASSES):
         for i in range(axes):
-            b, v, w = i * AXIS_WIDTH, at[_SPEED, i], at[_MEAN, i]
-            damping, _ = chain.servo_friction(w, v, w, p, b)
-            stiffness, push = 0.0, -at[_BIAS, i]
+            b, w = i * AXIS_WIDTH, at[_MEAN, i]
+            viscous, gradual = chain.servo_friction(w, p, b)
+            damping, kv, stiffness, push = viscous + gradual, 0.0, 0.0, -at[_BIAS, i]
             if at[_SIDE, i] == 0.0:
                 u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
-                damping, stiffness = damping + at[_KV, i], at[_KP, i]
+                kv, stiffness = at[_KV, i], at[_KP, i]
+                damping += kv
                 push += at[_KP, i] * (u - at[_PLACE, i])
             else:
                 push += at[_HIGHEST, i] if at[_SIDE, i] > 0.0 else at[_LOWEST, i]
-            at[_THETA, i] = servo_law.weight(h * damping / mass[i, i])
+            at[_OWN, i] = chain.rotor(mass[i, i], kv, viscous, about, i)
+            at[_THETA, i] = servo_law.weight(h * damping / at[_OWN, i])
             at[_BRAKE, i] = damping + 0.5 * h * stiffness
             at[_PUSH, i] = push
         rubs = False
         for i in range(axes):
             free = at[_PUSH, i] - (1.0 - at[_THETA, i]) * at[_BRAKE, i] * at[_SPEED, i]
             for j in range(axes):
-                matrix[i, j] = mass[i, j] / h
+                matrix[i, j] = (at[_OWN, i] if j == i else mass[i, j]) / h
                 free += matrix[i, j] * at[_SPEED, j]
             matrix[i, i] += at[_THETA, i] * at[_BRAKE, i]
             at[_FREE, i] = free
@@ -182,5 +184,5 @@ def run_servos(p, arrays, commands, s, dt, out):
     work, kept = workspace(axes, len(arrays.bodies))
     for k in range(len(commands)):
         for i in range(axes):
-            out[k, i] = s[i * size + STATE.position]
+            out[k, i] = chain.led(s, i * size, arrays.axes, i)
         advance(p, arrays, s, commands[k], dt, work, kept)

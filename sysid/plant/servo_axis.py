@@ -9,6 +9,7 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import HIGH, LEAD, LOW
 
 # Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the change
 # of that by its own position, and its measured position and speed.
@@ -25,16 +26,18 @@ def _between(series, row, k, last, share):
 
 
 @inlined
-def step(x, v, u, mass, rest, slope, place, kp, kv, low, high, h, p, b):
+def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i):
     """Position and speed after ``h`` (:mod:`sysid.plant.servo_law`).
 
     Args:
-        mass: inertia of links and armature; the links' torque is ``rest + slope·(x − place)``.
+        inertia: of links and armature; the links' torque is ``rest + slope·(x − place)``.
     """
+    b = i * AXIS_WIDTH
     w, after = v, v
     for _ in range(2):  # the second time with the friction of the mean speed
-        viscous, _ = chain.servo_friction(w, v, w, p, b)
-        damping, stiffness = viscous + kv, kp + slope
+        viscous, gradual = chain.servo_friction(w, p, b)
+        mass = chain.rotor(inertia, kv, viscous, axes, i)
+        damping, stiffness = viscous + gradual + kv, kp + slope
         push = kp * (u - x) - rest - slope * (x - place)
         for limited in range(2):
             theta = servo_law.weight(h * damping / mass)
@@ -45,7 +48,8 @@ def step(x, v, u, mass, rest, slope, place, kp, kv, low, high, h, p, b):
             force = kp * (u - x - 0.5 * h * w) - kv * w
             if limited == 1 or low <= force <= high:
                 break
-            damping, stiffness = viscous, slope  # at its limit the controller neither damps nor holds
+            mass = chain.rotor(inertia, 0.0, viscous, axes, i)
+            damping, stiffness = viscous + gradual, slope  # at its limit the controller neither damps nor holds
             push = (high if force > high else low) - rest - slope * (x - place)
     return x + h * w, after
 
@@ -59,9 +63,9 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
         later, earlier, part = input_delay.ends(
             command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
-        viscous, _ = chain.servo_friction(s[m + STATE.speed], 0.0, s[m + STATE.speed], p, b)
-        count = servo_law.substeps(kp, kv + viscous, armature + _between(series, OWN, k, last, 0.5), dt)
-        out[k] = chain.joint_stage(s[m + STATE.position], p, b, s, m, 0.0)
+        viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
+        count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, k, last, 0.5), dt)
+        out[k] = chain.joint_stage(chain.led(s, m, arrays.axes, i), p, b, s, m, 0.0)
         for j in range(count):
             share = (j + 0.5) / count
             mass = armature + _between(series, OWN, k, last, share)
@@ -69,8 +73,9 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
             place = _between(series, PLACE, k, last, share)
             u = servo_law.held(earlier, later, part, j, count)
             x, v = step(
-                s[m + STATE.position], s[m + STATE.speed], u, mass, rest, slope, place, kp, kv, low, high, dt / count, p, b
-            )
+                s[m + STATE.position], s[m + STATE.speed], u, mass, rest, slope, place, kp, kv, low, high, dt / count, p,
+                arrays.axes, i,
+            )  # fmt: skip
             s[m + STATE.position] = x
             s[m + STATE.speed] = v
             chain.stop(s, m, arrays.axes, i)
@@ -96,7 +101,8 @@ def drive_servo(p, arrays, i, command, series, segments, dt, size, out):
 def start(p, arrays, i, s, series, first, dt):
     """State ``s`` (size,) in which a stretch begins: the measured position and speed; the first command was held before."""
     b = i * AXIS_WIDTH
-    place = min(max(series[PLACE, first], arrays.axes[i, chain.LOW]), arrays.axes[i, chain.HIGH])
+    place = series[PLACE, first] - arrays.axes[i, LEAD] * series[SPEED, first]
+    place = min(max(place, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
     begin(s, np.int64(0), len(s), place, series[SPEED, first], np.nan, p, b, first, dt)
 
 
