@@ -27,6 +27,7 @@ EFFECT = Effect(
     example={"limit": 2.0},
     need=Need("command_changes", 6, "Record {axis} with large and small steps, 20 s."),
     actuations=("servo",),
+    exempt=("memoryless",),
 )
 
 

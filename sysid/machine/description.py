@@ -338,7 +338,7 @@ def _check_servos(machine: Machine, where: object) -> None:
         place = f"{where}: axis {shown(axis.name)}"
         if axis.actuation != "servo":
             if axis.servo is not None:
-                remedy = "Remove it, or write actuation = \"servo\"."
+                remedy = 'Remove it, or write actuation = "servo".'
                 raise SettingsError(f"{place}: servo", f"a controller on a {axis.actuation} axis", "a servo axis", remedy)
             continue
         if axis.servo is None:

@@ -192,6 +192,12 @@ def servo_friction(w, p, b):
 
 
 @inlined
+def friction_changes(v, w, p, b):
+    """Whether :func:`servo_friction` at the speed ``w`` may differ from that at ``v``."""
+    return (v > 0.0) != (w > 0.0) or p[b + AT.smooth_coulomb_friction] != 0.0
+
+
+@inlined
 def dry(moved, v, p, b):
     """Largest dry friction [N or N·m] against a motion of the sign of ``moved``, at the speed ``v`` before the step."""
     return coulomb_friction.limit(moved, p, b + AT.coulomb_friction) + stribeck_friction.magnitude(

@@ -23,8 +23,8 @@ from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.machine_arrays import KIND, POSITION, SERVO, VELOCITY, MachineArrays, machine_arrays
 from sysid.plant.plant import LINKAGE, Plant
 from sysid.plant.rate import rate_of
-from sysid.plant.servo_series import servo_series
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
+from sysid.plant.servo_series import servo_series
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -136,9 +136,7 @@ class Model:
         out = np.full((len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:
-            servo_axis.drive_servo(
-                thetas[k], self.arrays, i, command, series, segments, dt, layout.axis_memory(dt), out[k]
-            )
+            servo_axis.drive_servo(thetas[k], self.arrays, i, command, series, segments, dt, layout.axis_memory(dt), out[k])
 
         in_parallel(lane, len(thetas), len(command))
         return out

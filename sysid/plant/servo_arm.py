@@ -1,8 +1,8 @@
 """All servo axes of a machine at once, compiled: their controllers and friction on the coupled dynamics of the links.
 
-``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the controllers
-are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all joints is
-solved together by projected Gauss-Seidel sweeps.
+``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the
+controllers are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all
+joints is solved together by projected Gauss-Seidel sweeps.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and Canny, Symposium on Interactive 3D Graphics
 (1995), on friction by impulses; Cottle, Pang, Stone, The Linear Complementarity Problem (1992), §5.2 (Gauss-Seidel).
@@ -91,6 +91,7 @@ def _solve(p, about, h, k, count, work):
     axes = work.shape[1]
     mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
     for turn in range(PASSES):
+        settled = True
         for i in range(axes):
             b, w = i * AXIS_WIDTH, at[_MEAN, i]
             viscous, gradual = chain.servo_friction(w, p, b)
@@ -120,9 +121,10 @@ def _solve(p, about, h, k, count, work):
             _rub(p, matrix, at)
         else:
             _divide(matrix, factor, at[_AFTER])
-        settled = turn > 0
         for i in range(axes):
             w = (1.0 - at[_THETA, i]) * at[_SPEED, i] + at[_THETA, i] * at[_AFTER, i]
+            if turn == 0 and chain.friction_changes(at[_MEAN, i], w, p, i * AXIS_WIDTH):
+                settled = False
             at[_MEAN, i] = w
             if at[_SIDE, i] == 0.0:
                 u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)

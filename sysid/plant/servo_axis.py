@@ -11,8 +11,8 @@ from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import HIGH, LEAD, LOW
 
-# Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the change
-# of that by its own position, and its measured position and speed.
+# Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the
+# change of that by its own position, and its measured position and speed.
 OWN, REST, SLOPE, PLACE, SPEED = range(5)
 SERIES = 5
 
@@ -51,6 +51,8 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i)
             mass = chain.rotor(inertia, 0.0, viscous, axes, i)
             damping, stiffness = viscous + gradual, slope  # at its limit the controller neither damps nor holds
             push = (high if force > high else low) - rest - slope * (x - place)
+        if not chain.friction_changes(v, w, p, b):
+            break
     return x + h * w, after
 
 

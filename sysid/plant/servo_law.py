@@ -2,8 +2,8 @@
 
 The speed of a step is ``w = (1 − θ)·v + θ·v′`` from the speeds v before and v′ after it. ``M·(v′ − v)/h`` equals the forces at
 the speed w and at the position ``x + h·w/2`` in the middle of the step, so that the error falls with h². θ makes the decay of
-the speed by damping exact: 1/2 (trapezoidal rule) where damping is slow against the step, towards 1 (implicit Euler) where it is
-fast, so that a stiff servo on a light link is stable. Dry friction acts on v′ and may stop the motion but not reverse it.
+the speed by damping exact: 1/2 (trapezoidal rule) where damping is slow against the step, towards 1 (implicit Euler) where
+it is fast, so that a stiff servo on a light link is stable. Dry friction acts on v′ and may stop the motion, not reverse it.
 
 Source: exponentially fitted θ: Liniger and Willoughby, SIAM J. Numer. Anal. 7 (1970), 47–66.
 """

@@ -48,7 +48,7 @@ def servo_series(model: Model, recording: Recording) -> Array:
 
 
 def servo_force(axis: Axis, recording: Recording) -> Array:
-    """Force of the described controller of a servo axis at its measured motion, (n,) [N·m or N]; NaN where it is not measured."""
+    """Force of the described controller of a servo axis at its measured motion, (n,) [N·m or N]; NaN where not measured."""
     assert axis.servo is not None
     command, joint = (recording.values(axis_signal(axis.name, part)) for part in ("command", "joint"))
     if np.count_nonzero(~np.isnan(joint)) < 2:

@@ -57,7 +57,10 @@ def force_range(model: Any, drive: Drive) -> tuple[float, float]:
         gear = float(model.actuator_gear[int(model.actuator_outadr[drive.actuator]), 0])
         low, high = sorted(float(end) * gear for end in model.actuator_forcerange[drive.actuator])
     if model.jnt_actfrclimited[drive.joint]:
-        low, high = max(low, float(model.jnt_actfrcrange[drive.joint, 0])), min(high, float(model.jnt_actfrcrange[drive.joint, 1]))
+        low, high = (
+            max(low, float(model.jnt_actfrcrange[drive.joint, 0])),
+            min(high, float(model.jnt_actfrcrange[drive.joint, 1])),
+        )
     return low, high
 
 
