@@ -18,8 +18,8 @@ EFFECT = Effect(
     source="position servo of a simulator: MuJoCo 3, XML Reference, actuator/position",
     excited_by="fast motion: steps of the command",
     confused_with={
-        "viscous_friction": "both brake in proportion to the speed; the damping of the servo counts towards its force limit and "
-        "viscous friction does not, so only motion at the limit separates them",
+        "viscous_friction": "both brake in proportion to the speed; the damping of the servo counts towards its force limit, "
+        "viscous friction does not: only motion at the limit separates them",
         "armature_error": "damping acts with the speed, armature with the acceleration",
     },
     need=Need("command_changes", 6, "Record {axis} with steps of several sizes, 20 s."),

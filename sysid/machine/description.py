@@ -61,6 +61,9 @@ class ServoLaw(Strict):
         force_limit: largest magnitude, or [lo, hi] around zero [N·m or N]; without it the force has no limit.
         step: time step of the simulator that makes the motion [s]; 0 for a machine.
         implicit: whether its step takes kv at the speed after it (MuJoCo: ``implicit``, ``implicitfast``; not ``Euler``).
+        friction_give: dry friction of the simulator is a constraint that gives way: below its largest force, a joint creeps at
+            so much speed a force [rad/(s·N·m) or m/(s·N)]; 0: dry friction holds.
+        friction_time: time in which it gives way [s].
 
     Source: MuJoCo 3, *XML Reference*, ``actuator/position``.
     """
@@ -70,6 +73,8 @@ class ServoLaw(Strict):
     force_limit: Positive | Interval | None = None
     step: NonNegative = 0.0
     implicit: bool = True
+    friction_give: NonNegative = 0.0
+    friction_time: NonNegative = 0.0
 
     @property
     def force_range(self) -> tuple[float, float]:

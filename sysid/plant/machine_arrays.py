@@ -23,7 +23,7 @@ _POINTS = 2048
 
 # Columns of ``MachineArrays.axes``.
 KIND, GAIN, LOW, HIGH, CYLINDER, SENSE, TABLE_LOW, TABLE_STEP = range(8)
-STIFFNESS, DAMPING, LOWEST, HIGHEST, LEAD, IMPLICIT = range(8, 14)
+STIFFNESS, DAMPING, LOWEST, HIGHEST, LEAD, IMPLICIT, GIVE, GIVE_TIME = range(8, 16)
 # Columns of ``MachineArrays.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the
 # joint before it moves, its axis (3), and so on; the last row leads on to the tip.
 ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH = 0, 9, 12, 15, 16, 17, 18, 19, 20, 23
@@ -37,10 +37,11 @@ class MachineArrays(NamedTuple):
     Few arrays with many columns: the compiled code counts references to each of them.
 
     Args:
-        axes: (A, 14): kind of actuation; gain, or inertia of a force axis, or armature of a servo axis; low and high end stop
+        axes: (A, 16): kind of actuation; gain, or inertia of a force axis, or armature of a servo axis; low and high end stop
             of what the command drives; whether that is a cylinder; +1 where the joint rises with it, −1 where it falls; low end
             and step of its table; of a servo axis stiffness, damping, lowest and highest force of its controller, half the step
-            of the simulator [s], and +1 where that is implicit in the damping, else −1.
+            of the simulator [s], +1 where that is implicit in the damping, else −1, and how its dry friction gives way: speed a
+            force and time [s].
         tables: joint over an even grid of the cylinder, (A, points), NaN without a linkage.
         links: (J + 1, 27): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
             else 0; whether the frame is turned at all; whether the joint is prismatic; which axis moves it; mass and centre
@@ -69,7 +70,7 @@ def machine_arrays(plant: Plant) -> MachineArrays:
     """The arrays of a plant."""
     machine = plant.machine
     count = len(machine.axes)
-    axes, tables = np.zeros((count, IMPLICIT + 1)), np.full((count, _POINTS), np.nan)
+    axes, tables = np.zeros((count, GIVE_TIME + 1)), np.full((count, _POINTS), np.nan)
     axes[:, KIND] = [KINDS[axis.actuation] for axis in machine.axes]
     axes[:, GAIN] = [_gain(axis) for axis in machine.axes]
     for its, axis in zip(axes, machine.axes, strict=True):
@@ -77,6 +78,7 @@ def machine_arrays(plant: Plant) -> MachineArrays:
             law = axis.servo
             its[STIFFNESS : HIGHEST + 1] = law.kp, law.kv, *law.force_range
             its[LEAD], its[IMPLICIT] = 0.5 * law.step, 1.0 if law.implicit else -1.0
+            its[GIVE], its[GIVE_TIME] = law.friction_give, law.friction_time
     axes[:, [LOW, HIGH]] = [axis.range for axis in machine.axes]
     axes[:, CYLINDER] = [axis.drives == "cylinder" for axis in machine.axes]
     axes[:, [SENSE, TABLE_LOW, TABLE_STEP]] = 1.0, 0.0, 1.0

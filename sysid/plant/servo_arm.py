@@ -19,7 +19,10 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.arm_dynamics import BODY, dynamics
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME
 
+#: Longest step of a moving arm [s]: its posture counts as that of the middle of a step.
+LONGEST = 0.002
 #: Sweeps of the solution for dry friction, and the change of a speed, as a share of the largest, at which they end.
 SWEEPS, SETTLED = 200, 1e-9
 #: Corrections for controllers that reach their force limits, and for the friction of the mean speed.
@@ -59,7 +62,7 @@ def advance(p, arrays, s, command, dt, work, kept):
         )
         at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
     dynamics(at[_PLACE], at[_SPEED], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
-    count = 1
+    count = math.ceil(dt / LONGEST - 1e-9)
     for i in range(axes):
         b, v = i * AXIS_WIDTH, at[_SPEED, i]
         viscous, gradual = chain.servo_friction(v, p, b)
@@ -118,7 +121,7 @@ def _solve(p, about, h, k, count, work):
             at[_AFTER, i] = free
             rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
         if rubs:
-            _rub(p, matrix, at)
+            _rub(p, about, h, matrix, at)
         else:
             _divide(matrix, factor, at[_AFTER])
         for i in range(axes):
@@ -158,7 +161,7 @@ def _divide(matrix, factor, x):
 
 
 @inlined
-def _rub(p, matrix, at):
+def _rub(p, about, h, matrix, at):
     """Speeds behind dry friction: ``matrix · after + friction = free``, friction against the speed or holding it at zero."""
     axes = matrix.shape[0]
     for i in range(axes):
@@ -170,7 +173,8 @@ def _rub(p, matrix, at):
             for j in range(axes):
                 if j != i:
                     free -= matrix[i, j] * at[_AFTER, j]
-            after = servo_law.against(free, chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)) / matrix[i, i]
+            v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
+            after = servo_law.rub(free, matrix[i, i], v, at[_THETA, i], h, dry, about[i, GIVE], about[i, GIVE_TIME])
             moved = max(moved, abs(after - at[_AFTER, i]))
             largest = max(largest, abs(after))
             at[_AFTER, i] = after

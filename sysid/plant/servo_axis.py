@@ -9,7 +9,7 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import HIGH, LEAD, LOW
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, LEAD, LOW
 
 # Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the
 # change of that by its own position, and its measured position and speed.
@@ -43,7 +43,8 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i)
             theta = servo_law.weight(h * damping / mass)
             brake = damping + 0.5 * h * stiffness
             free = mass / h * v - (1.0 - theta) * brake * v + push
-            after = servo_law.against(free, chain.dry(free, v, p, b)) / (mass / h + theta * brake)
+            resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
+            after = servo_law.rub(free, resistance, v, theta, h, dry, axes[i, GIVE], axes[i, GIVE_TIME])
             w = (1.0 - theta) * v + theta * after
             force = kp * (u - x - 0.5 * h * w) - kv * w
             if limited == 1 or low <= force <= high:

@@ -5,7 +5,8 @@ the speed w and at the position ``x + h·w/2`` in the middle of the step, so tha
 the speed by damping exact: 1/2 (trapezoidal rule) where damping is slow against the step, towards 1 (implicit Euler) where
 it is fast, so that a stiff servo on a light link is stable. Dry friction acts on v′ and may stop the motion, not reverse it.
 
-Source: exponentially fitted θ: Liniger and Willoughby, SIAM J. Numer. Anal. 7 (1970), 47–66.
+Source: MuJoCo 4, *Computation*, constraint model (friction loss); exponentially fitted θ: Liniger and Willoughby, SIAM J.
+Numer. Anal. 7 (1970), 47–66.
 """
 
 from __future__ import annotations
@@ -16,8 +17,6 @@ from sysid.effects.compiled import inlined
 
 #: Largest step over the time in which the controller corrects an error: errors of a step are below a thousandth there.
 SHARE = 0.15
-#: Longest step [s]: the posture of the arm counts as that of the middle of a step.
-LONGEST = 0.004
 #: Most steps between two samples; beyond it, motion that is faster than the steps is damped.
 MOST = 200
 
@@ -26,7 +25,7 @@ MOST = 200
 def substeps(kp, damping, mass, dt):
     """Steps within ``dt`` for a servo: an overdamped one corrects errors at the rate kp/damping, else at √(kp/mass)."""
     rate = kp / max(math.sqrt(kp * mass), damping)
-    return min(max(math.ceil(dt / LONGEST), math.ceil(dt * rate / SHARE)), MOST)
+    return min(max(math.ceil(dt * rate / SHARE), 1), MOST)
 
 
 @inlined
@@ -47,10 +46,19 @@ def held(earlier, later, part, k, count):
 
 
 @inlined
-def against(free, dry):
-    """Impulse ``free`` [force] behind dry friction of at most ``dry``: it may hold, and does not reverse."""
-    if free > dry:
-        return free - dry
-    if free < -dry:
-        return free + dry
-    return 0.0
+def rub(free, resistance, v, theta, h, dry, give, time):
+    """Speed after a step: ``resistance·v′ = free`` behind dry friction of at most ``dry``.
+
+    Friction that does not give way may hold, and does not reverse the motion. Otherwise it is ``(w + time·(v′ − v)/h)/give`` up
+    to ``dry``, as a constraint of MuJoCo makes it.
+    """
+    if give == 0.0:
+        if abs(free) <= dry:
+            return 0.0
+        return (free - math.copysign(dry, free)) / resistance
+    ahead = time / h
+    after = (free - ((1.0 - theta) - ahead) * v / give) / (resistance + (theta + ahead) / give)
+    friction = ((1.0 - theta) * v + theta * after + ahead * (after - v)) / give
+    if abs(friction) <= dry:
+        return after
+    return (free - math.copysign(dry, friction)) / resistance

@@ -41,7 +41,7 @@ from sysid.machine.sources.mjcf_chain import (
     named_point,
 )
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
-from sysid.machine.sources.mjcf_servo import friction_effects, servo_law, why_no_servo
+from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, why_no_servo
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
 from sysid.numbers import end_stops
@@ -199,7 +199,8 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
     armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
     if servo:
         inertia, law = armature or None, servo_law(model, drive)
-        effects += [KnownEffect("input_delay", name, {"delay": drive.delay})] if drive.delay > 0.0 else []
+        late = dead_time(model, drive)
+        effects += [KnownEffect("input_delay", name, {"delay": late})] if late > 0.0 else []
         effects += friction_effects(model, drive, name, damping)
     elif drive.actuation == "force":
         inertia = armature or None

@@ -1,8 +1,8 @@
 """Servo axes of an MJCF: actuators whose joint force is ``clip(kp·(command − q) − kv·q̇)``, and the friction of their joints.
 
-Friction loss is a constraint in MuJoCo, which gives way: below its largest force F a joint creeps at the speed force·R/b, with
-the regularisation ``R = (1 − d)/d·w`` and damping b of the constraint, of inverse weight w and impedance d. That is smooth dry
-friction of the width F·R/b.
+Friction loss is a constraint in MuJoCo, which gives way: its force is ``(b·q̇ + q̈)/R`` up to the friction loss, with the
+regularisation ``R = (1 − d)/d·w`` and the damping b of the constraint, of inverse weight w and impedance d. A joint creeps at
+R/b under each newton (metre), which it reaches in 1/b.
 
 Source: MuJoCo 4, *Computation*, chapters Actuation model and Constraint model (reference acceleration and regularisation).
 """
@@ -15,11 +15,6 @@ from typing import Any
 from sysid.machine.description import LEAST_INERTIA, KnownEffect, ServoLaw
 from sysid.machine.sources.mjcf_actuator import Drive
 from sysid.machine.sources.mjcf_model import joint_name, mujoco_library
-
-#: Narrowest smooth friction [rad/s or m/s]; a narrower one is dry friction.
-_NARROWEST = 1e-4
-#: Exponent with which smooth friction approaches its full force nearly as abruptly as a constraint does.
-_EXPONENT = 8.0
 
 
 def why_no_servo(model: Any, drive: Drive) -> str:
@@ -47,7 +42,9 @@ def servo_law(model: Any, drive: Drive) -> ServoLaw:
     limit = None if math.isinf(low) and math.isinf(high) else high if low == -high else (low, high)
     step = 0.0 if integrator == int(mujoco.mjtIntegrator.mjINT_RK4) else float(model.opt.timestep)
     implicit = integrator != int(mujoco.mjtIntegrator.mjINT_EULER)
-    return ServoLaw(drive.stiffness, drive.damping, limit, step, implicit)
+    give, time = _give(model, int(model.jnt_dofadr[drive.joint]))
+    # The speed that a constraint sees is that half a step before the middle of the step.
+    return ServoLaw(drive.stiffness, drive.damping, limit, step, implicit, give, max(time - 0.5 * step, 0.0))
 
 
 def force_range(model: Any, drive: Drive) -> tuple[float, float]:
@@ -64,25 +61,23 @@ def force_range(model: Any, drive: Drive) -> tuple[float, float]:
     return low, high
 
 
+def dead_time(model: Any, drive: Drive) -> float:
+    """Time after which a control acts [s]: from the first step that is no earlier than the delay of the actuator."""
+    step = float(model.opt.timestep)
+    return math.ceil(drive.delay / step - 1e-6) * step
+
+
 def friction_effects(model: Any, drive: Drive, name: str, damping: float) -> list[KnownEffect]:
     """Viscous friction of ``damping`` [N·m·s/rad or N·s/m], and the dry friction of a joint."""
-    found, dof = list[KnownEffect](), int(model.jnt_dofadr[drive.joint])
-    if damping > 0.0:
-        found.append(KnownEffect("viscous_friction", name, {"coefficient": damping}))
-    force = float(model.dof_frictionloss[dof])
-    if force <= 0.0:
-        return found
-    width = force * _give(model, dof)
-    if width < _NARROWEST:
-        return [*found, KnownEffect("coulomb_friction", name, {"force": force})]
-    return [*found, KnownEffect("smooth_coulomb_friction", name, {"force": force, "width": width, "exponent": _EXPONENT})]
+    force = float(model.dof_frictionloss[int(model.jnt_dofadr[drive.joint])])
+    found = [KnownEffect("viscous_friction", name, {"coefficient": damping})] if damping > 0.0 else []
+    return [*found, KnownEffect("coulomb_friction", name, {"force": force})] if force > 0.0 else found
 
 
-def _give(model: Any, dof: int) -> float:
-    """Speed at which a joint with friction creeps under a force, over that force [rad/(s·N·m) or m/(s·N)]."""
+def _give(model: Any, dof: int) -> tuple[float, float]:
+    """How dry friction gives way: speed over force [rad/(s·N·m) or m/(s·N)], and time [s]."""
     least, most = (float(value) for value in model.dof_solimp[dof, :2])
     time, ratio = (float(value) for value in model.dof_solref[dof])
-    regular = (1.0 - least) / least * float(model.dof_invweight0[dof])
-    if time <= 0.0:  # stiffness and damping, both negative
-        return regular * most / max(-ratio, 1e-12)
-    return regular * 0.5 * most * max(time, 2.0 * float(model.opt.timestep))
+    stated = time <= 0.0  # stiffness and damping, both negative, instead of time constant and damping ratio
+    decay = most / max(-ratio, 1e-12) if stated else 0.5 * most * max(time, 2.0 * float(model.opt.timestep))
+    return (1.0 - least) / least * float(model.dof_invweight0[dof]) * decay, decay

@@ -86,7 +86,10 @@ def _axis(axis: AxisDraft) -> list[str]:
     if axis.inertia is not None:
         lines.append(_row("inertia", f"{axis.inertia:.6g}", "of the rotor, beside the masses of the URDF [kg·m² or kg]"))
     if axis.servo is not None:
-        lines += ["# force = clip(kp·(command − q) − kv·q̇); step: of the simulator [s]", f"servo = {_servo(axis.servo)}"]
+        lines += [
+            "# force = clip(kp·(command − q) − kv·q̇); step, friction: how the simulator makes them",
+            f"servo = {_servo(axis.servo)}",
+        ]
     if axis.limits is not None:
         lines.append(
             _row("limits", f"[{axis.limits[0]:.6g}, {axis.limits[1]:.6g}]", "end stops; the joint states none: set them")
@@ -104,6 +107,8 @@ def _servo(law: ServoLaw) -> str:
         values.append(f"force_limit = {law.force_limit:.6g}")
     if law.step > 0.0:
         values += [f"step = {law.step:.6g}", *([] if law.implicit else ["implicit = false"])]
+    if law.friction_give > 0.0:
+        values += [f"friction_give = {law.friction_give:.6g}", f"friction_time = {law.friction_time:.6g}"]
     return f"{{ {', '.join(values)} }}"
 
 
