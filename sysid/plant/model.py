@@ -132,7 +132,7 @@ class Model:
 
     def _true_servo(self, thetas: Array, recording: Recording, i: int, command: Array, segments: Segments) -> Array:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
-        dt, series = 1.0 / recording.rate_hz, servo_series(self, recording)[i]
+        dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, recording)[i]
         out = np.full((len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:

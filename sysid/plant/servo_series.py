@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.machine import Axis
+from sysid.machine import Axis, Machine
 from sysid.plant.arm_dynamics import link_series
+from sysid.plant.machine_arrays import MachineArrays
 from sysid.plant.servo_axis import OWN, PLACE, REST, SERIES, SLOPE, SPEED
 from sysid.plant.smooth_motion import smooth_motion
 from sysid.signals import axis_signal
-
-if TYPE_CHECKING:
-    from sysid.plant.model import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -23,25 +19,25 @@ Array = npt.NDArray[np.float64]
 _SERIES = "servo series"
 
 
-def servo_series(model: Model, recording: Recording) -> Array:
-    """Series of all axes, (A, SERIES, n), in SI units; missing readings are interpolated.
+def servo_series(machine: Machine, arrays: MachineArrays, recording: Recording) -> Array:
+    """Series of all axes of a machine, (A, SERIES, n), in SI units, cached in the recording; missing readings are interpolated.
 
     A joint that is not measured at all rests at zero; the run of one axis by itself needs those of all others.
     """
-    key = model.arrays.links.tobytes(), model.arrays.bodies.tobytes()
+    names, key = machine.axis_names, (arrays.links.tobytes(), arrays.bodies.tobytes())
     known: tuple[tuple[bytes, bytes], Array] | None = recording.derived.get(_SERIES)
     if known is not None and known[0] == key:
         return known[1]
-    motion = np.zeros((3, len(recording), model.axes))
-    for i, name in enumerate(model.machine.axis_names):
+    motion = np.zeros((3, len(recording), len(names)))
+    for i, name in enumerate(names):
         joint = recording.values(axis_signal(name, "joint"))
         if np.count_nonzero(~np.isnan(joint)) > 1:
             motion[:, :, i] = smooth_motion(joint, recording.rate_hz)
-    series = np.zeros((model.axes, SERIES, len(recording)))
+    series = np.zeros((len(names), SERIES, len(recording)))
     series[:, [PLACE, SPEED]] = motion[:2].transpose(2, 0, 1)
-    if model.links_move:
-        own, rest, slope = np.zeros((3, model.axes, len(recording)))
-        link_series(model.arrays.links, model.arrays.bodies, *motion, own, rest, slope)
+    if arrays.bodies[:, 0].any():
+        own, rest, slope = np.zeros((3, len(names), len(recording)))
+        link_series(arrays.links, arrays.bodies, *motion, own, rest, slope)
         series[:, OWN], series[:, REST], series[:, SLOPE] = own, rest, slope
     recording.derived[_SERIES] = key, series
     return series
