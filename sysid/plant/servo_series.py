@@ -10,7 +10,7 @@ from sysid.machine import Axis, Machine
 from sysid.plant.arm_dynamics import link_series
 from sysid.plant.machine_arrays import MachineArrays
 from sysid.plant.servo_axis import OWN, PLACE, REST, SERIES, SLOPE, SPEED
-from sysid.plant.smooth_motion import smooth_motion
+from sysid.plant.smooth_motion import second_difference, smooth_motion
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -32,12 +32,16 @@ def servo_series(machine: Machine, arrays: MachineArrays, recording: Recording) 
     for i, name in enumerate(names):
         joint = recording.values(axis_signal(name, "joint"))
         if np.count_nonzero(~np.isnan(joint)) > 1:
-            motion[:, :, i] = smooth_motion(joint, recording.rate_hz)
+            place, speed, acceleration = smooth_motion(joint, recording.rate_hz)
+            # Central differences of the first and second order lose (ω·dt)²/6 and (ω·dt)²/12.
+            speed = speed - second_difference(speed) / 6.0
+            motion[:, :, i] = place, speed, acceleration - second_difference(acceleration) / 12.0
     series = np.zeros((len(names), SERIES, len(recording)))
     series[:, [PLACE, SPEED]] = motion[:2].transpose(2, 0, 1)
     if arrays.bodies[:, 0].any():
         own, rest, slope = np.zeros((3, len(names), len(recording)))
         link_series(arrays.links, arrays.bodies, *motion, own, rest, slope)
+        rest = np.apply_along_axis(lambda row: row - second_difference(row) / 12.0, 1, rest)  # so does linear interpolation
         series[:, OWN], series[:, REST], series[:, SLOPE] = own, rest, slope
     recording.derived[_SERIES] = key, series
     return series
