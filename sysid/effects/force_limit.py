@@ -5,6 +5,8 @@ from __future__ import annotations
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
+#: Start values in units of the typical force: a limit acts in large motions alone.
+STARTS = (4.0, 12.0, 36.0)
 #: Without a limit [N or N·m].
 ABSENT = 1e9
 
@@ -16,7 +18,7 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("limit", ABSENT),),
-    forms=(Form((Parameter("limit", "N or N·m", (1e-6, ABSENT), (1.0, 0.5, 2.0), 0.01, "largest magnitude", scale="force"),)),),
+    forms=(Form((Parameter("limit", "N or N·m", (1e-6, ABSENT), STARTS, 0.01, "largest magnitude", scale="force"),)),),
     equation="force = clip(kp·(command − q) − kv·q̇, −limit, limit)",
     source="position servo of a simulator: MuJoCo 3, XML Reference, actuator forcerange",
     excited_by="steps of the command that are large enough for the limit",
