@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from servo_arms import STIFF, alone, arm_text, commands, drafted, logged, recording_of, shares
 
 from sysid.datasets.recording import Recording
+from sysid.effects import CATALOGUE, Effect
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.machine.moved_bodies import PARAMETERS
 from sysid.machine.rigid_body import RigidBody
@@ -21,7 +23,8 @@ from sysid.plant import compile_plant, free_run, nominal_plant
 from sysid.plant.arm_dynamics import BODY, dynamics
 from sysid.plant.servo_law import weight
 from sysid.plant.stepper import Stepper
-from sysid.testing.probe import probe_servo
+from sysid.testing.check import typical_values
+from sysid.testing.probe import probe_recording, probe_servo
 
 Array = npt.NDArray[np.float64]
 
@@ -231,3 +234,23 @@ def test_both_axes_wait_while_one_has_no_command(tmp_path: Path) -> None:
     assert gap[115:180].all()
     assert not gap[:100].any()
     assert not gap[180:].any()
+
+
+RUNNING = [effect for effect in CATALOGUE if "servo" in effect.actuations]
+
+
+@pytest.mark.parametrize("effect", RUNNING, ids=lambda effect: effect.name)
+def test_lanes_equal_the_free_run(effect: Effect) -> None:
+    """Also where they begin in the middle of it; the lanes have other parameters beside them."""
+    source = probe_recording(4.0)
+    joint = np.where(np.arange(len(source)) < 20, 0.0, np.nan)
+    source = replace(source, table=source.table.assign(**{"turn.joint": joint}))
+    plant = nominal_plant(probe_servo())
+    changed = plant.with_effect(KnownEffect(effect.name, "turn", typical_values(effect, effect.forms[-1])))
+    run = free_run(changed, source)["turn.joint"].to_numpy()
+    assert np.abs(run - free_run(plant, source)["turn.joint"].to_numpy()).max() > 1e-4
+    wanted = source.values("turn.command")
+    stepper = Stepper(changed, source.rate_hz, 2, np.stack([plant.vector(), changed.vector()]))
+    for row in (0, 150):
+        found = [stepper.begin(source, row).joints[1, 0], *(stepper.step([u]).joints[1, 0] for u in wanted[row:-1])]
+        np.testing.assert_allclose(found, run[row:], atol=1e-11)
