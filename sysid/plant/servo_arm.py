@@ -2,7 +2,8 @@
 
 ``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the
 controllers are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all
-joints is solved together by projected Gauss-Seidel sweeps.
+joints is solved together: by an active set, of the joints that slide and those that friction holds, else by projected
+Gauss-Seidel sweeps.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and Canny, Symposium on Interactive 3D Graphics
 (1995), on friction by impulses; Cottle, Pang, Stone, The Linear Complementarity Problem (1992), §5.2 (Gauss-Seidel).
@@ -25,14 +26,16 @@ from sysid.plant.machine_arrays import GIVE, GIVE_TIME
 LONGEST = 0.002
 #: Sweeps of the solution for dry friction, and the change of a speed, as a share of the largest, at which they end.
 SWEEPS, SETTLED = 200, 1e-9
+#: Resistance that holds a joint at rest, as a multiple of its own.
+HELD = 1e12
 #: Corrections for controllers that reach their force limits, and for the friction of the mean speed.
 PASSES = 4
 
 # Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
-    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _ROWS,
-) = range(22)  # fmt: skip
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _ROWS,
+) = range(24)  # fmt: skip
 
 
 @kernel
@@ -121,9 +124,11 @@ def _solve(p, about, h, k, count, work):
             at[_AFTER, i] = free
             rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
         if rubs:
-            _rub(p, about, h, matrix, at)
+            if not _slide_or_hold(p, about, h, matrix, factor, at):
+                _rub(p, about, h, matrix, at)
         else:
-            _divide(matrix, factor, at[_AFTER])
+            at[_GRIP, :] = 0.0
+            _divide(matrix, factor, at[_GRIP], at[_AFTER])
         for i in range(axes):
             w = (1.0 - at[_THETA, i]) * at[_SPEED, i] + at[_THETA, i] * at[_AFTER, i]
             if turn == 0 and chain.friction_changes(at[_MEAN, i], w, p, i * AXIS_WIDTH):
@@ -140,12 +145,12 @@ def _solve(p, about, h, k, count, work):
 
 
 @inlined
-def _divide(matrix, factor, x):
-    """Solve ``matrix · x = x`` in place by its Cholesky factor."""
+def _divide(matrix, factor, more, x):
+    """Solve ``(matrix + diag(more)) · x = x`` in place by the Cholesky factor."""
     axes = len(x)
     for i in range(axes):
         for j in range(i + 1):
-            total = matrix[i, j]
+            total = matrix[i, j] + more[i] if i == j else matrix[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
@@ -158,6 +163,55 @@ def _divide(matrix, factor, x):
         for k in range(i + 1, axes):
             total -= factor[k, i] * x[k]
         x[i] = total / factor[i, i]
+
+
+@inlined
+def _slide_or_hold(p, about, h, matrix, factor, at):
+    """:func:`_rub` by an active set, from the joints that slide before the step; False where it finds none."""
+    axes = matrix.shape[0]
+    for i in range(axes):
+        at[_SLIP, i] = 0.0 if at[_SPEED, i] == 0.0 else math.copysign(1.0, at[_SPEED, i])
+    for _ in range(2 * axes):
+        for i in range(axes):
+            v, give = at[_SPEED, i], about[i, GIVE]
+            ahead = about[i, GIVE_TIME] / h
+            at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * chain.dry(at[_SLIP, i], v, p, i * AXIS_WIDTH)
+            at[_GRIP, i] = 0.0
+            if at[_SLIP, i] == 0.0 and chain.dry(1.0, v, p, i * AXIS_WIDTH) + chain.dry(-1.0, v, p, i * AXIS_WIDTH) > 0.0:
+                if give == 0.0:
+                    at[_AFTER, i] = 0.0
+                    at[_GRIP, i] = HELD * matrix[i, i]
+                else:
+                    at[_AFTER, i] -= (1.0 - at[_THETA, i] - ahead) * v / give
+                    at[_GRIP, i] = (at[_THETA, i] + ahead) / give
+        _divide(matrix, factor, at[_GRIP], at[_AFTER])
+        found = True
+        for i in range(axes):
+            v, give, slips = at[_SPEED, i], about[i, GIVE], at[_SLIP, i]
+            if give == 0.0:
+                if slips != 0.0:
+                    if slips * at[_AFTER, i] < 0.0:
+                        at[_SLIP, i], found = 0.0, False
+                    continue
+                if at[_GRIP, i] == 0.0:  # no dry friction
+                    continue
+                at[_AFTER, i] = 0.0
+                friction = at[_FREE, i]
+                for j in range(axes):
+                    friction -= matrix[i, j] * at[_AFTER, j]
+            else:
+                mean = (1.0 - at[_THETA, i]) * v + at[_THETA, i] * at[_AFTER, i]
+                friction = (mean + about[i, GIVE_TIME] / h * (at[_AFTER, i] - v)) / give
+            dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
+            if dry == 0.0:
+                continue
+            if slips == 0.0 and abs(friction) > dry:
+                at[_SLIP, i], found = math.copysign(1.0, friction), False
+            elif slips != 0.0 and friction * slips < dry:
+                at[_SLIP, i], found = 0.0, False
+        if found:
+            return True
+    return False
 
 
 @inlined

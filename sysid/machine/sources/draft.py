@@ -12,7 +12,7 @@ from sysid.machine.description import RESERVED, Actuation, KnownEffect, ServoLaw
 from sysid.names import listed
 
 #: Rate of the even grid of a drafted machine by actuation [Hz]; the user sets it to about the rate of the fastest log.
-RATES: Mapping[Actuation, float] = {"position": 50.0, "velocity": 50.0, "servo": 100.0, "force": 500.0}
+RATES: Mapping[Actuation, float] = {"position": 50.0, "velocity": 50.0, "servo": 50.0, "force": 500.0}
 #: ``--kind`` → what its commands are, and the actuation of every axis.
 KINDS: Mapping[str, str] = {"servo": "positions", "hydraulic": "speeds", "force": "forces or torques"}
 ACTUATIONS: Mapping[str, Actuation] = {"servo": "position", "hydraulic": "velocity", "force": "force"}
