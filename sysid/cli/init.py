@@ -33,14 +33,20 @@ def template(kind: str, file: str, name: str) -> str:
     return Template(text).substitute(name=name)
 
 
+def _template_of(kind: str | None) -> str:
+    """The kind of the files in ``templates/``: without a description, a servo is described by its response."""
+    return "servo" if kind == "response" else kind or "hydraulic"
+
+
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
 @click.option(
     "--kind",
-    type=click.Choice(KINDS),
+    type=click.Choice((*KINDS, "response")),
     default=None,
-    help="What the commands are: valve openings or speeds (hydraulic, the default), positions (servo), forces (force).",
+    help="What the commands are: valve openings or speeds (hydraulic, the default), positions (servo), forces (force). "
+    "With --from an MJCF, response describes servos by their responses instead of their controllers.",
 )
 @click.option(
     "--from",
@@ -81,7 +87,7 @@ def init(
     files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
     drafted = None
     if source is None:
-        own = {f"{file}.toml": template(kind or "hydraulic", file, name) for file in ("machine", "recipe")}
+        own = {f"{file}.toml": template(_template_of(kind), file, name) for file in ("machine", "recipe")}
     else:
         drafted = drafted_apart(source, name, Choices(kind, base, tip, tool, assets))
         own = dict(drafted.files)

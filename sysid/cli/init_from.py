@@ -21,7 +21,7 @@ class Choices:
     """What the user chooses in a description.
 
     Args:
-        kind: how joints are commanded that do not state it: servo, hydraulic or force.
+        kind: how joints are commanded that do not state it: servo, hydraulic or force; or response: servos by their responses.
         base: link or body that is held still.
         tip, tool: end effector, and what hangs on it.
         assets: folders beside that of an MJCF whose files may be opened.
@@ -64,6 +64,7 @@ def drafted_files(path: Path, name: str, choices: Choices) -> Drafted:
         InputError: no such file, or neither a URDF nor an MJCF.
         SettingsError: it contains what ``machine.toml`` cannot express.
     """
+    from sysid.machine.sources.draft import RESPONSE
     from sysid.machine.sources.toml_text import recipe_text
 
     if not path.is_file():
@@ -79,7 +80,8 @@ def drafted_files(path: Path, name: str, choices: Choices) -> Drafted:
     else:
         from sysid.machine.sources.urdf import urdf_draft
 
-        draft = urdf_draft(text, path.name, choices.tip, choices.kind, choices.tool, choices.base)
+        kind = "servo" if choices.kind == RESPONSE else choices.kind  # a URDF states no controllers
+        draft = urdf_draft(text, path.name, choices.tip, kind, choices.tool, choices.base)
     draft, described, machine = _within_bounds(draft, name)
     kinematics = machine.kinematics()
     assert kinematics is not None

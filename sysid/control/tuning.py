@@ -117,7 +117,7 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
     b = i * AXIS_WIDTH
     low, high = axis.range
     rate = float(theta[b + AT.command_rate_limit])
-    if axis.actuation == "position":
+    if axis.follows_positions:
         return AxisTuning(1.0, 1, 1, 1, 0, 0, math.inf, 0, 0, 0, 0, 0, 1, math.inf, low, high)
     dead_time = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
     dead = dead_time + 0.5 / plant.machine.rate_hz

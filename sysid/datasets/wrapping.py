@@ -200,7 +200,7 @@ def is_position(signal: str, machine: Machine) -> bool:
     owner, quantity = split_signal(signal)
     if not machine.has_axis(owner):
         return False
-    return quantity in ("joint", "cylinder") or (quantity == "command" and machine.axis(owner).actuation == "position")
+    return quantity in ("joint", "cylinder") or (quantity == "command" and machine.axis(owner).follows_positions)
 
 
 def in_range(channels: Sequence[Channel], machine: Machine) -> list[Channel]:
@@ -257,6 +257,6 @@ def _turns(parts: Sequence[Channel], channels: Sequence[Channel], machine: Machi
 
         return min(options, key=lambda turns: (beyond(turns), abs(turns)))
     commands = [known(c.values) for c in channels if c.signal == axis_signal(owner, "command")]
-    if axis.actuation == "position" and parts[0].signal == axis.driven and commands and len(commands[0]):
+    if axis.follows_positions and parts[0].signal == axis.driven and commands and len(commands[0]):
         return round((float(np.median(commands[0])) - float(np.median(values))) / modulus)
     return 0

@@ -34,7 +34,7 @@ EFFECT = Effect(
     excited_by="motion in both directions with slow changes of sign",
     example={"force": 1.5},
     need=Need("force_both_ways", 1, "Record {axis} moving slowly in both directions, with several stops, 20 s."),
-    actuations=("force",),
+    actuations=("force", "servo"),
 )
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 Stage = Literal["command", "force", "links", "joint", "end_effector", "tool", "sensor"]
 TargetKind = Literal["axis", "machine", "base", "ee", "tool", "signal", "stream"]
-Actuation = Literal["velocity", "position", "force"]
+Actuation = Literal["velocity", "position", "force", "servo"]
 #: Kind of drive of an axis, as :meth:`sysid.machine.Machine.drive_of` gives it.
 Drive = Literal["hydraulic", "electric", "unknown"]
 Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]

@@ -31,7 +31,7 @@ EFFECT = Effect(
     excited_by="command changes that are short against the recording",
     example={"delay": 0.15},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
-    actuations=("velocity", "position"),
+    actuations=("velocity", "position", "servo"),
     memory=_memory,
     surrogate_test=0.05,
 )

@@ -45,7 +45,7 @@ EFFECT = Effect(
     },
     example={"force": 1.5, "width": 0.1},
     need=Need("force_both_ways", 1, "Record {axis} at four speeds from creeping to full in both directions, 10 s each."),
-    actuations=("force",),
+    actuations=("force", "servo"),
     generalises=("coulomb_friction",),
     instead_of=("coulomb_friction", "stribeck_friction"),
 )

@@ -43,7 +43,7 @@ EFFECT = Effect(
     },
     example={"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.05},
     need=Need("force_both_ways", 1, "Record {axis} at four speeds from creeping to full in both directions, 10 s each."),
-    actuations=("force",),
+    actuations=("force", "servo"),
     generalises=("coulomb_friction",),
 )
 

@@ -42,5 +42,6 @@ def _resolve(unit: str, target: str, machine: Machine, units: Mapping[str, str],
     prismatic, _, revolute = unit.partition(" or ")
     if revolute:
         unit = prismatic if (drive if of_drive else joint) == "m" else revolute
-    command = {"velocity": "1", "position": drive, "force": "N" if drive == "m" else "N·m"}[axis.actuation]
+    force = "N" if drive == "m" else "N·m"
+    command = {"velocity": "1", "position": drive, "servo": drive, "force": force}[axis.actuation]
     return unit.replace("command", command).replace("drive", drive).replace("joint", joint)

@@ -37,7 +37,7 @@ EFFECT = Effect(
     },
     example={"coefficient": 4.0},
     need=Need("force_both_ways", 1, "Record {axis} at three speeds in both directions, 20 s."),
-    actuations=("force",),
+    actuations=("force", "servo"),
 )
 
 

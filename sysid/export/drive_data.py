@@ -124,7 +124,7 @@ def _divided(law: str, values: dict[str, float], constant: float) -> dict[str, f
 def _command(plant: Plant, name: str) -> list[Part]:
     axis, parts = plant.machine.axis(name), []
     sticking = _sticking_spool(plant, name)
-    order = {"velocity": VELOCITY_ORDER, "position": POSITION_ORDER, "force": ()}[axis.actuation]
+    order = {"velocity": VELOCITY_ORDER, "position": POSITION_ORDER, "servo": (), "force": ()}[axis.actuation]
     for part in order:
         if part == "nominal_gain":
             parts.append((part, {"gain": axis.gain}))
@@ -225,4 +225,8 @@ WITHOUT_PART = {
     "inertial_error": "forces of an arm, which `mjcf` alone writes",
     "payload": "forces of an arm, which `mjcf` alone writes",
     "load_dependent_friction": "forces of an arm, which `mjcf` alone writes",
+    **dict.fromkeys(
+        ("stiffness_error", "damping_error", "force_limit", "armature_error"),
+        "controllers of servos, which `mjcf` alone writes",
+    ),
 }

@@ -14,6 +14,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.disk import written_to
 from sysid.errors import SettingsError
 from sysid.export.force_replay import force_replay
+from sysid.export.mjcf_servo import has_servos
 from sysid.export.names import Renamed
 from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
@@ -92,6 +93,13 @@ def export_plant(
         where = f"export of {plant.reference or plant.machine.name} to {target.name}"
         arms = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
         raise SettingsError(where, arms, "other axes", "--to mjcf writes masses, payload and friction of an arm.")
+    if has_servos(plant) and not target.arms:
+        where = f"export of {plant.reference or plant.machine.name} to {target.name}"
+        servos = "servo axes, whose motion is that of a rigid-body simulation with their controllers"
+        remedy = (
+            "--to mjcf writes them; sysid init --kind response describes servos by their responses, which all targets have."
+        )
+        raise SettingsError(where, servos, "other axes", remedy)
     make_folder(folder.parent)
     half = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.part")
     half.mkdir()

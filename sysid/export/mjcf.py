@@ -19,6 +19,7 @@ from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, 
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
 from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
+from sysid.export.mjcf_servo import MujocoServos, has_servos, write_servos
 from sysid.export.names import MachineNames
 from sysid.export.shipped_run import load_module, write_drive_model
 from sysid.export.standalone import mujoco_robot
@@ -40,6 +41,10 @@ _ELEMENTS = {
     "viscous_friction": "joint `damping` (the same in both directions; else by the drive model)",
     "coulomb_friction": "joint `frictionloss` (the same in both directions; else by the drive model)",
     "inertia_error": "joint `armature`",
+    "armature_error": "joint `armature`",
+    "stiffness_error": "position actuator `gainprm` and `biasprm`",
+    "damping_error": "position actuator `biasprm`",
+    "force_limit": "position actuator `forcerange`",
     "load_bias": "actuator `biasprm`",
     "link_mass_error": "`inertial` of the body",
     "inertial_error": "`inertial` of the body, joint `armature`; what a joint has and takes divided by its force constant",
@@ -104,6 +109,8 @@ class MjcfTarget:
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         if moves_masses(plant.machine):
             return write_arm(plant, rate_hz, folder)
+        if has_servos(plant):
+            return write_servos(plant, rate_hz, folder)
         data = drive_data(plant, rate_hz)
         substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
         spec, about = _spec_of(plant, data, substeps, self.most)
@@ -115,6 +122,8 @@ class MjcfTarget:
     def simulation(self, plant: Plant, folder: Path) -> Simulation | ForceSimulation | None:
         if moves_masses(plant.machine):
             return arm_simulation(folder)
+        if has_servos(plant):
+            return MujocoServos(folder)
         return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
 
 

@@ -81,7 +81,9 @@ def _files(files: Sequence[str]) -> list[str]:
 
 
 def _command(axis: Any) -> str:
-    meaning = {"velocity": f"±1 is ±{axis.gain:g} of its speed unit per second", "position": "position", "force": "force"}
+    if axis.follows_positions:
+        return f"{code(axis.name)} position"
+    meaning = {"velocity": f"±1 is ±{axis.gain:g} of its speed unit per second", "force": "force"}
     return f"{code(axis.name)} {meaning[axis.actuation]}"
 
 

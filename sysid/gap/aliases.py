@@ -1,4 +1,6 @@
-"""Kinematic effects that are indistinguishable in every pose: they are tested and reported once, under one name.
+"""Effects that no recording distinguishes: they are tested and reported once, under one name.
+
+Kinematic effects are compared in every pose, effects of a servo by its equation.
 
 A longer stick, a zero offset of the telescope and a bias of its sensor move the end effector in the same way in every pose.
 Such aliases are determined from the kinematics, at poses over the whole ranges of the joints; effects that only the recordings
@@ -16,9 +18,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.effects import joint_offset, link_length_error, sensor_bias
+from sysid.effects import damping_error, joint_offset, link_length_error, sensor_bias, viscous_friction
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.machine import Axis
+from sysid.machine import Axis, Machine
 from sysid.plant import Model
 from sysid.signals import axis_signal
 
@@ -61,6 +63,24 @@ def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candi
             found.append(replace(candidate, aliases=aliases) if aliases else candidate)
     responses = {(c.effect.name, c.target): response for c, response in zip(single, directions, strict=True)}
     return [_with_special_cases(candidate, responses, model, poses) for candidate in found]
+
+
+def without_servo_aliases(candidates: Sequence[Candidate], machine: Machine) -> list[Candidate]:
+    """The candidates of the command stage of a servo axis, where friction and the controller may be the same.
+
+    Viscous friction of one value acts like damping of the controller: only damping counts towards a force limit. Without a
+    limit, the two are one candidate, ``damping_error``, which can be less than described as well.
+    """
+    found = []
+    dampings = {c.target for c in candidates if c.effect is damping_error.EFFECT}
+    unlimited = {axis.name for axis in machine.axes if axis.servo is not None and axis.servo.force_limit is None}
+    for candidate in candidates:
+        same = candidate.target in dampings & unlimited
+        if same and candidate.effect is damping_error.EFFECT:
+            found.append(replace(candidate, aliases=((viscous_friction.EFFECT.name, candidate.target),)))
+        elif not (same and candidate.effect is viscous_friction.EFFECT and len(candidate.unknowns) == 1):
+            found.append(candidate)
+    return found
 
 
 def _with_special_cases(

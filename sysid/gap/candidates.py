@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,11 +136,12 @@ class Scales:
 
 
 def candidates_at(
-    plant: Plant, theta: Array, stage: Stage, targets: tuple[str, ...], scales: Scales | None = None
+    plant: Plant, theta: Array, stages: Sequence[Stage], targets: tuple[str, ...], scales: Scales | None = None
 ) -> list[Candidate]:
-    """All candidates of a stage.
+    """All candidates of a problem.
 
     Args:
+        stages: stages of the chain whose effects it shows.
         theta: vector of the plant under test; its values are the nominal ones.
         targets: axes, ``machine``, ``base``, ``ee``, ``tool`` or signals that belong to the stage's problem.
     """
@@ -148,9 +149,9 @@ def candidates_at(
     scales = scales or Scales()
     for effect in CATALOGUE:
         for target in targets if effect.fitted else ():
-            if not _fits(effect, target, stage, plant) or not scales.known_for(effect, target):
+            if not _fits(effect, target, stages, plant) or not scales.known_for(effect, target):
                 continue
-            for side in _sides(effect, stage, target, plant.machine):
+            for side in _sides(effect, stages, target, plant.machine):
                 found += [
                     _candidate(plant, theta, effect, form, target, side, scales) for form in _forms(plant, effect, target, side)
                 ]
@@ -172,7 +173,7 @@ def adjusted_link(plant: Plant, theta: Array, axis: str) -> Candidate:
     return _candidate(plant, theta, effect, effect.forms[0], axis, None, Scales())
 
 
-def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
+def _fits(effect: Effect, target: str, stages: Sequence[Stage], plant: Plant) -> bool:
     machine = plant.machine
     if effect.target != _kind(target, plant):
         return False
@@ -181,8 +182,8 @@ def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
     if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
         return False
     if effect.sides:
-        return bool(_sides(effect, stage, target, machine))
-    return effect.stage == stage or effect.stage == "sensor"
+        return bool(_sides(effect, stages, target, machine))
+    return effect.stage in stages or effect.stage == "sensor"
 
 
 def _kind(target: str, plant: Plant) -> str:
@@ -194,16 +195,16 @@ def _kind(target: str, plant: Plant) -> str:
     return "stream" if target in plant.streams else "signal"
 
 
-def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple[str | None, ...]:
-    """Sides of an effect that a stage shows: backlash ahead of a directly driven joint shows in its command stage."""
+def _sides(effect: Effect, stages: Sequence[Stage], target: str, machine: Machine) -> tuple[str | None, ...]:
+    """Sides of an effect that stages show: backlash ahead of a directly driven joint shows in its command stage."""
     if not effect.sides:
         return (None,)
     drives = machine.axis(target).drives
-    if stage == "command":
+    if "command" in stages:
         return ("drive",) if drives == "joint" else ()
-    if stage == "joint":
+    if "joint" in stages:
         return ("drive",) if drives == "cylinder" else ()
-    return ("structure",) if stage == "end_effector" else ()
+    return ("structure",) if "end_effector" in stages else ()
 
 
 def _candidate(

@@ -11,11 +11,19 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import check_needs, is_pose_set
-from sysid.effects import coulomb_friction, flexible_drive, inertia_error, link_mass_error, oil_compressibility
+from sysid.effects import (
+    armature_error,
+    coulomb_friction,
+    damping_error,
+    flexible_drive,
+    inertia_error,
+    link_mass_error,
+    oil_compressibility,
+)
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
-from sysid.gap.aliases import without_aliases
+from sysid.gap.aliases import without_aliases, without_servo_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.convention import with_order
 from sysid.gap.data import Data
@@ -237,10 +245,12 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
     scales = scales_of(case.plant, stage)
-    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales)
+    found = candidates_at(case.plant, case.theta, problem.stages, problem.targets, scales)
     found = [c for c in found if _has_nominal(c, case.plant, scales) and not _hidden_by_spring(c, stage)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
+    if "force" in problem.within:
+        found = without_servo_aliases(found, case.plant.machine)
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
@@ -261,7 +271,12 @@ def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
         return False
     if candidate.effect is link_mass_error.EFFECT:
         return bool(scales.loads.get(candidate.target))
-    return candidate.effect is not inertia_error.EFFECT or plant.machine.axis(candidate.target).inertia is not None
+    if candidate.effect is damping_error.EFFECT:
+        servo = plant.machine.axis(candidate.target).servo
+        return servo is not None and servo.kv > 0.0
+    if candidate.effect in (inertia_error.EFFECT, armature_error.EFFECT):
+        return bool(plant.machine.axis(candidate.target).inertia)
+    return True
 
 
 def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
@@ -275,7 +290,7 @@ def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:
     """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
-    force = _typical_force(stage) if stage.problem.stage == "force" else 1.0
+    force = _typical_force(stage) if "force" in stage.problem.stages else 1.0
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
     typical = np.median(np.abs(loads), axis=0)
     typical[typical < 1e-3 * typical.max()] = 0.0
@@ -285,11 +300,21 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
 def _typical_force(stage: Stage) -> float:
     """Median of the commanded forces; of those of the simulation at the measured motion, where none is commanded.
 
+    Of a servo, whose force is not measured, it is that of the described controller at the measured motion.
+
     Where most are at rest (below a thousandth of the largest), it is the median of the others; zero without any force.
     """
     problem, simulated = stage.problem, stage.theta[None]
-    for force in (problem.measured, lambda recording: problem.predict(simulated, recording)[0]):
-        sizes = np.abs(np.concatenate([force(recording)[:, 0] for recording in stage.split.fit]))
+    inside = problem.force
+    forces: tuple[Callable[[Recording], Array], ...] = (
+        lambda recording: problem.measured(recording)[:, 0],
+        lambda recording: problem.predict(simulated, recording)[0, :, 0],
+    )
+    for force in forces if inside is None else (inside,):
+        sizes = np.abs(np.concatenate([force(recording) for recording in stage.split.fit]))
+        sizes = sizes[~np.isnan(sizes)]
+        if not len(sizes):
+            continue
         acting = sizes[sizes > 1e-3 * sizes.max()]
         if len(acting):
             return float(np.median(sizes if 2 * len(acting) > len(sizes) else acting))

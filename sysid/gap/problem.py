@@ -23,6 +23,7 @@ from sysid.plant.force import ForceFilter, ForceInputs, force_inputs
 from sysid.plant.force_band import force_filter
 from sysid.plant.force_delay import force_delay
 from sysid.plant.model import measured_point
+from sysid.plant.servo_series import servo_force
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +41,7 @@ class Problem:
 
     Args:
         stage, target: its place in the chain; ``targets``: targets of the effects that belong to it.
+        within: further stages of the chain between its input and its output, whose effects it shows as well.
         signals: names of the d outputs.
         predict: (lanes, N) parameters and a recording → (lanes, n, d).
         measured: recording → (n, d), NaN where missing.
@@ -49,6 +51,7 @@ class Problem:
         poses: static poses excite it too, each an independent measurement.
         only: names of the recordings of motion in which it can be compared; None: all.
         force_filter: of a force stage.
+        force: recording → force of the drive inside the stage, (n,) [N·m or N], where the plant describes one.
     """
 
     stage: Stage
@@ -63,6 +66,13 @@ class Problem:
     poses: bool = False
     only: frozenset[str] | None = None
     force_filter: ForceFilter | None = None
+    within: tuple[Stage, ...] = ()
+    force: Callable[[Recording], Array] | None = None
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Stages of the chain whose effects it shows."""
+        return self.stage, *self.within
 
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
@@ -89,6 +99,8 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
         integrates=moves,
+        within=("force",) if axis.actuation == "servo" else (),
+        force=(lambda recording: servo_force(axis, recording)) if axis.actuation == "servo" else None,
         short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )
 
@@ -343,7 +355,8 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     motion = (*split.seen, *split.held_out)
     problems: list[Problem] = []
     for axis in model.machine.axes:
-        if axis.actuation == "force" and model.rigid is not None and not all_joints(model, motion):
+        moved_by_others = axis.actuation == "force" and model.rigid is not None
+        if (moved_by_others or model.links_move) and not all_joints(model, motion):
             continue
         if not measured_together(motion, axis_signal(axis.name, "command"), axis.driven):
             continue

@@ -19,13 +19,15 @@ from sysid.names import check_file_name
 from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
 
-Actuation = Literal["velocity", "position", "force"]
+Actuation = Literal["velocity", "position", "force", "servo"]
 #: Order of command and sample in a row of the recordings. ``read_before_written``: the command acts after the sample of its row
 #: was read, so that the next row shows it first. ``written_before_read``: it has acted for a period when the sample is read.
 Convention = Literal["read_before_written", "written_before_read"]
 Drives = Literal["cylinder", "joint"]
 #: Kind of drive of an axis: see :meth:`Machine.drive_of`.
 Drive = Literal["hydraulic", "electric", "unknown"]
+#: Least inertia of an axis that moves no masses of a URDF [kg or kg·m²].
+LEAST_INERTIA = 1e-12
 #: Names that neither an axis nor a marker may have.
 RESERVED = ("ee", "tool", "machine", "base", "time")
 _LETTERS = "letters, digits, '_' and '-', at most 64"
@@ -53,11 +55,46 @@ class Linkage(Strict):
 
 
 @dataclass(frozen=True)
+class ServoLaw(Strict):
+    """The controller of a servo axis: ``force = clip(kp·(command − q) − kv·q̇, low, high)``.
+
+    Args:
+        kp: force per error of position [N·m/rad or N/m].
+        kv: force per speed [N·m·s/rad or N·s/m].
+        force_limit: largest magnitude, or [lo, hi] around zero [N·m or N]; without it the force has no limit.
+        step: time step of the simulator that makes the motion [s]; 0 for a machine.
+        implicit: whether its step takes kv at the speed after it (MuJoCo: ``implicit``, ``implicitfast``; not ``Euler``).
+        friction_give: dry friction of the simulator is a constraint that gives way: below its largest force, a joint creeps at
+            so much speed a force [rad/(s·N·m) or m/(s·N)]; 0: dry friction holds.
+        friction_time: time in which it gives way [s].
+
+    Source: MuJoCo 3, *XML Reference*, ``actuator/position``.
+    """
+
+    kp: Positive
+    kv: NonNegative = 0.0
+    force_limit: Positive | Interval | None = None
+    step: NonNegative = 0.0
+    implicit: bool = True
+    friction_give: NonNegative = 0.0
+    friction_time: NonNegative = 0.0
+
+    @property
+    def force_range(self) -> tuple[float, float]:
+        """Lowest and highest force [N·m or N]; infinite without a limit."""
+        if self.force_limit is None:
+            return -math.inf, math.inf
+        return self.force_limit if isinstance(self.force_limit, tuple) else (-self.force_limit, self.force_limit)
+
+
+@dataclass(frozen=True)
 class Axis(Strict):
     """One actuated joint; ``gain`` is the speed of the driven signal at command 1.0 [m/s or rad/s].
 
     Args:
         joint_type: as in a URDF; without both, units of the logs or the recipe decide.
+        inertia: of what a force axis moves, or of the rotor of a servo axis (armature) [kg or kg·m²].
+        servo: the controller of a servo axis.
     """
 
     name: str
@@ -66,10 +103,16 @@ class Axis(Strict):
     joint: str | None = None
     joint_type: Literal["revolute", "prismatic"] | None = None
     gain: Positive = 1.0
-    inertia: Positive | None = None
+    inertia: NonNegative | None = None
     stroke: Interval | None = None
     limits: Interval | None = None
     linkage: Linkage | None = None
+    servo: ServoLaw | None = None
+
+    @property
+    def follows_positions(self) -> bool:
+        """Whether its command is a position of what it drives: of a servo, by its response or by its controller."""
+        return self.actuation in ("position", "servo")
 
     @property
     def driven(self) -> str:
@@ -150,6 +193,16 @@ class Machine(Strict):
     @cached_property
     def _by_name(self) -> dict[str, Axis]:
         return {axis.name: axis for axis in self.axes}
+
+    def by_responses(self) -> Machine:
+        """The machine for effects around a simulator that has the controllers itself: servo axes as position axes.
+
+        It has no effects where it has servo axes, since those describe the inside of the simulator.
+        """
+        if all(axis.servo is None for axis in self.axes):
+            return self
+        axes = (replace(axis, actuation="position", servo=None, inertia=None) for axis in self.axes)
+        return replace(self, axes=tuple(axes), effects=())
 
     def drive_of(self, name: str) -> Drive:
         """The kind of drive of an axis.
@@ -246,6 +299,7 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
         machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
         _check_joint_types(machine, where)
+    _check_servos(machine, where)
     _check_inertias(machine, where)
     _check_markers(machine, where)
     for signal in machine.noise:
@@ -271,14 +325,21 @@ def _check_axes(machine: Machine, where: object) -> None:
 
 
 def _check_inertias(machine: Machine, where: object) -> None:
-    """A force axis has an inertia; where the URDF gives the masses that it moves, that of its rotor, if it is known."""
+    """A force or servo axis has an inertia; where the URDF gives the masses that it moves, that of its rotor, if known."""
     kinematics = machine.kinematics()
     massive = kinematics is not None and has_masses(kinematics)
     for axis in machine.axes:
-        if axis.actuation == "force" and axis.inertia is None and not (massive and axis.drives == "joint"):
-            expected = "inertia [kg or kg·m²] of what a force-actuated axis moves, or a URDF with the masses of the links"
+        if axis.actuation not in ("force", "servo"):
+            continue
+        loaded = massive and axis.drives == "joint"
+        if axis.inertia is None and not loaded:
+            expected = f"inertia [kg or kg·m²] of what a {axis.actuation} axis moves, or a URDF with the masses of the links"
             raise SettingsError(f"{where}: axis {shown(axis.name)}", "no inertia", expected)
-    if massive and kinematics is not None and any(axis.actuation == "force" for axis in machine.axes):
+        if axis.inertia is not None and axis.inertia < LEAST_INERTIA and not (loaded and axis.actuation == "servo"):
+            expected = f"at least {LEAST_INERTIA:g} kg or kg·m²"
+            expected += ", or a URDF with the masses of the links" if axis.actuation == "servo" else ""
+            raise SettingsError(f"{where}: axis {shown(axis.name)}: inertia", f"{axis.inertia:g}", expected)
+    if massive and kinematics is not None and any(axis.actuation in ("force", "servo") for axis in machine.axes):
         assert machine.urdf_text is not None
         moved = kinematics.moved_links
         for link in indefinite_links(machine.urdf_text):
@@ -286,6 +347,31 @@ def _check_inertias(machine: Machine, where: object) -> None:
                 expected = "moments of a body: all principal moments at least zero"
                 remedy = "Correct it; all six moments 0 is a point mass."
                 raise SettingsError(f"urdf: link {shown(link)}: inertia", "a negative principal moment", expected, remedy)
+
+
+def _check_servos(machine: Machine, where: object) -> None:
+    """A servo axis drives its joint by a controller, whose limits contain zero; all axes of its machine are servo axes."""
+    for axis in machine.axes:
+        place = f"{where}: axis {shown(axis.name)}"
+        if axis.actuation != "servo":
+            if axis.servo is not None:
+                remedy = 'Remove it, or write actuation = "servo".'
+                raise SettingsError(f"{place}: servo", f"a controller on a {axis.actuation} axis", "a servo axis", remedy)
+            continue
+        if axis.servo is None:
+            expected = "servo = { kp = …, kv = …, force_limit = … }"
+            remedy = 'Write it, or actuation = "position" where only the response of the servo is known.'
+            raise SettingsError(place, "no controller", expected, remedy)
+        if axis.drives != "joint":
+            raise SettingsError(f"{place}: drives", repr(axis.drives), "'joint' on a servo axis")
+        low, high = axis.servo.force_range
+        if not low < 0.0 < high:
+            raise SettingsError(f"{place}: servo.force_limit", f"[{low:g}, {high:g}]", "a range around zero [N·m or N]")
+        for other in machine.axes:
+            if other.actuation != "servo":
+                found = f"a servo axis beside {shown(other.name)}, a {other.actuation} axis"
+                remedy = 'Write actuation = "position" on this axis, or actuation = "servo" on all of them.'
+                raise SettingsError(place, found, "a machine with servo axes only", remedy)
 
 
 def _check_joint_types(machine: Machine, where: object) -> None:

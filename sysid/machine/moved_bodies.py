@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.machine.kinematics import Kinematics
+from sysid.machine.kinematics import Kinematics, origin_pose
+from sysid.machine.urdf_tree import moments_of, urdf_tree
 
 Array = npt.NDArray[np.float64]
 
 #: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
 UNIT_MASS = 1.0
+#: Inertial parameters of a body.
+PARAMETERS = 10
 #: Standard gravity (CGPM 1901) [m/s²], along −z of the URDF's root link.
 GRAVITY = 9.80665
 
@@ -36,6 +41,46 @@ def moved_bodies(kinematics: Kinematics) -> tuple[MovedBody, ...]:
     if groups and not any(mass for group in groups for mass, _ in group):
         groups[-1].append((UNIT_MASS, tip))
     return tuple(_joined(group) for group in groups)
+
+
+def moved_inertias(kinematics: Kinematics, urdf: str) -> Array:
+    """Inertial parameters of all that moves with each joint of the chain and no further one, (J, 10).
+
+    Mass [kg], first moment (3) [kg·m] and inertia xx, xy, yy, xz, yz, zz [kg·m²] about the origin of the joint in the frame it
+    moves; zero without masses. Joints beside the chain rest at zero.
+
+    Args:
+        urdf: the text of the machine's URDF.
+
+    Source: Atkeson, An, Hollerbach, Int. J. Robotics Research 5(3), 1986.
+    """
+    links = {link.get("name", ""): link for link in urdf_tree(urdf).findall("link")}
+    on_chain = {joint.name for joint in kinematics.chain}
+    rows: list[Array] = []
+    frame = np.eye(4)
+    for joint in kinematics.chain:
+        frame = frame @ joint.origin
+        if joint.name in kinematics.drives:
+            rows.append(np.zeros(PARAMETERS))
+            frame = np.eye(4)
+        if rows:  # fixed masses have no influence
+            rows[-1] += _rigid(kinematics, links, joint.child, frame, on_chain)
+    return np.array(rows).reshape(-1, PARAMETERS)
+
+
+def _rigid(kinematics: Kinematics, links: Mapping[str, Element], link: str, frame: Array, on_chain: set[str]) -> Array:
+    """Inertial parameters (10,) of a link at pose ``frame`` (4, 4) and of all that is attached to it beside the chain."""
+    total, inertial = np.zeros(PARAMETERS), links[link].find("inertial")
+    if link in kinematics.masses and inertial is not None:
+        mass = kinematics.masses[link][0]
+        pose = frame @ origin_pose(inertial.find("origin"))
+        at, turn = pose[:3, 3], pose[:3, :3]
+        moments = turn @ moments_of(inertial.find("inertia")) @ turn.T + mass * (float(at @ at) * np.eye(3) - np.outer(at, at))
+        total[0], total[1:4], total[4:] = mass, mass * at, moments[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    for joint in kinematics.joints.values():
+        if joint.parent == link and joint.name not in on_chain:
+            total += _rigid(kinematics, links, joint.child, frame @ joint.origin, on_chain)
+    return total
 
 
 def _groups(kinematics: Kinematics) -> tuple[list[list[tuple[float, Array]]], Array]:

@@ -12,14 +12,17 @@ import math
 import numpy as np
 
 from sysid.effects import (
+    armature_error,
     asymmetric_gain,
     backlash,
     command_rate_limit,
     coulomb_friction,
+    damping_error,
     first_order_lag,
     flexible_drive,
     flow_saturation,
     force_constant_error,
+    force_limit,
     gain_curve,
     gain_error,
     input_delay,
@@ -31,6 +34,7 @@ from sysid.effects import (
     second_order_lag,
     smooth_coulomb_friction,
     stiction,
+    stiffness_error,
     stribeck_friction,
     temperature_drift,
     valve_deadband,
@@ -39,7 +43,21 @@ from sysid.effects import (
 )
 from sysid.effects.compiled import inlined
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GAIN, HIGH, KIND, LOW, POSITION, SENSE, VELOCITY
+from sysid.plant.machine_arrays import (
+    DAMPING,
+    GAIN,
+    HIGH,
+    HIGHEST,
+    IMPLICIT,
+    KIND,
+    LEAD,
+    LOW,
+    LOWEST,
+    POSITION,
+    SENSE,
+    STIFFNESS,
+    VELOCITY,
+)
 
 
 @inlined
@@ -137,13 +155,52 @@ def force_stage(u, p, b, s, m, inertia, dt):
 
 @inlined
 def _time_to_stop(v, u, mass, p, b):
-    """Time [s] in which a force ``u`` and the dry friction against ``v`` stop the motion, with the friction of :func:`_dry`."""
+    """Time [s] in which a force ``u`` and the dry friction against ``v`` stop the motion, with the friction of :func:`dry`."""
     along = math.copysign(1.0, v) * (u - p[b + AT.load_bias])
-    return mass * abs(v) / (_dry(v, v, p, b) - along)
+    return mass * abs(v) / (dry(v, v, p, b) - along)
 
 
 @inlined
-def _dry(moved, v, p, b):
+def servo_law(p, axes, i):
+    """Stiffness, damping, lowest and highest force of the controller of a servo axis, and its armature."""
+    b = i * AXIS_WIDTH
+    kp = stiffness_error.step(axes[i, STIFFNESS], p, b + AT.stiffness_error)
+    kv = damping_error.step(axes[i, DAMPING], p, b + AT.damping_error)
+    low = force_limit.lowest(axes[i, LOWEST], p, b + AT.force_limit)
+    high = force_limit.highest(axes[i, HIGHEST], p, b + AT.force_limit)
+    return kp, kv, low, high, armature_error.step(axes[i, GAIN], p, b + AT.armature_error)
+
+
+@inlined
+def rotor(armature, kv, friction, axes, i):
+    """Inertia of the rotor as the steps of the described simulator make it, with the damping ``kv`` of an active controller.
+
+    ``friction``: viscous friction, which is implicit in them.
+    """
+    return armature + axes[i, LEAD] * (axes[i, IMPLICIT] * kv + friction)
+
+
+@inlined
+def led(s, m, axes, i):
+    """Position of a servo axis at a sample: steps of the described simulator are half a step ahead of the motion."""
+    return s[m + STATE.position] + axes[i, LEAD] * s[m + STATE.speed]
+
+
+@inlined
+def servo_friction(w, p, b):
+    """Viscous and smooth dry friction of a servo axis over its speed, at the speed ``w`` [N·m·s/rad or N·s/m]."""
+    viscous = p[b + AT.viscous_friction] if w > 0.0 else p[b + AT.viscous_friction + 1]
+    return viscous, smooth_coulomb_friction.slope(w, p, b + AT.smooth_coulomb_friction)
+
+
+@inlined
+def friction_changes(v, w, p, b):
+    """Whether :func:`servo_friction` at the speed ``w`` may differ from that at ``v``."""
+    return (v > 0.0) != (w > 0.0) or p[b + AT.smooth_coulomb_friction] != 0.0
+
+
+@inlined
+def dry(moved, v, p, b):
     """Largest dry friction [N or N·m] against a motion of the sign of ``moved``, at the speed ``v`` before the step."""
     return coulomb_friction.limit(moved, p, b + AT.coulomb_friction) + stribeck_friction.magnitude(
         v, p, b + AT.stribeck_friction
@@ -160,7 +217,7 @@ def _against_friction(free, u, v, mobility, p, b):
     slope = p[b + AT.viscous_friction] if v > 0.0 else p[b + AT.viscous_friction + 1]
     slope += smooth_coulomb_friction.slope(v, p, b + AT.smooth_coulomb_friction)
     moved = (free + mobility * (u - p[b + AT.load_bias])) / (1.0 + mobility * slope)
-    hold = mobility * _dry(moved, v, p, b) / (1.0 + mobility * slope)
+    hold = mobility * dry(moved, v, p, b) / (1.0 + mobility * slope)
     if moved > hold:
         return moved - hold
     if moved < -hold:
@@ -205,6 +262,17 @@ def demand(u, p, s, m, size, axes, i, load, dt):
 
 
 @inlined
+def stop(s, m, axes, i):
+    """Hold an axis with a speed at its end stops."""
+    if s[m + STATE.position] > axes[i, HIGH]:
+        s[m + STATE.position] = axes[i, HIGH]
+        s[m + STATE.speed] = min(s[m + STATE.speed], 0.0)
+    elif s[m + STATE.position] < axes[i, LOW]:
+        s[m + STATE.position] = axes[i, LOW]
+        s[m + STATE.speed] = max(s[m + STATE.speed], 0.0)
+
+
+@inlined
 def move(demanded, s, m, axes, i, dt):
     """Motion of the step, up to the end stops; returns the position *before* it, on the sample grid."""
     if axes[i, KIND] == POSITION:
@@ -213,14 +281,8 @@ def move(demanded, s, m, axes, i, dt):
     if axes[i, KIND] == VELOCITY:
         s[m + STATE.speed] = demanded
     position = s[m + STATE.position]
-    moved = position + dt * demanded
-    if moved > axes[i, HIGH]:
-        moved = axes[i, HIGH]
-        s[m + STATE.speed] = min(s[m + STATE.speed], 0.0)
-    elif moved < axes[i, LOW]:
-        moved = axes[i, LOW]
-        s[m + STATE.speed] = max(s[m + STATE.speed], 0.0)
-    s[m + STATE.position] = moved
+    s[m + STATE.position] = position + dt * demanded
+    stop(s, m, axes, i)
     return position
 
 

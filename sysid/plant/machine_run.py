@@ -10,9 +10,9 @@ import numpy as np
 
 from sysid.effects import pump_flow_limit, second_order_lag
 from sysid.effects.compiled import inlined, kernel, loop
-from sysid.plant import chain, residual
+from sysid.plant import chain, residual, servo_arm
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
+from sysid.plant.machine_arrays import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, SERVO, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.pose import SCRATCH, pose
 from sysid.plant.settled_pose import SETTLING
 
@@ -31,7 +31,7 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
     size = len(s) // len(arrays.axes)
     for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
-        x = s[m + STATE.position]
+        x = chain.led(s, m, arrays.axes, i) if arrays.axes[i, KIND] == SERVO else s[m + STATE.position]
         drive[i] = x
         if arrays.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
             x = chain.look_up(x, arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])
@@ -63,8 +63,14 @@ def settling(p, axes):
 
 
 @inlined
-def advance(p, arrays, s, load, demands, command, dt, nets, t):
-    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``demands`` (A,) is used inside."""
+def advance(p, arrays, s, load, demands, work, kept, command, dt, nets, t):
+    """One step of all axes with ``command`` (A,); axes without a position stay as they are.
+
+    ``demands`` (A,), and ``work`` and ``kept`` of :mod:`sysid.plant.servo_arm`, are used inside.
+    """
+    if arrays.axes[0, KIND] == SERVO:  # then all of them
+        servo_arm.advance(p, arrays, s, command, dt, work, kept)
+        return
     size = len(s) // len(arrays.axes)
     demand = 0.0
     if nets is not None:
@@ -114,8 +120,9 @@ def enter(p, arrays, i, s, size, load, start, command, dt, nets, t):
 
 @loop
 def _run(
-    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
-):
+    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, work, kept, structure, row, scratch, at,
+    nets, t,
+):  # fmt: skip
     count, axes = drive.shape
     for k in range(count):
         fresh = False
@@ -137,7 +144,7 @@ def _run(
             row[i] = commands[k, i]
             if arrays.axes[i, KIND] == POSITION and k + 1 < len(commands):
                 row[i] = commands[k + 1, i]
-        advance(p, arrays, s, load, demands, row, dt, nets, t)
+        advance(p, arrays, s, load, demands, work, kept, row, dt, nets, t)
 
 
 @kernel
@@ -156,7 +163,9 @@ def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, l
     size = len(s) // axes
     demands, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
     scratch = np.empty((len(arrays.links), SCRATCH))
+    work, kept = servo_arm.workspace(axes, len(arrays.bodies))
     at = np.zeros(axes, dtype=np.int64)
     _run(
-        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, structure, row, scratch, at, nets, t
-    )
+        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, work, kept, structure, row, scratch,
+        at, nets, t,
+    )  # fmt: skip

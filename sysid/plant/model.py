@@ -17,13 +17,14 @@ from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.machine.rigid_body import RigidBody, rigid_body
-from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
+from sysid.plant import axis_run, layout, residual, sensing, servo_axis, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
-from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, machine_arrays
+from sysid.plant.machine_arrays import KIND, POSITION, SERVO, VELOCITY, MachineArrays, machine_arrays
 from sysid.plant.plant import LINKAGE, Plant
 from sysid.plant.rate import rate_of
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
+from sysid.plant.servo_series import servo_series
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -64,6 +65,16 @@ class Model:
         """Whether the machine has kinematics."""
         return self.arrays.posed
 
+    @property
+    def coupled(self) -> bool:
+        """Whether the axes are servos that move one arm: all of them run together, or none."""
+        return bool((self.arrays.axes[:, KIND] == SERVO).any())
+
+    @property
+    def links_move(self) -> bool:
+        """Whether servos move links with masses, so that the motion of every joint acts on the others."""
+        return self.coupled and bool(self.arrays.bodies[:, 0].any())
+
     def axis_index(self, axis: str) -> int:
         return self.machine.axis_names.index(axis)
 
@@ -101,6 +112,8 @@ class Model:
         command, segments = self.held(recording, axis)
         if restart_every is not None:
             segments = _split_segments(segments, max(2, round(restart_every / dt)))
+        if about.actuation == "servo":
+            return self._true_servo(thetas, recording, i, command, segments)
         measured = self.true_signal(thetas, recording, about.driven)
         load, share = self.load(thetas, recording)[i], self.share(thetas, recording)
         size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
@@ -116,6 +129,17 @@ class Model:
 
         in_parallel(lane, len(thetas), len(command))
         return behind
+
+    def _true_servo(self, thetas: Array, recording: Recording, i: int, command: Array, segments: Segments) -> Array:
+        """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
+        dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, recording)[i]
+        out = np.full((len(thetas), len(command)), np.nan)
+
+        def lane(k: int) -> None:
+            servo_axis.drive_servo(thetas[k], self.arrays, i, command, series, segments, dt, layout.axis_memory(dt), out[k])
+
+        in_parallel(lane, len(thetas), len(command))
+        return out
 
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
         """Measured cylinder → joint through linkage, backlash and sag: (lanes, n)."""

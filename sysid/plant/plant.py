@@ -29,7 +29,7 @@ from sysid.machine import (
 )
 from sysid.networks.history import HistoryNetwork
 from sysid.parse import parse_json
-from sysid.plant.layout import Streams, neutral_vector, parameter_indices
+from sysid.plant.layout import AT, AXIS_WIDTH, Streams, neutral_vector, parameter_indices
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, PlantNumber, Uncertainty, uncertainty_from
 from sysid.quoting import toml_key, toml_value
@@ -78,6 +78,9 @@ class Plant:
     def vector(self) -> Array:
         """The flat parameter vector of the compiled chain."""
         theta = neutral_vector(len(self.machine.axes)).copy()
+        for i, axis in enumerate(self.machine.axes):  # the limit of a controller is the nominal value of its effect
+            if axis.servo is not None and isinstance(axis.servo.force_limit, float):
+                theta[i * AXIS_WIDTH + AT.force_limit] = axis.servo.force_limit
         for item in self.effects:
             for name, value in item.parameters.items():
                 places = parameter_indices(self.machine.axis_names, item.name, item.target, item.side, name, self.streams)

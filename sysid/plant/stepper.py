@@ -22,13 +22,14 @@ from sysid.machine import Machine
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION
+from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION, SERVO
 from sysid.plant.machine_run import advance, enter, observe, settling
 from sysid.plant.model import WORKERS, compile_plant, frozen, held_for, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH
 from sysid.plant.residual import check_step, new_memory
 from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
+from sysid.plant.servo_arm import workspace
 from sysid.plant.settled_pose import settled_loads
 
 Array = npt.NDArray[np.float64]
@@ -108,8 +109,9 @@ class Stepper:
         Args:
             joints: as the sensors read them, (axes,) or (rows, axes) [rad or m].
             drive: position of the drives; else from the joints through the linkage, in the middle of the backlash.
-            speed: of force axes at the start [m/s or rad/s]; else zero.
-            commands: held for a long time before; else zero. The command of a position axis is its position.
+            speed: of force and servo axes at the start [m/s or rad/s]; else zero.
+            commands: held for a long time before; else zero, or the position of a servo axis. The command of a position axis is
+                its position.
             swing: position (x, y) and speed (x, y) of the tool, (4,) or (rows, 4); else it hangs at rest.
             which: indices of the lanes to reset, or a mask; else all.
             seconds: time for which the machine has been warming up.
@@ -124,7 +126,8 @@ class Stepper:
         begin = self._drive_of(straight) if drive is None else self._rows("drive", drive, rows, n)
         begin = np.clip(begin, arrays.axes[:, LOW], arrays.axes[:, HIGH])
         command = self._rows("commands", 0.0 if commands is None else commands, rows, n)
-        command = np.where(arrays.axes[:, KIND] == POSITION, begin, command)
+        held = commands is None and self.model.coupled
+        command = np.where((arrays.axes[:, KIND] == POSITION) | held, begin, command)
         start = self._rows("speed", 0.0 if speed is None else speed, rows, n)
         hanging = np.full((rows, gripper_sway.MEMORY), np.nan)
         if swing is not None:
@@ -337,7 +340,9 @@ def _hold_command(p, arrays, s, load, command, seconds, dt):
         b, m = i * AXIS_WIDTH, i * size
         warm = math.exp(-seconds / p[b + AT.temperature_drift + 1])
         s[m + STATE.temperature_drift] = warm
-        if arrays.axes[i, KIND] != FORCE:
+        if arrays.axes[i, KIND] == SERVO:
+            input_delay.fill(command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
+        elif arrays.axes[i, KIND] != FORCE:
             chain.demand(command[i], p, s, m, size, arrays.axes, i, load[i], dt)
         s[m + STATE.temperature_drift] = warm
 
@@ -380,9 +385,10 @@ def _reset_residuals(t):
 @kernel
 def _advance_lanes(first, last, thetas, arrays, memory, load, command, dt, nets, left):
     demands = np.empty(len(arrays.axes))
+    work, kept = workspace(len(arrays.axes), len(arrays.bodies))
     for lane in range(first, last):
         t = None if nets is None else left[lane]
-        advance(thetas[lane], arrays, memory[lane], load[lane], demands, command[lane], dt, nets, t)
+        advance(thetas[lane], arrays, memory[lane], load[lane], demands, work, kept, command[lane], dt, nets, t)
 
 
 @kernel

@@ -199,7 +199,9 @@ def _drive_picture(effect: Effect, place: EffectPlace, form: Form, values: Value
     scale = 4.0 if effect.stage == "force" else 1.0
     recording = with_inputs(probe_recording(7.0), place.inputs, scale * np.tile(u[:, None], len(place.inputs)))
     run = plant_run(effect, place)
-    gain = 1.0 if effect.stage == "force" else probe_machine().axis("slew" if effect.target == "machine" else place.target).gain
+    driven = "slew" if effect.target == "machine" else place.target
+    velocity = effect.stage != "force" and driven in probe_machine().axis_names
+    gain = probe_machine().axis(driven).gain if velocity else 1.0
     speeds = [np.append(np.diff(run(v, recording)[:, 0]), np.nan) * RATE_HZ / gain for v in (None, values)]
     label = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
     lines = [PictureCurve("without", time, speeds[0], GREY), PictureCurve("with", time, speeds[1], BLUE)]

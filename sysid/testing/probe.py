@@ -104,6 +104,19 @@ actuation = "force"
 drives = "joint"
 """
 
+_SERVO = """
+schema = 1
+name = "probe_servo"
+rate_hz = 100.0
+[[axes]]
+name = "turn"
+joint_type = "revolute"
+actuation = "servo"
+drives = "joint"
+inertia = 0.05
+servo = { kp = 20.0, kv = 1.2, force_limit = 8.0 }
+"""
+
 #: Largest command of each axis in the probe's inputs; newtons for the slide, radians for the wrist.
 AMPLITUDES = {"slew": 1.0, "boom": 1.0, "slide": 4.0, "wrist": 1.0}
 
@@ -139,6 +152,12 @@ def probe_arm() -> Machine:
     return machine_from_files({"machine.toml": _ARM, "probe_arm.urdf": _ARM_URDF}, "probe_arm")
 
 
+@functools.cache
+def probe_servo() -> Machine:
+    """One servo axis that turns about a vertical axis."""
+    return machine_from_files({"machine.toml": _SERVO}, "probe_servo")
+
+
 def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
     """Half a second of rest, then steps and sines at every input."""
     rng = np.random.default_rng(seed)
@@ -161,6 +180,9 @@ def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
     columns |= {signal: tip[:, k] for k, signal in enumerate(point_signals("ee"))}
     columns |= {signal: np.full(count, np.nan) for signal in point_signals("tool")}
     columns |= {axis_signal(name, "joint"): _path(time, moving, rng) for name in probe_arm().axis_names}
+    for name in probe_servo().axis_names:
+        levels = rng.uniform(-1.0, 1.0, count // 40 + 1).repeat(40)[:count]
+        columns[axis_signal(name, "command")] = np.where(moving, 0.5 * levels + 0.5 * _path(time, moving, rng), 0.0)
     return Recording("probe", pd.DataFrame(columns), RATE_HZ)
 
 
@@ -224,6 +246,9 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
                 found.append(EffectPlace(axis.name, side, "drive", command))
             else:
                 found.append(EffectPlace(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
+    if "servo" in effect.actuations and effect.stage in ("command", "force"):
+        names = probe_servo().axis_names
+        found += [EffectPlace(name, None, "drive", (axis_signal(name, "command"),)) for name in names]
     return tuple(found)
 
 
@@ -239,9 +264,16 @@ def _nominal_arm() -> tuple[Plant, Model]:
     return plant, compile_plant(plant)
 
 
+@functools.cache
+def _nominal_servo() -> tuple[Plant, Model]:
+    plant = nominal_plant(probe_servo())
+    return plant, compile_plant(plant)
+
+
 def plant_run(effect: Effect, place: EffectPlace) -> Run:
     """The compiled plant with only the effect at ``place``."""
-    plant, model = _nominal_arm() if effect.of_links else _nominal()
+    servo = place.target in probe_servo().axis_names
+    plant, model = _nominal_servo() if servo else _nominal_arm() if effect.of_links else _nominal()
 
     def run(values: Values | None, recording: Recording) -> Array:
         at = plant

@@ -38,6 +38,7 @@ def test_looked_at_in_every_place(effect: Effect) -> None:
             "wrist": "position",
             "lift": "force",
             "elbow": "force",
+            "turn": "servo",
         }
         assert {kinds[p.target] for p in places} == set(effect.actuations)
 

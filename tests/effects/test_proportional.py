@@ -20,6 +20,7 @@ OF_THE_VALVE = [
     for effect in CATALOGUE
     if effect.stage == "command"
     and effect.target == "axis"
+    and effect.actuations != ("servo",)
     and effect.name != "load_dependent_flow"
     and (effect.memory(0.01) == 0 or effect.proportional)
 ]

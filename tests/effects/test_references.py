@@ -515,4 +515,5 @@ def test_every_effect_has_a_reference() -> None:
     compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance", "second_order_lag", "flexible_drive"}
     compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
     compared |= {"payload", "link_mass_error", "inertial_error", "load_dependent_friction"}  # tests/plant/test_link_torque.py
+    compared |= {"stiffness_error", "damping_error", "force_limit", "armature_error"}  # tests/plant/test_servo_arm.py
     assert compared == {effect.name for effect in CATALOGUE}

@@ -20,7 +20,7 @@ from sysid.plant import Plant, compile_plant, nominal_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.testing import places_of
 from sysid.testing.check import typical_values
-from sysid.testing.probe import RATE_HZ, probe_machine, probe_recording
+from sysid.testing.probe import RATE_HZ, probe_machine, probe_recording, probe_servo
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,8 @@ def placed() -> list[KnownEffect]:
         if effect.name not in WITHOUT_PART:
             for form in effect.forms:
                 values = VALUES.get(effect.name, typical_values(effect, form))
-                found += [KnownEffect(effect.name, p.target, values, p.side) for p in places_of(effect)]  # type: ignore[arg-type]
+                places = [p for p in places_of(effect) if p.target not in probe_servo().axis_names]
+                found += [KnownEffect(effect.name, p.target, values, p.side) for p in places]  # type: ignore[arg-type]
     return found
 
 

@@ -20,6 +20,7 @@ from test_sdf import place_of
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.export import Export, export_plant
+from sysid.export.mjcf_servo import has_servos
 from sysid.export.page import lacking
 from sysid.export.sdf import FILE as SDF_FILE
 from sysid.export.target import Target
@@ -155,7 +156,7 @@ def recording(plant: Plant, name: str) -> Recording:
         low, high = axis.limits or (-2.0, 2.0)
         start.append(min(max(0.0, low + 0.3 * (high - low)), high - 0.3 * (high - low)) if np.isfinite(high - low) else 0.0)
         wave = size.get(axis.actuation, min(0.5, 0.2 * (high - low))) * np.sin(2.0 * np.pi * (0.7 + 0.3 * k) * t)
-        columns.append(start[k] + wave if axis.actuation == "position" else wave)
+        columns.append(start[k] + wave if axis.follows_positions else wave)
     commands = np.column_stack(columns)
     joints = [stepper.reset(np.array(start), commands=commands[0]).joints[0].copy()]
     joints += [stepper.step(command).joints[0].copy() for command in commands[1:]]
@@ -251,7 +252,9 @@ def test_a_machine_from_an_mjcf(name: str, tmp_path: Path) -> None:
     massive = moves_masses(plant.machine)
     data = arm_dataset(plant) if massive else Dataset.of(plant.machine, [recording(plant, "r0")], {"r0": "held_out"})
     for target in TARGETS:
-        if massive and not target.arms:
+        if not target.arms and (massive or has_servos(plant)):
+            with pytest.raises(SettingsError, match="--to mjcf writes"):
+                export_plant(plant, data, target, tmp_path / target.name, samples=1)
             continue
         folder = tmp_path / target.name
         lacks = bool(lacking(plant, target))

@@ -14,7 +14,7 @@ CRANE = Path(__file__).parents[2] / "datasets" / "autolog" / "machine.toml"
 
 def test_a_telescope_s_zero_is_the_length_before_it() -> None:
     plant = nominal_plant(load_machine(CRANE))
-    offered = candidates_at(plant, plant.vector(), "end_effector", (*plant.machine.axis_names, "base"))
+    offered = candidates_at(plant, plant.vector(), ("end_effector",), (*plant.machine.axis_names, "base"))
     found = {f"{c.effect.name}({c.target})": c for c in without_aliases(offered, compile_plant(plant))}
     assert ("joint_offset", "telescope") in found["link_length_error(stick)"].aliases
     assert "joint_offset(telescope)" not in found
@@ -25,7 +25,7 @@ def test_a_telescope_s_zero_is_the_length_before_it() -> None:
 def test_a_base_that_is_turned_about_the_first_axis_is_that_axis_zero() -> None:
     """And nothing else of the kinematics is a special case of a base that stands askew."""
     plant = nominal_plant(load_machine(CRANE))
-    offered = candidates_at(plant, plant.vector(), "end_effector", (*plant.machine.axis_names, "base"))
+    offered = candidates_at(plant, plant.vector(), ("end_effector",), (*plant.machine.axis_names, "base"))
     found = {f"{c.effect.name}({c.target})": c for c in without_aliases(offered, compile_plant(plant))}
     base = found["base_misalignment(base)"]
     assert base.contains(found["joint_offset(slew)"])

@@ -39,23 +39,25 @@ def test_effects_of_the_weight_are_offered_where_there_is_weight() -> None:
     assert "load_dependent_flow(slew)" not in command, "nothing hangs on an upright axis"
     assert "load_dependent_flow(boom)" in names_at(nominal(machine=loaded_arm()), "command", "boom")
     plant = nominal()
-    assert not [c for c in candidates_at(plant, plant.vector(), "command", ("boom",)) if c.effect.name == "load_dependent_flow"]
+    assert not [
+        c for c in candidates_at(plant, plant.vector(), ("command",), ("boom",)) if c.effect.name == "load_dependent_flow"
+    ]
 
 
 @pytest.mark.parametrize("values", [{"breakaway": 0.2, "release": 0.1}, {"spool_breakaway": 0.2, "spool_release": 0.01}])
 def test_an_effect_of_the_plant_is_offered_in_its_form(values: dict[str, float | list[float]]) -> None:
     plant = nominal(KnownEffect("stiction", "boom", values))
-    found = [c for c in candidates_at(plant, plant.vector(), "command", ("boom",)) if c.effect.name == "stiction"]
+    found = [c for c in candidates_at(plant, plant.vector(), ("command",), ("boom",)) if c.effect.name == "stiction"]
     assert [c.form.names for c in found] == [tuple(values)]
     free = nominal()
-    assert len([c for c in candidates_at(free, free.vector(), "command", ("boom",)) if c.effect.name == "stiction"]) == 2
+    assert len([c for c in candidates_at(free, free.vector(), ("command",), ("boom",)) if c.effect.name == "stiction"]) == 2
 
 
 def test_starts_of_weight_effects_are_shares_of_the_load() -> None:
     plant = nominal()
     (one,) = (
         c
-        for c in candidates_at(plant, plant.vector(), "command", ("boom",), Scales(loads={"boom": 40.0}))
+        for c in candidates_at(plant, plant.vector(), ("command",), ("boom",), Scales(loads={"boom": 40.0}))
         if c.effect.name == "load_dependent_flow"
     )
     (parameter,) = one.form.parameters

@@ -50,7 +50,7 @@ def test_a_threshold_between_two_samples_has_a_width(seed: int) -> None:
     dataset = dataset_of(plant.with_effect(truth), 60.0, seed)
     model, split = compile_plant(plant), split_of(dataset)
     problem = next(p for p in problems_of(model, dataset) if "boom" in p.targets and p.stage == "command")
-    candidate = next(c for c in candidates_at(plant, model.theta, "command", ("boom",)) if c.effect.name == "stiction")
+    candidate = next(c for c in candidates_at(plant, model.theta, ("command",), ("boom",)) if c.effect.name == "stiction")
     data = Data(problem, split.fit, np.array([dataset.machine.noise[signal] for signal in problem.signals]))
     widths = jackknifed(data, model.theta, candidate.unknowns, np.array([0.2, 0.05]))
     assert 0.0 < widths[0] < 0.05

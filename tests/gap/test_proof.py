@@ -409,7 +409,7 @@ def test_a_named_limit_of_the_pump_keeps_its_value_where_another_drive_does_not_
     plant, named = nominal(), KnownEffect("pump_flow_limit", "machine", {"limit": 1.8})
     pump = next(
         c
-        for c in candidates_at(plant, compile_plant(plant).theta, "command", ("boom", "machine"))
+        for c in candidates_at(plant, compile_plant(plant).theta, ("command",), ("boom", "machine"))
         if c.effect.name == named.name
     )
     outcome = proof.ProofOutcome(plant.with_effect(named))

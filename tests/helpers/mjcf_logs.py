@@ -46,9 +46,9 @@ def commands_for(machine: Machine, seed: int, seconds: float) -> pd.DataFrame:
     for axis in machine.axes:
         assert axis.limits is not None
         middle, reach = np.mean(axis.limits), 0.25 * np.ptp(axis.limits)
-        low, high = (middle - reach, middle + reach) if axis.actuation == "position" else (-0.5, 0.5)
+        low, high = (middle - reach, middle + reach) if axis.follows_positions else (-0.5, 0.5)
         levels, rest = held_levels(rng, count, machine.rate_hz, low, high), round(machine.rate_hz)
-        levels[:rest] = levels[0] if axis.actuation == "position" else 0.0
+        levels[:rest] = levels[0] if axis.follows_positions else 0.0
         table[f"{axis.name}.command"] = levels
     return pd.DataFrame(table)
 

@@ -320,7 +320,7 @@ def test_the_torque_of_a_flagged_model_is_that_of_the_machine(flag: str, tmp_pat
 
 @pytest.mark.parametrize(("kp", "kv"), [(1, 5), (0.01, 1)])
 def test_a_servo_slower_than_any_lag_is_noted(kp: float, kv: float, tmp_path: Path) -> None:
-    machine = drafted(tmp_path, flagged("", SERVOS.format(kp, kv)))
+    machine = drafted(tmp_path, flagged("", SERVOS.format(kp, kv)), "--kind", "response")
     assert ("first_order_lag", "shoulder") not in {(effect.name, effect.target) for effect in machine.effects}
     assert any(line.startswith("first_order_lag of shoulder: time_constant") for line in machine.left_out)
 
@@ -395,6 +395,7 @@ def test_limits_of_controls_are_told(tmp_path: Path) -> None:
     <motor name="e" joint="elbow" gear="20" ctrlrange="-1 1" forcerange="-2 2"/></actuator>"""
     held = '<equality><joint joint1="elbow" polycoef="0.5 0 0 0 0"/></equality>'
     assert drafted(tmp_path, flagged("", drives + held)).left_out == (
+        "controllers of shoulder, which are described by their responses: elbow has no position actuator",
         "setpoint limit -0.5 to 1.5 rad of shoulder",
         "friction loss inside the control loop of shoulder",
         "force limit 20 N·m of elbow",

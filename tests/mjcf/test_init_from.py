@@ -102,7 +102,7 @@ def test_the_urdf_of_an_mjcf_has_its_dynamics(name: str, tmp_path: Path) -> None
 
 
 def test_servos_follow_and_sag_as_in_the_model(tmp_path: Path) -> None:
-    machine = drafted(tmp_path, robot("servo_arm"))
+    machine = drafted(tmp_path, robot("servo_arm"), "--kind", "response")
     assert [(axis.name, axis.actuation, axis.limits) for axis in machine.axes] == [
         ("pan", "position", (-2.6, 2.6)),
         ("lift", "position", (-0.5, 1.8)),

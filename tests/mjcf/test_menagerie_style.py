@@ -35,10 +35,10 @@ MACHINES = {
         (),
         ["joint1", "joint2", "joint3"],
         "hand",
-        ["force limit 87 N·m of joint1", "actuators beside the chain: actuator8"],
+        ["actuators beside the chain: actuator8"],
     ),
     "scene": ((), ["joint1", "joint2", "joint3"], "hand", ["actuators beside the chain: actuator8"]),
-    "hand": ((), ["FFJ4", "FFJ3"], "proximal", ["actuators beside the chain: A_FFJ0", "friction loss inside"]),
+    "hand": ((), ["FFJ4", "FFJ3"], "proximal", ["actuators beside the chain: A_FFJ0"]),
     "mobile": (
         (),
         ["base_x", "base_y", "base_th", "lift", "wrist"],

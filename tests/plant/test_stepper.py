@@ -19,7 +19,7 @@ from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
 from sysid.testing import places_of
 from sysid.testing.check import typical_values
-from sysid.testing.probe import RATE_HZ, probe_machine, probe_recording
+from sysid.testing.probe import RATE_HZ, probe_machine, probe_recording, probe_servo
 
 Array = npt.NDArray[np.float64]
 SWAY = KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.05})
@@ -29,12 +29,13 @@ REST = np.array([0.1, 0.2, 0.0, 0.3])
 def placed(effect: Effect) -> list[tuple[str, KnownEffect]]:
     """The effect with typical values at each of its places, in its first form."""
     values = typical_values(effect, effect.forms[0])
-    found = [KnownEffect(effect.name, place.target, values, place.side) for place in places_of(effect)]  # type: ignore[arg-type]
+    places = [place for place in places_of(effect) if place.target not in probe_servo().axis_names]
+    found = [KnownEffect(effect.name, place.target, values, place.side) for place in places]  # type: ignore[arg-type]
     return [(f"{item.name}-{item.target}-{item.side or ''}".rstrip("-"), item) for item in found]
 
 
-#: What acts in a run of a plant; forces of an arm are compared at measured motion only.
-RUNNING = [effect for effect in CATALOGUE if not effect.of_links]
+#: What acts in a run of the probe; forces of an arm are compared at measured motion only. Servos: test_servo_arm.py.
+RUNNING = [effect for effect in CATALOGUE if not effect.of_links and effect.actuations != ("servo",)]
 PLACED = [entry for effect in RUNNING for entry in placed(effect)]
 
 

@@ -134,8 +134,8 @@ def _context(signal: str, at: Array, commands: Sequence[Timed], machine: Machine
         command, *others = (hold(sent, channel.values, at, 0.0, hold_s) for channel, sent in own)
         for part in others:
             np.copyto(command, part, where=~np.isnan(part))
-        more = _moving(command, period) if axis.actuation == "position" else _beyond(command, DRIVEN)
-        commanded |= more if axis.actuation == "position" else _beyond(command, IDLE)
+        more = _moving(command, period) if axis.follows_positions else _beyond(command, DRIVEN)
+        commanded |= more if axis.follows_positions else _beyond(command, IDLE)
         if axis.actuation != "force":  # a force may hold without moving
             driven |= more
     return SensorContext(commanded, driven)

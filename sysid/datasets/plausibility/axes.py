@@ -62,7 +62,7 @@ def figures_of(
         response=None
         if axis.actuation == "force" and moves_masses(machine)
         else response_of(motion_of(motion, axis, axis.driven, time_scale), axis),
-        expected={"velocity": axis.gain, "position": 1.0, "force": axis.inertia or 1.0}[axis.actuation],
+        expected={"velocity": axis.gain, "position": 1.0, "servo": 1.0, "force": axis.inertia or 1.0}[axis.actuation],
         pairs=pairs_of(recordings, axis),
         rate_ratio=rate_ratio,
     )
@@ -148,7 +148,7 @@ def _text(measure: Measure, figures: AxisFigures) -> tuple[str, str]:
     if axis.actuation == "velocity":
         speed = value(abs(figures.response.value), f"{place}/s" if place else "1/s")
         return f"{driven} moves at {speed} at full command, {ratio_text(ratio)} `gain`", f"about gain = {axis.gain:g}"
-    if axis.actuation == "position":
+    if axis.follows_positions:
         return f"{driven} moves by {plain(ratio)} where {command} moves by 1", "about 1"
     mass = value(abs(figures.response.value), "kg" if place == "m" else None)
     return (

@@ -84,7 +84,7 @@ def _candidates(figures: AxisFigures) -> Iterator[Explanation]:
     axis = figures.axis
     places = _units(figures.unit) if axis.drives == "joint" else LENGTH
     if figures.command is not None:
-        units = {"velocity": COMMAND, "position": places, "force": FORCE}[axis.actuation]
+        units = {"velocity": COMMAND, "position": places, "servo": places, "force": FORCE}[axis.actuation]
         yield from _file(figures, "command", units)
         if axis.actuation == "velocity":
             yield from _neutral(figures, figures.command)
@@ -95,10 +95,10 @@ def _candidates(figures: AxisFigures) -> Iterator[Explanation]:
     if figures.joint is not None:
         yield from _file(figures, "joint", _units(figures.unit))
         yield _exchanged(figures)
-    if axis.actuation == "position" and figures.command is not None and figures.driven is not None:
+    if axis.follows_positions and figures.command is not None and figures.driven is not None:
         yield from _both_signals(figures, places)
     yield from _description(figures, places)
-    if figures.response is not None and axis.actuation != "position":
+    if figures.response is not None and not axis.follows_positions:
         for mistake in TIME:
             says = f"in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
             remedy = f'Set `time_unit = "{_time_unit(mistake.is_)}"` in the recipe'
@@ -154,7 +154,7 @@ def _description(figures: AxisFigures, places: tuple[UnitMistake, ...]) -> Itera
     axis = figures.axis
     ends = "stroke" if axis.drives == "cylinder" else "limits"
     speeds = LINEAR_SPEED if axis.drives == "cylinder" or figures.unit == "m" else ROTATION_SPEED
-    if figures.response is not None and axis.actuation != "position":
+    if figures.response is not None and not axis.follows_positions:
         key, units = ("inertia", INERTIA) if axis.actuation == "force" else ("gain", speeds)
         for mistake in units:
             yield _described(axis.name, (key,), ("expected",), mistake, "/s" if key == "gain" else "")

@@ -116,6 +116,7 @@ class AxisFigures:
 _POWERS = {
     "velocity": {"command": 1, "driven": -1, "time": 1},
     "position": {"command": 1, "driven": -1},
+    "servo": {"command": 1, "driven": -1},
     "force": {"command": -1, "driven": 1, "time": -2},
 }
 

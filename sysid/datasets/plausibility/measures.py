@@ -21,7 +21,7 @@ MAX_EXCESS = 10.0
 #: Cost at the ends of the usual range [nats]: it orders explanations that are otherwise equal.
 PREFERENCE = 0.1
 #: Least correlation for which a response is known, by actuation.
-LEAST_STRENGTH = {"velocity": 0.5, "position": 0.7, "force": 0.6}
+LEAST_STRENGTH = {"velocity": 0.5, "position": 0.7, "servo": 0.7, "force": 0.6}
 #: Peak of the commands below which a dead-band may take most of them.
 SMALL_PEAK = 0.5
 
@@ -75,7 +75,7 @@ def measures_of(figures: AxisFigures) -> Iterator[Measure]:
     if figures.command is not None and figures.command.peak > 0.0:
         if axis.actuation == "velocity":
             yield _full_scale(figures.command)
-        elif axis.actuation == "position" and figures.ends is not None:
+        elif axis.follows_positions and figures.ends is not None:
             yield from _reach(figures, "command", figures.command, figures.ends, notice=0.5, severe=1.5)
     yield from _response(figures)
     if figures.driven is not None and figures.ends is not None:
@@ -108,7 +108,7 @@ def _response(figures: AxisFigures) -> Iterator[Measure]:
     value = math.log(abs(ratio))
     if actuation == "force":
         yield Measure("response", "response", value, _log(0.3, 3.0), 0.5, _log(1 / 5, 5.0), _log(1 / 10, 10.0))
-    elif actuation == "position":
+    elif figures.axis.follows_positions:
         yield Measure("response", "response", value, _log(0.5, 1.1), 0.35, _log(1 / 5, 2.0), _log(1 / 8, 4.0))
     else:
         small = figures.command is not None and figures.command.peak < SMALL_PEAK

@@ -72,7 +72,7 @@ def _exchange(recordings: Sequence[Recording], axes: Sequence[Axis], quantity: s
     from scipy.optimize import linear_sum_assignment
 
     follows: dict[str, str] = {}
-    for actuation in ("velocity", "position"):
+    for actuation in ("velocity", "position", "servo"):
         suspects: list[tuple[str, Motion, Array]] = []
         for axis in axes:
             if axis.actuation != actuation:

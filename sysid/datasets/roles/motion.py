@@ -130,14 +130,15 @@ class _Scale:
     """Thresholds of an axis.
 
     Args:
-        actuation: of the axis; ``idle``: commands up to this size are none.
+        valve, led: whether its command is a speed, or a position; ``idle``: commands up to this size are none.
         top_speed: 99th percentile of the speed; ``least_speed``: below it nothing moves.
         least_travel: travel from which the axis moves in a recording; ``least_setpoint``: the same for the command of a servo,
             which is a position: what moves without it is pushed by other axes.
         noise: standard deviation of its sensor.
     """
 
-    actuation: str
+    valve: bool
+    led: bool
     idle: float
     top_speed: float
     least_speed: float
@@ -154,14 +155,13 @@ class _Scale:
         amounts = np.zeros((cells, len(FEATURES)))
         measured = ~np.isnan(samples.command) & ~np.isnan(samples.position)
         travel, given = travel_of(samples.position), travel_of(samples.command)
-        commanded = self.actuation != "position" or (given >= self.least_setpoint and given > 0.0)
+        commanded = not self.led or (given >= self.least_setpoint and given > 0.0)
         if travel < self.least_travel or travel == 0.0 or not commanded or not measured.any():
             return amounts
         speed, command = np.nan_to_num(samples.speed), np.nan_to_num(samples.command)
-        active = measured if self.actuation == "position" else measured & (np.abs(command) > self.idle)
-        valve = self.actuation == "velocity"
-        sizes = command if valve else speed / self.top_speed
-        smallest = max(self.idle, SMALL[0]) if valve else self.least_speed / self.top_speed
+        active = measured if self.led else measured & (np.abs(command) > self.idle)
+        sizes = command if self.valve else speed / self.top_speed
+        smallest = max(self.idle, SMALL[0]) if self.valve else self.least_speed / self.top_speed
         starts = np.arange(0, len(command), CELL)
         for way, sign in enumerate((1.0, -1.0)):
             moves = active & (sign * speed > self.least_speed)
@@ -191,7 +191,8 @@ def _scale_of(axis: Axis, recordings: Sequence[Recording], samples: Sequence[_Sa
     noise = _noise(axis, recordings, machine)
     least = max(SLOW[0] * top, min(SPEED_NOISE * float(np.sqrt(2.0)) * noise / SLOPE_S, CERTAIN_SPEED * top))
     travels = max(MOVED_SHARE * span, MOVED_NOISE * noise), MOVED_SHARE * setpoints
-    return _Scale(axis.actuation, idle, top if top > 0.0 else 1.0, least, *travels, noise)
+    valve, led = axis.actuation == "velocity", axis.follows_positions
+    return _Scale(valve, led, idle, top if top > 0.0 else 1.0, least, *travels, noise)
 
 
 def travel_of(values: Array) -> float:

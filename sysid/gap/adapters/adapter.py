@@ -323,7 +323,7 @@ def adapt_simulator(simulator: Simulator, dataset: Dataset, effects: Sequence[Kn
     if isinstance(simulator, SimulatorAdapter):
         return simulator.with_effects(effects)
     runs = RunCache(simulator, dataset.machine)
-    bare = replace(nominal_plant(dataset.machine, streams=dataset.streams), effects=(), linkages={})
+    bare = replace(nominal_plant(dataset.machine.by_responses(), streams=dataset.streams), effects=(), linkages={})
     model = compile_plant(bare)
     simulated: list[Signals] = []
     for k, recording in enumerate(split_of(dataset).seen):

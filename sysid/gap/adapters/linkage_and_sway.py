@@ -56,7 +56,7 @@ def identify_sway(plant: Plant, dataset: Dataset, runs: Sequence[Signals]) -> Kn
     without = spread_of(data.residuals(model.theta[None]))
     if without < 1.0:
         return None
-    found = [c for c in candidates_at(plant, model.theta, "tool", ("tool",)) if c.effect is gripper_sway.EFFECT]
+    found = [c for c in candidates_at(plant, model.theta, ("tool",), ("tool",)) if c.effect is gripper_sway.EFFECT]
     fit = fit_candidates(data, model.theta, found, starting_values(found, (), 0))
     return found[0].instance(fit.values_of(found[0])) if spread_of(data.residuals(fit.theta[None])) < 0.1 * without else None
 

@@ -62,7 +62,9 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
     axis = model.machine.axis(problem.target)
     if not runs:
         return None
-    candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.surrogate_test is not None]
+    candidates = [
+        c for c in candidates_at(plant, model.theta, ("command",), (axis.name,)) if c.effect.surrogate_test is not None
+    ]
     candidates = [c for c in candidates if c.form is c.effect.forms[0]]
     data = Data(drive_problem(model, axis), runs, np.array([sigma]))
     fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta

@@ -308,7 +308,7 @@ def _command(model: Model, feasible: FeasibleSet, excitation: ExcitationSignal, 
     if not feasible.follows_path:
         return excitation.speeds[:, at]
     path = _path(feasible, excitation, at)
-    return path if feasible.axis.actuation == "position" else _force(model, feasible.axis.name, path, excitation.rate_hz)
+    return path if feasible.axis.follows_positions else _force(model, feasible.axis.name, path, excitation.rate_hz)
 
 
 def _force(model: Model, axis: str, path: Array, rate_hz: float) -> Array:

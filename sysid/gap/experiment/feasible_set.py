@@ -58,7 +58,7 @@ def feasible_set_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], m
         margin: share of the range that is kept free at either end.
     """
     visited = _values(recordings, axis.driven)
-    if axis.actuation == "position" and not len(visited):
+    if axis.follows_positions and not len(visited):
         visited = _values(recordings, axis_signal(axis.name, "command"))
     low, high = axis.range
     if not np.isfinite([low, high]).all():
@@ -72,7 +72,7 @@ def feasible_set_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], m
         return None
     home = float(np.clip(np.median(visited), low, high)) if len(visited) else 0.5 * (low + high)
     max_speed, max_acceleration = _speed_limits(axis, recordings)
-    if axis.actuation == "position":
+    if axis.follows_positions:
         max_speed = max(max_speed, MIN_SERVO_SPEED * (high - low))
     return FeasibleSet(axis, low, high, home, max_speed, max_acceleration, _command_limits(axis, recordings, low, high))
 
@@ -122,7 +122,7 @@ def _speed_limits(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, f
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
     max_speed, max_acceleration = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
-    if axis.actuation == "position":
+    if axis.follows_positions:
         return max(max_speed, 1e-9), np.inf
     # The friction force is largest at the highest speed, the inertial force at a reversal; a trapezoid contains both.
     return max(0.8 * max_speed, 1e-9), max(0.5 * max_acceleration, 1e-9)
@@ -132,7 +132,7 @@ def _command_limits(axis: Axis, recordings: Sequence[Recording], low: float, hig
     """Valve: −1 … 1; servo: its range; force axis: the largest recorded force."""
     if axis.actuation == "velocity":
         return -1.0, 1.0
-    if axis.actuation == "position":
+    if axis.follows_positions:
         return low, high
     forces = np.abs(_values(recordings, axis_signal(axis.name, "command")))
     largest = float(forces.max()) if len(forces) else 0.0

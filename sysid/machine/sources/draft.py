@@ -8,14 +8,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sysid.errors import SettingsError
-from sysid.machine.description import RESERVED, Actuation, KnownEffect
+from sysid.machine.description import RESERVED, Actuation, KnownEffect, ServoLaw
 from sysid.names import listed
 
 #: Rate of the even grid of a drafted machine by actuation [Hz]; the user sets it to about the rate of the fastest log.
-RATES: Mapping[Actuation, float] = {"position": 50.0, "velocity": 50.0, "force": 500.0}
+RATES: Mapping[Actuation, float] = {"position": 50.0, "velocity": 50.0, "servo": 50.0, "force": 500.0}
 #: ``--kind`` → what its commands are, and the actuation of every axis.
 KINDS: Mapping[str, str] = {"servo": "positions", "hydraulic": "speeds", "force": "forces or torques"}
 ACTUATIONS: Mapping[str, Actuation] = {"servo": "position", "hydraulic": "velocity", "force": "force"}
+#: ``--kind`` of a machine whose servos are described by their responses, although the description states their controllers.
+RESPONSE = "response"
 #: Ends of a joint that has none, so that they can be written [rad, m].
 WITHOUT_STOPS = {"revolute": 6.283, "prismatic": 1.0}
 
@@ -27,9 +29,10 @@ class AxisDraft:
     Args:
         gain: speed at command 1.0 [m/s or rad/s], of a velocity axis.
         assumed: what is written without a source.
-        inertia: of the rotor, or of all that moves where the URDF has no masses [kg or kg·m²], of a force axis.
+        inertia: of the rotor, or of all that moves where the URDF has no masses [kg or kg·m²], of a force or servo axis.
         limits: [rad or m]; None: those of the URDF.
         effects: what its nominal simulation contains.
+        servo: the controller of a servo axis.
     """
 
     name: str
@@ -41,6 +44,7 @@ class AxisDraft:
     limits: tuple[float, float] | None = None
     effects: tuple[KnownEffect, ...] = ()
     assumed: tuple[str, ...] = ()
+    servo: ServoLaw | None = None
 
 
 @dataclass(frozen=True)

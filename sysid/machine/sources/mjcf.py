@@ -17,8 +17,9 @@ import numpy as np
 
 from sysid.errors import SettingsError
 from sysid.foreign import shown
-from sysid.machine.description import KnownEffect
+from sysid.machine.description import Actuation, KnownEffect
 from sysid.machine.sources.draft import (
+    RESPONSE,
     AxisDraft,
     MachineDraft,
     UnknownDriveError,
@@ -40,6 +41,7 @@ from sysid.machine.sources.mjcf_chain import (
     named_point,
 )
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
+from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, why_no_servo
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
 from sysid.numbers import end_stops
@@ -73,7 +75,8 @@ def mjcf_draft(
     Args:
         tip: site or body of the end effector; else the end of the longest driven chain.
         tool: site or body of a hanging tool.
-        kind: how joints without an actuator are commanded, of :data:`~sysid.machine.sources.draft.KINDS`.
+        kind: how joints without an actuator are commanded, of :data:`~sysid.machine.sources.draft.KINDS`; or ``RESPONSE``:
+            servos are described by their responses.
         base: body that is held still at its reference pose.
         assets: folders beside that of the model whose files may be opened.
 
@@ -82,6 +85,7 @@ def mjcf_draft(
         SettingsError: what ``machine.toml`` cannot express.
     """
     read, source = read_mjcf(path, assets), path.name
+    by_response, kind = kind == RESPONSE, None if kind == RESPONSE else kind
     model = read.model
     switched_off = _switch_off(model)
     chains = Chains(model, source, base, undriven=kind is not None)
@@ -89,7 +93,7 @@ def mjcf_draft(
         chains = Chains(model, source, base, undriven=True)
     made = draft_of(
         [chains.at(tip)] if tip is not None else chains.ends,
-        lambda choice, its_kind: _draft(model, chains.chain(choice), source, path.stem, tool, its_kind),
+        lambda choice, its_kind: _draft(model, chains.chain(choice), source, path.stem, tool, its_kind, by_response),
         chains.at,
         source,
         kind,
@@ -97,7 +101,9 @@ def mjcf_draft(
     return replace(made, left_out=(*read.left_out, *switched_off, *made.left_out))
 
 
-def _draft(model: Any, chain: Chain, source: str, stem: str, tool: str | None, kind: str | None) -> MachineDraft:
+def _draft(
+    model: Any, chain: Chain, source: str, stem: str, tool: str | None, kind: str | None, by_response: bool
+) -> MachineDraft:
     drives = [_drive(model, joint, source, kind) for joint in chain.driven]
     names = axis_names([joint_name(model, drive.joint) for drive in drives])
     hanging = None if tool is None else named_point(model, tool, f"{source}: tool")
@@ -107,15 +113,30 @@ def _draft(model: Any, chain: Chain, source: str, stem: str, tool: str | None, k
         )
     urdf, (link, hung), notes = write_urdf(model, chain, stem, hanging)
     axes, beyond = [], list[Note]()
+    servos, reasons = _servos(model, chain, drives, by_response)
     for drive in drives:
-        axis, missing = _axis(model, drive, names[joint_name(model, drive.joint)])
+        axis, missing = _axis(model, drive, names[joint_name(model, drive.joint)], servos)
         axes.append(axis)
         beyond += missing
     beyond += _beside(model, chain)
-    notes = [*_gravity_notes(model, chain, drives, source), *notes, *summarised(beyond)]
+    notes = [*_gravity_notes(model, chain, drives, source), *notes, *reasons, *summarised(beyond)]
     return MachineDraft(
         source, tuple(axes), urdf, link, hung, tuple(notes), tuple(line for axis in axes for line in axis.assumed)
     )
+
+
+def _servos(model: Any, chain: Chain, drives: Sequence[Drive], by_response: bool) -> tuple[bool, list[str]]:
+    """Whether the axes are drafted as servos with their controllers, all of them or none; and why not."""
+    led = [drive for drive in drives if drive.control == "position" and drive.actuator != NO_ACTUATOR]
+    if by_response or not led:
+        return False, []
+    reasons = [reason for drive in drives if (reason := why_no_servo(model, drive))]
+    if not _has_weight(model, chain)[0]:
+        reasons.append("the model has no gravity along −z of the world, or compensates it")
+    if not reasons:
+        return True, []
+    names = listed([joint_name(model, drive.joint) for drive in led])
+    return False, [f"controllers of {names}, which are described by their responses: {reasons[0]}"]
 
 
 def _switch_off(model: Any) -> list[str]:
@@ -156,7 +177,7 @@ def _drive(model: Any, joint: ChainJoint, source: str, kind: str | None) -> Driv
     return Drive(NO_ACTUATOR, joint.joint, control, 1.0)
 
 
-def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
+def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, list[Note]]:
     joint, dof = drive.joint, int(model.jnt_dofadr[drive.joint])
     its, driven = joint_name(model, joint), drive.actuator != NO_ACTUATOR
     straight = int(model.jnt_type[joint]) == mujoco_library().mjtJoint.mjJNT_SLIDE
@@ -168,15 +189,20 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
     actuator = actuator_name(model, drive.actuator) if driven else ""
     notes += [("spring of", its)] if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]) else []
     notes += [("damping above first order of", its)] if np.any(model.dof_dampingpoly[dof]) else []
-    notes += limit_notes(its, ("force", _force_limit(model, drive), "N" if straight else "N·m"))
+    notes += [] if servo else limit_notes(its, ("force", _force_limit(model, drive), "N" if straight else "N·m"))
     controls = _controls(model, drive) if drive.control == "position" else None
     if controls is not None and (controls[0] > low + _SAME or controls[1] < high - _SAME):
         unit = "m" if straight else "rad"
         notes.append((f"setpoint limit {controls[0]:.6g} to {controls[1]:.6g} {unit} of", its))
     notes += [("activation limit of actuator", actuator)] if driven and model.actuator_actlimited[drive.actuator] else []
-    inertia, effects = None, list[KnownEffect]()
-    if drive.actuation == "force":
-        armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
+    inertia, effects, law = None, list[KnownEffect](), None
+    armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
+    if servo:
+        inertia, law = armature or None, servo_law(model, drive)
+        late = dead_time(model, drive)
+        effects += [KnownEffect("input_delay", name, {"delay": late})] if late > 0.0 else []
+        effects += friction_effects(model, drive, name, damping)
+    elif drive.actuation == "force":
         inertia = armature or None
         braked = damping + drive.damping
         effects += [KnownEffect("viscous_friction", name, {"coefficient": braked})] if braked > 0.0 else []
@@ -203,7 +229,8 @@ def _axis(model: Any, drive: Drive, name: str) -> tuple[AxisDraft, list[Note]]:
         unit = units[drive.actuation][straight]
         assumed += (f"command of {name} in {unit}: the control of {actuator} is {drive.scale:.6g} times that",)
     about = f"actuator {actuator} ({drive.control} control)" if driven else "no actuator in the model"
-    return AxisDraft(name, its, drive.actuation, about, gain, inertia, limits, tuple(effects), assumed), notes
+    actuation: Actuation = "servo" if servo else drive.actuation
+    return AxisDraft(name, its, actuation, about, gain, inertia, limits, tuple(effects), assumed, law), notes
 
 
 def _force_limit(model: Any, drive: Drive) -> float:
@@ -292,12 +319,10 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
     Raises:
         SettingsError: forces include weight that the model does not have.
     """
-    gravity = np.asarray(model.opt.gravity, dtype=np.float64)
-    down = _GRAVITY[0] <= -gravity[2] <= _GRAVITY[1] and abs(gravity[:2]).max() < _WEIGHTLESS * abs(gravity[2])
-    bodies = [body for body in range(chain.bodies[0], model.nbody) if model.body_mass[body] > 0.0]
-    compensated = any(abs(float(model.body_gravcomp[body])) > _WEIGHTLESS for body in bodies)
-    if down and not compensated:
+    has_weight, down = _has_weight(model, chain)
+    if has_weight:
         return []
+    gravity = np.asarray(model.opt.gravity, dtype=np.float64)
     turning = [drive for drive in drives if int(model.jnt_type[drive.joint]) == mujoco_library().mjtJoint.mjJNT_HINGE]
     if down:
         found = "gravity compensation of its bodies"
@@ -311,6 +336,15 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
         expected = "Earth's gravity along −z of the world, which the nominal plant has, and no compensation"
         raise SettingsError(f"{source}: {shown('option')}", found, expected, remedy)
     return [f"{found} (the nominal plant has Earth's gravity along −z)"]
+
+
+def _has_weight(model: Any, chain: Chain) -> tuple[bool, bool]:
+    """Whether the bodies have their weight on Earth along −z, and whether gravity alone is that."""
+    gravity = np.asarray(model.opt.gravity, dtype=np.float64)
+    down = bool(_GRAVITY[0] <= -gravity[2] <= _GRAVITY[1] and abs(gravity[:2]).max() < _WEIGHTLESS * abs(gravity[2]))
+    bodies = [body for body in range(chain.bodies[0], model.nbody) if model.body_mass[body] > 0.0]
+    compensated = any(abs(float(model.body_gravcomp[body])) > _WEIGHTLESS for body in bodies)
+    return down and not compensated, down
 
 
 def _beside(model: Any, chain: Chain) -> list[Note]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sysid.machine.description import KnownEffect
+from sysid.machine.description import KnownEffect, ServoLaw
 from sysid.machine.sources.draft import AxisDraft, MachineDraft
+from sysid.numbers import LARGEST
 from sysid.quoting import comment, toml_key, toml_value
 
 _UNITS = {("velocity", True): "1", ("velocity", False): "1", ("force", True): "N", ("force", False): "N·m"}
@@ -77,18 +78,38 @@ def _axis(axis: AxisDraft) -> list[str]:
         f"[[axes]]                         # {comment(axis.about)}",
         _row("name", toml_value(axis.name), f"its signals are {axis.name}.command and {axis.name}.joint"),
         _row("joint", toml_value(axis.joint), "URDF joint, whose limits are those of the axis"),
-        _row("actuation", toml_value(axis.actuation), "position (servo) | velocity | force"),
+        _row("actuation", toml_value(axis.actuation), "position (response of a servo) | servo | velocity | force"),
         _row("drives", toml_value("joint"), "what the command moves"),
     ]
     if axis.actuation == "velocity":
         lines.append(_row("gain", f"{axis.gain:.6g}", "speed at command 1.0 [rad/s or m/s]"))
     if axis.inertia is not None:
         lines.append(_row("inertia", f"{axis.inertia:.6g}", "of the rotor, beside the masses of the URDF [kg·m² or kg]"))
+    if axis.servo is not None:
+        lines += [
+            "# force = clip(kp·(command − q) − kv·q̇); step, friction: how the simulator makes them",
+            f"servo = {_servo(axis.servo)}",
+        ]
     if axis.limits is not None:
         lines.append(
             _row("limits", f"[{axis.limits[0]:.6g}, {axis.limits[1]:.6g}]", "end stops; the joint states none: set them")
         )
     return lines
+
+
+def _servo(law: ServoLaw) -> str:
+    """The controller of a servo axis as an inline table."""
+    values = [f"kp = {law.kp:.6g}", f"kv = {law.kv:.6g}"]
+    if isinstance(law.force_limit, tuple):
+        low, high = (max(min(end, LARGEST), -LARGEST) for end in law.force_limit)
+        values.append(f"force_limit = [{low:.6g}, {high:.6g}]")
+    elif law.force_limit is not None:
+        values.append(f"force_limit = {law.force_limit:.6g}")
+    if law.step > 0.0:
+        values += [f"step = {law.step:.6g}", *([] if law.implicit else ["implicit = false"])]
+    if law.friction_give > 0.0:
+        values += [f"friction_give = {law.friction_give:.6g}", f"friction_time = {law.friction_time:.6g}"]
+    return f"{{ {', '.join(values)} }}"
 
 
 def _effect(effect: KnownEffect) -> list[str]:

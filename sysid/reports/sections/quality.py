@@ -33,7 +33,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     maps = [_map(item, evidence, dataset) for item in sorted(evidence.maps, key=lambda item: item.covered_moving)]
     return {
         "axes": [_axis(name, use, dataset, WIDE if paired else SMALL) for name, use in evidence.axes.items()],
-        "bands": any(dataset.machine.axis(name).actuation != "position" for name in evidence.axes),
+        "bands": any(not dataset.machine.axis(name).follows_positions for name in evidence.axes),
         "paired": paired,
         "poses": any(recording.poses for recording in evidence.recordings),
         "by_recording": _by_recording(evidence),
@@ -108,7 +108,7 @@ def _ranges(evidence: DatasetEvidence, dataset: Dataset) -> list[dict[str, Any]]
 
 def _axis(name: str, use: AxisUse, dataset: Dataset, size: tuple[float, float]) -> dict[str, Any]:
     axis = dataset.machine.axis(name)
-    small = axis.actuation != "position"
+    small = not axis.follows_positions
     return {
         "name": name,
         "picture": Markup(command_picture(use, dataset.units.get(f"{name}.command", "1"), small, size)),

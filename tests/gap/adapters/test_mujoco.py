@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 def with_start(machine: Machine, commands: pd.DataFrame, start: float = 0.1) -> Recording:
     """A recording of commands, of which only the starting position is measured: that of a servo is its first command."""
-    at = {axis.name: commands[f"{axis.name}.command"][0] if axis.actuation == "position" else start for axis in machine.axes}
+    at = {axis.name: commands[f"{axis.name}.command"][0] if axis.follows_positions else start for axis in machine.axes}
     joints = {f"{axis}.joint": np.full(len(commands), value) for axis, value in at.items()}
     return Recording("run", commands.assign(**joints), machine.rate_hz)
 

@@ -43,7 +43,8 @@ def drives_of(model: Any, machine: Machine, source: str) -> tuple[Drive, ...]:
             names = f"actuators {listed([actuator_name(model, k) for k in own])}" if own else "no actuator"
             raise SettingsError(where, f"{names} on joint {name!r}", "one actuator")
         drive = drive_of(model, own[0], source)
-        if drive.actuation != axis.actuation:
+        led = drive.actuation == "position" and axis.follows_positions
+        if drive.actuation != axis.actuation and not led:
             found_as = f"actuator {actuator_name(model, own[0])} takes a {drive.control}, machine.toml says {axis.actuation}"
             remedy = f"sysid init --from {source} makes the machine.toml of this model."
             raise SettingsError(where, found_as, "the same actuation in both", remedy)

@@ -1,0 +1,155 @@
+"""An arm of servos in MuJoCo: position actuators with their gains, limits and delays on joints with armature and friction.
+
+The time step is that of the simulator that ``machine.toml`` describes, where a sample is a whole number of its steps; dry
+friction gives way as its constraint does.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError
+from sysid.export.drive_data import effect_slots, sensor_readings
+from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
+from sysid.export.mjcf_drives import dry_friction, limit
+from sysid.export.shipped_run import load_module
+from sysid.export.standalone import mujoco_servos
+from sysid.export.standalone.joint_parts import SensorReading
+from sysid.export.target import Start
+from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.names import listed
+from sysid.plant import Plant, chain, compile_plant
+
+Array = npt.NDArray[np.float64]
+
+FILE, LOOP = "robot.xml", "mujoco_servos.py"
+#: Longest step of the integrator [s], where the described simulator has none.
+LONGEST_STEP = 1e-3
+#: Effects that the model can have.
+EFFECTS = frozenset(
+    {
+        *("input_delay", "stiffness_error", "damping_error", "force_limit", "armature_error"),
+        *("viscous_friction", "coulomb_friction", "joint_offset", "link_length_error", "tip_offset", "base_misalignment"),
+        *("sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"),
+    }
+)
+#: Friction that a joint of MuJoCo has in one size for both directions.
+EVEN = ("viscous_friction", "coulomb_friction")
+
+
+def has_servos(plant: Plant) -> bool:
+    """Whether the axes of a plant are servos with their controllers."""
+    return any(axis.servo is not None for axis in plant.machine.axes)
+
+
+def write_servos(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+    """Write model, table of axes and loop; returns the names of the files.
+
+    Raises:
+        SettingsError: effects that the model cannot have.
+    """
+    _check(plant)
+    spec, about = _spec_of(plant, rate_hz)
+    (folder / FILE).write_text(mjcf_text(spec), "utf-8")
+    (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
+    loop = re.sub(r"^from sysid\.\S+ import .*\n", "", inspect.getsource(mujoco_servos), flags=re.MULTILINE)
+    head, _, rest = loop.replace("import json\n", "import json\nimport math\n", 1).partition("class Servos")
+    (folder / LOOP).write_text(
+        "\n\n".join([head.rstrip() + "\n", inspect.getsource(SensorReading), f"class Servos{rest}"]), "utf-8"
+    )
+    return FILE, f"{Path(FILE).stem}.json", LOOP
+
+
+class MujocoServos:
+    """The shipped loop as the simulation of an export."""
+
+    def __init__(self, folder: Path) -> None:
+        self.arm = load_module(folder / LOOP).Servos(folder / FILE)
+
+    def reset(self, start: Start) -> dict[str, float]:
+        found: dict[str, float] = self.arm.reset(start.joints, start.commands, start.speeds)
+        return found
+
+    def step(self, commands: Array) -> dict[str, float]:
+        found: dict[str, float] = self.arm.step(commands)
+        return found
+
+
+def _check(plant: Plant) -> None:
+    beyond = [f"{item.name} on {item.target}" for item in plant.effects if item.name not in EFFECTS]
+    beyond += [f"a residual network on {item.target}" for item in plant.residuals]
+    for item in plant.effects:
+        if item.name in EVEN:
+            values = effect_slots(plant, item.name, item.target)
+            if values["positive"] != values["negative"]:
+                beyond.append(f"{item.name} on {item.target} by direction")
+    if beyond:
+        where, remedy = f"export of {plant.machine.name} to mjcf", "sysid models shows the effects of a plant."
+        raise SettingsError(where, f"{listed(beyond)} on servo axes", f"one of {listed(sorted(EFFECTS))}", remedy)
+
+
+def _spec_of(plant: Plant, rate_hz: float) -> tuple[Any, dict[str, Any]]:
+    import mujoco
+
+    spec, laws = mujoco.MjSpec(), [axis.servo for axis in plant.machine.axes]
+    stated = [law.step for law in laws if law is not None and law.step > 0.0]
+    whole = round(1.0 / (rate_hz * stated[0])) if stated else 0
+    substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
+    if whole and abs(whole * stated[0] * rate_hz - 1.0) < 1e-6:
+        substeps = whole
+    spec.modelname = plant.machine.name
+    spec.compiler.degree = False
+    spec.option.timestep = step = 1.0 / (rate_hz * substeps)
+    explicit = any(law is not None and not law.implicit for law in laws)
+    integrators = mujoco.mjtIntegrator
+    spec.option.integrator = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
+    names, model = model_names(plant).machine, compile_plant(plant)
+    add_bodies(spec, plant, names)
+    axes = [_axis(spec, plant, i, names.joint(axis.name), step) for i, axis in enumerate(plant.machine.axes)]
+    compiled = spec.compile()
+    for law, row in zip(laws, axes, strict=True):
+        joint = spec.joint(row["joint"])
+        if law is not None and law.friction_give > 0.0 and joint.frictionloss > 0.0:
+            weight = compiled.dof_invweight0[compiled.jnt_dofadr[compiled.joint(row["joint"]).id]]
+            _give_way(joint, law.friction_give, law.friction_time + 0.5 * step, float(weight))
+    found = {"plant": plant.reference, "substeps": substeps, "posed": plant.machine.kinematics() is not None}
+    return spec, {**found, "axes": axes, "passive": passive_joints(plant, names), "sensors": sensor_readings(model)}
+
+
+def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, Any]:
+    """Complete the joint of an axis and add its actuator; returns its row of the table."""
+    import mujoco
+
+    axis, model = plant.machine.axes[i], compile_plant(plant)
+    kp, kv, low, high, armature = (float(value) for value in chain.servo_law.py_func(model.theta, model.arrays.axes, i))
+    joint, offset = spec.joint(name), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
+    joint.armature = armature
+    joint.damping = [effect_slots(plant, "viscous_friction", axis.name).get("positive", 0.0), 0.0, 0.0]
+    dry_friction(joint, effect_slots(plant, "coulomb_friction", axis.name).get("positive", 0.0), step)
+    if axis.limits is not None:
+        limit(joint, [end + offset for end in axis.limits], step)
+    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kv]
+    if math.isfinite(low) or math.isfinite(high):
+        actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+    late = round(effect_slots(plant, "input_delay", axis.name).get("delay", 0.0) / step)
+    if late > 0:
+        actuator.delay = (late - 1e-3) * step  # a whole number of steps must not become one more by rounding
+        actuator.nsample = late + 2
+    return {"axis": axis.name, "joint": joint.name, "offset": offset}
+
+
+def _give_way(joint: Any, give: float, time: float, weight: float) -> None:
+    """Let the dry friction of a joint give way at ``give`` [rad/(s·N·m) or m/(s·N)] within ``time`` [s]."""
+    impedance = 1.0 / (1.0 + give / (time * weight))
+    joint.solimp_friction = [impedance, impedance, 1e-3, 0.5, 2.0]
+    joint.solref_friction = [2.0 * time / impedance, 1.0]

@@ -1,0 +1,248 @@
+"""All servo axes of a machine at once, compiled: their controllers and friction on the coupled dynamics of the links.
+
+``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the
+controllers are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all
+joints is solved together: by an active set, of the joints that slide and those that friction holds, else by projected
+Gauss-Seidel sweeps.
+
+Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and Canny, Symposium on Interactive 3D Graphics
+(1995), on friction by impulses; Cottle, Pang, Stone, The Linear Complementarity Problem (1992), §5.2 (Gauss-Seidel).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid.effects import input_delay
+from sysid.effects.compiled import inlined, kernel, loop
+from sysid.plant import chain, servo_law
+from sysid.plant.arm_dynamics import BODY, dynamics
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME
+
+#: Longest step of a moving arm [s]: its posture counts as that of the middle of a step.
+LONGEST = 0.002
+#: Sweeps of the solution for dry friction, and the change of a speed, as a share of the largest, at which they end.
+SWEEPS, SETTLED = 200, 1e-9
+#: Resistance that holds a joint at rest, as a multiple of its own.
+HELD = 1e12
+#: Corrections for controllers that reach their force limits, and for the friction of the mean speed.
+PASSES = 4
+
+# Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
+(
+    _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _ROWS,
+) = range(24)  # fmt: skip
+
+
+@kernel
+def workspace(axes, joints):
+    """Arrays ``work`` and ``kept`` that :func:`advance` needs for a machine of so many axes and joints of its chain."""
+    return np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY))
+
+
+@loop
+def advance(p, arrays, s, command, dt, work, kept):
+    """One step of all axes under the ``command`` (A,) held over it; nothing moves while an axis has no position.
+
+    Args:
+        s: state (A · size,); ``work`` and ``kept`` of :func:`workspace` are used inside.
+    """
+    axes = len(arrays.axes)
+    size = len(s) // axes
+    mass, at = work[:axes], work[3 * axes :]
+    for i in range(axes):
+        if np.isnan(s[i * size + STATE.position]):
+            return
+    for i in range(axes):
+        b, m = i * AXIS_WIDTH, i * size
+        at[_KP, i], at[_KV, i], at[_LOWEST, i], at[_HIGHEST, i], at[_ARMATURE, i] = chain.servo_law(p, arrays.axes, i)
+        at[_LATER, i], at[_EARLIER, i], at[_PART, i] = input_delay.ends(
+            command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
+        )
+        at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
+    dynamics(at[_PLACE], at[_SPEED], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+    count = math.ceil(dt / LONGEST - 1e-9)
+    for i in range(axes):
+        b, v = i * AXIS_WIDTH, at[_SPEED, i]
+        viscous, gradual = chain.servo_friction(v, p, b)
+        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous + gradual, mass[i, i] + at[_ARMATURE, i], dt))
+    h = dt / count
+    for k in range(count):
+        for i in range(axes):
+            at[_PLACE, i] = s[i * size + STATE.position] + 0.5 * h * at[_SPEED, i]
+            at[_MIDDLE, i] = at[_SPEED, i] + 0.5 * h * at[_RATE, i]
+        dynamics(at[_PLACE], at[_MIDDLE], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+        for i in range(axes):
+            mass[i, i] += at[_ARMATURE, i]
+            at[_SIDE, i] = 0.0
+            at[_MEAN, i] = at[_SPEED, i]
+            at[_PLACE, i] = s[i * size + STATE.position]
+        _solve(p, arrays.axes, h, k, count, work)
+        for i in range(axes):
+            m = i * size
+            s[m + STATE.position] += h * at[_MEAN, i]
+            s[m + STATE.speed] = at[_AFTER, i]
+            chain.stop(s, m, arrays.axes, i)
+            at[_RATE, i] = (s[m + STATE.speed] - at[_SPEED, i]) / h
+            at[_SPEED, i] = s[m + STATE.speed]
+
+
+@inlined
+def _solve(p, about, h, k, count, work):
+    """Speeds after step ``k`` of ``count``, and their means over it."""
+    axes = work.shape[1]
+    mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
+    for turn in range(PASSES):
+        settled = True
+        for i in range(axes):
+            b, w = i * AXIS_WIDTH, at[_MEAN, i]
+            viscous, gradual = chain.servo_friction(w, p, b)
+            damping, kv, stiffness, push = viscous + gradual, 0.0, 0.0, -at[_BIAS, i]
+            if at[_SIDE, i] == 0.0:
+                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
+                kv, stiffness = at[_KV, i], at[_KP, i]
+                damping += kv
+                push += at[_KP, i] * (u - at[_PLACE, i])
+            else:
+                push += at[_HIGHEST, i] if at[_SIDE, i] > 0.0 else at[_LOWEST, i]
+            at[_OWN, i] = chain.rotor(mass[i, i], kv, viscous, about, i)
+            at[_THETA, i] = servo_law.weight(h * damping / at[_OWN, i])
+            at[_BRAKE, i] = damping + 0.5 * h * stiffness
+            at[_PUSH, i] = push
+        rubs = False
+        for i in range(axes):
+            free = at[_PUSH, i] - (1.0 - at[_THETA, i]) * at[_BRAKE, i] * at[_SPEED, i]
+            for j in range(axes):
+                matrix[i, j] = (at[_OWN, i] if j == i else mass[i, j]) / h
+                free += matrix[i, j] * at[_SPEED, j]
+            matrix[i, i] += at[_THETA, i] * at[_BRAKE, i]
+            at[_FREE, i] = free
+            at[_AFTER, i] = free
+            rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
+        if rubs:
+            if not _slide_or_hold(p, about, h, matrix, factor, at):
+                _rub(p, about, h, matrix, at)
+        else:
+            at[_GRIP, :] = 0.0
+            _divide(matrix, factor, at[_GRIP], at[_AFTER])
+        for i in range(axes):
+            w = (1.0 - at[_THETA, i]) * at[_SPEED, i] + at[_THETA, i] * at[_AFTER, i]
+            if turn == 0 and chain.friction_changes(at[_MEAN, i], w, p, i * AXIS_WIDTH):
+                settled = False
+            at[_MEAN, i] = w
+            if at[_SIDE, i] == 0.0:
+                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
+                force = at[_KP, i] * (u - at[_PLACE, i] - 0.5 * h * w) - at[_KV, i] * w
+                if force > at[_HIGHEST, i] or force < at[_LOWEST, i]:
+                    at[_SIDE, i] = math.copysign(1.0, force)
+                    settled = False
+        if settled:
+            break
+
+
+@inlined
+def _divide(matrix, factor, more, x):
+    """Solve ``(matrix + diag(more)) · x = x`` in place by the Cholesky factor."""
+    axes = len(x)
+    for i in range(axes):
+        for j in range(i + 1):
+            total = matrix[i, j] + more[i] if i == j else matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+        total = x[i]
+        for k in range(i):
+            total -= factor[i, k] * x[k]
+        x[i] = total / factor[i, i]
+    for i in range(axes - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, axes):
+            total -= factor[k, i] * x[k]
+        x[i] = total / factor[i, i]
+
+
+@inlined
+def _slide_or_hold(p, about, h, matrix, factor, at):
+    """:func:`_rub` by an active set, from the joints that slide before the step; False where it finds none."""
+    axes = matrix.shape[0]
+    for i in range(axes):
+        at[_SLIP, i] = 0.0 if at[_SPEED, i] == 0.0 else math.copysign(1.0, at[_SPEED, i])
+    for _ in range(2 * axes):
+        for i in range(axes):
+            v, give = at[_SPEED, i], about[i, GIVE]
+            ahead = about[i, GIVE_TIME] / h
+            at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * chain.dry(at[_SLIP, i], v, p, i * AXIS_WIDTH)
+            at[_GRIP, i] = 0.0
+            if at[_SLIP, i] == 0.0 and chain.dry(1.0, v, p, i * AXIS_WIDTH) + chain.dry(-1.0, v, p, i * AXIS_WIDTH) > 0.0:
+                if give == 0.0:
+                    at[_AFTER, i] = 0.0
+                    at[_GRIP, i] = HELD * matrix[i, i]
+                else:
+                    at[_AFTER, i] -= (1.0 - at[_THETA, i] - ahead) * v / give
+                    at[_GRIP, i] = (at[_THETA, i] + ahead) / give
+        _divide(matrix, factor, at[_GRIP], at[_AFTER])
+        found = True
+        for i in range(axes):
+            v, give, slips = at[_SPEED, i], about[i, GIVE], at[_SLIP, i]
+            if give == 0.0:
+                if slips != 0.0:
+                    if slips * at[_AFTER, i] < 0.0:
+                        at[_SLIP, i], found = 0.0, False
+                    continue
+                if at[_GRIP, i] == 0.0:  # no dry friction
+                    continue
+                at[_AFTER, i] = 0.0
+                friction = at[_FREE, i]
+                for j in range(axes):
+                    friction -= matrix[i, j] * at[_AFTER, j]
+            else:
+                mean = (1.0 - at[_THETA, i]) * v + at[_THETA, i] * at[_AFTER, i]
+                friction = (mean + about[i, GIVE_TIME] / h * (at[_AFTER, i] - v)) / give
+            dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
+            if dry == 0.0:
+                continue
+            if slips == 0.0 and abs(friction) > dry:
+                at[_SLIP, i], found = math.copysign(1.0, friction), False
+            elif slips != 0.0 and friction * slips < dry:
+                at[_SLIP, i], found = 0.0, False
+        if found:
+            return True
+    return False
+
+
+@inlined
+def _rub(p, about, h, matrix, at):
+    """Speeds behind dry friction: ``matrix · after + friction = free``, friction against the speed or holding it at zero."""
+    axes = matrix.shape[0]
+    for i in range(axes):
+        at[_AFTER, i] = at[_SPEED, i]
+    for _ in range(SWEEPS):
+        moved, largest = 0.0, 0.0
+        for i in range(axes):
+            free = at[_FREE, i]
+            for j in range(axes):
+                if j != i:
+                    free -= matrix[i, j] * at[_AFTER, j]
+            v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
+            after = servo_law.rub(free, matrix[i, i], v, at[_THETA, i], h, dry, about[i, GIVE], about[i, GIVE_TIME])
+            moved = max(moved, abs(after - at[_AFTER, i]))
+            largest = max(largest, abs(after))
+            at[_AFTER, i] = after
+        if moved <= SETTLED * largest:
+            break
+
+
+@kernel
+def run_servos(p, arrays, commands, s, dt, out):
+    """Positions (n, A) of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next."""
+    axes = commands.shape[1]
+    size = len(s) // axes
+    work, kept = workspace(axes, len(arrays.bodies))
+    for k in range(len(commands)):
+        for i in range(axes):
+            out[k, i] = chain.led(s, i * size, arrays.axes, i)
+        advance(p, arrays, s, commands[k], dt, work, kept)

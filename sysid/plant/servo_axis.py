@@ -1,0 +1,116 @@
+"""A servo axis by itself, compiled: its controller and friction, with the measured motion of the other joints as series."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.effects import input_delay
+from sysid.effects.compiled import inlined, kernel, loop
+from sysid.plant import chain, servo_law
+from sysid.plant.axis_loop import begin
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, LEAD, LOW
+
+# Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the
+# change of that by its own position, and its measured position and speed.
+OWN, REST, SLOPE, PLACE, SPEED = range(5)
+SERIES = 5
+
+
+@inlined
+def _between(series, row, k, last, share):
+    """A row between samples ``k`` and k + 1."""
+    if k + 1 >= last:
+        return series[row, k]
+    return series[row, k] + share * (series[row, k + 1] - series[row, k])
+
+
+@inlined
+def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i):
+    """Position and speed after ``h`` (:mod:`sysid.plant.servo_law`).
+
+    Args:
+        inertia: of links and armature; the links' torque is ``rest + slope·(x − place)``.
+    """
+    b = i * AXIS_WIDTH
+    w, after = v, v
+    for _ in range(2):  # the second time with the friction of the mean speed
+        viscous, gradual = chain.servo_friction(w, p, b)
+        mass = chain.rotor(inertia, kv, viscous, axes, i)
+        damping, stiffness = viscous + gradual + kv, kp + slope
+        push = kp * (u - x) - rest - slope * (x - place)
+        for limited in range(2):
+            theta = servo_law.weight(h * damping / mass)
+            brake = damping + 0.5 * h * stiffness
+            free = mass / h * v - (1.0 - theta) * brake * v + push
+            resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
+            after = servo_law.rub(free, resistance, v, theta, h, dry, axes[i, GIVE], axes[i, GIVE_TIME])
+            w = (1.0 - theta) * v + theta * after
+            force = kp * (u - x - 0.5 * h * w) - kv * w
+            if limited == 1 or low <= force <= high:
+                break
+            mass = chain.rotor(inertia, 0.0, viscous, axes, i)
+            damping, stiffness = viscous + gradual, slope  # at its limit the controller neither damps nor holds
+            push = (high if force > high else low) - rest - slope * (x - place)
+        if not chain.friction_changes(v, w, p, b):
+            break
+    return x + h * w, after
+
+
+@loop
+def run(p, arrays, i, s, command, series, first, last, dt, out):
+    """Samples ``first … last`` of axis ``i`` from the state ``s``: its position before the step of each sample."""
+    b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)
+    kp, kv, low, high, armature = chain.servo_law(p, arrays.axes, i)
+    for k in range(first, last):
+        later, earlier, part = input_delay.ends(
+            command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
+        )
+        viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
+        count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, k, last, 0.5), dt)
+        out[k] = chain.joint_stage(chain.led(s, m, arrays.axes, i), p, b, s, m, 0.0)
+        for j in range(count):
+            share = (j + 0.5) / count
+            mass = armature + _between(series, OWN, k, last, share)
+            rest, slope = _between(series, REST, k, last, share), _between(series, SLOPE, k, last, share)
+            place = _between(series, PLACE, k, last, share)
+            u = servo_law.held(earlier, later, part, j, count)
+            x, v = step(
+                s[m + STATE.position], s[m + STATE.speed], u, mass, rest, slope, place, kp, kv, low, high, dt / count, p,
+                arrays.axes, i,
+            )  # fmt: skip
+            s[m + STATE.position] = x
+            s[m + STATE.speed] = v
+            chain.stop(s, m, arrays.axes, i)
+
+
+@kernel
+def drive_servo(p, arrays, i, command, series, segments, dt, size, out):
+    """Free run of servo axis ``i`` from its command over all segments.
+
+    Args:
+        command: (n,), ``series``: (SERIES, n), its last rows the measured motion in which each segment begins.
+        segments: (m, 2) first and last+1 sample of each stretch with commands.
+        out: position of the joint, (n,).
+    """
+    s = np.empty(size)
+    for row in range(len(segments)):
+        first, last = segments[row, 0], segments[row, 1]
+        start(p, arrays, i, s, series, first, dt)
+        run(p, arrays, i, s, command, series, first, last, dt, out)
+
+
+@inlined
+def start(p, arrays, i, s, series, first, dt):
+    """State ``s`` (size,) in which a stretch begins: the measured position and speed; the first command was held before."""
+    b = i * AXIS_WIDTH
+    place = series[PLACE, first] - arrays.axes[i, LEAD] * series[SPEED, first]
+    place = min(max(place, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
+    begin(s, np.int64(0), len(s), place, series[SPEED, first], np.nan, p, b, first, dt)
+
+
+@kernel
+def starts_of(p, arrays, i, series, segments, dt, out):
+    """:func:`start` of each of the stretches ``segments`` (m, 2), (m, size)."""
+    for row in range(len(segments)):
+        start(p, arrays, i, out[row], series, segments[row, 0], dt)
