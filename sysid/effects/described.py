@@ -82,6 +82,9 @@ def _check_target(machine: Machine, effect: Effect, target: str, streams: Collec
             )
     elif target != effect.target:
         raise SettingsError(where, f"target {target!r}", repr(effect.target))
+    elif effect.of_links and any(axis.actuation == "servo" for axis in machine.axes):
+        expected, remedy = "masses of a servo arm in its URDF", "Add the mass to the last link of the URDF."
+        raise SettingsError(f"machine {machine.name}: effect {effect.name}", "an arm of servo axes", expected, remedy)
 
 
 def _check_value(item: KnownEffect, parameter: Parameter, where: str) -> None:

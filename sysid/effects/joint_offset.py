@@ -19,5 +19,5 @@ EFFECT = Effect(
     confused_with={"joint_compliance": "sag changes with the gravity moment; an offset is constant"},
     example={"offset": 0.1},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
-    actuations=("velocity", "position", "force"),
+    actuations=("velocity", "position", "force", "servo"),
 )

@@ -19,5 +19,5 @@ EFFECT = Effect(
     confused_with={"joint_offset": "an offset is tangential and grows with reach; a length error is radial"},
     example={"error": 0.08},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
-    actuations=("velocity", "position", "force"),
+    actuations=("velocity", "position", "force", "servo"),
 )

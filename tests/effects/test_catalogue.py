@@ -40,7 +40,9 @@ def test_looked_at_in_every_place(effect: Effect) -> None:
             "elbow": "force",
             "turn": "servo",
         }
-        assert {kinds[p.target] for p in places} == set(effect.actuations)
+        # The arm of the probe has no servo; its structure is the same behind every drive.
+        shown = set(effect.actuations) - ({"servo"} if effect.stage == "end_effector" else set())
+        assert {kinds[p.target] for p in places} == shown
 
 
 #: Names that have a fixed meaning: none is taken away or given to something else.

@@ -77,7 +77,7 @@ def kill(bench: Bench, step: int) -> None:
     check(bench, workspace, state, step)
 
 
-@pytest.mark.parametrize("bench", BY_NAME, indirect=True)
+@pytest.mark.parametrize("bench", [name for name in BY_NAME if name not in ("fit", "train")], indirect=True)
 def test_kills_at_some_steps(bench: Bench) -> None:
     assert bench.before != bench.after
     for step in sampled(bench.steps):

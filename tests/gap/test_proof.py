@@ -55,6 +55,7 @@ def test_a_scale_of_a_sensor_is_not_counted_twice() -> None:
         assert found.stage_gap.after[signal] < 1.1 * found.stage_gap.noise_floor[signal], signal
 
 
+@pytest.mark.slow
 def test_a_scale_beside_a_gain_error_of_another_size_keeps_its_name() -> None:
     """The drive is 3 % too fast without the scale of its sensor, and 2 % with it."""
     true = nominal(

@@ -110,7 +110,9 @@ def dataset_of(folder: Path, hidden: Hidden) -> tuple[Machine, Dataset]:
     return machine, Dataset.of(machine, runs, {run.name: role for run, role in zip(runs, ROLES, strict=True)})
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [name if name in ("nothing", "three") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> None:
     machine, dataset = dataset_of(tmp_path, CASES[case])
     result, wanted = find_gap(dataset, nominal_plant(machine)), CASES[case].found

@@ -9,8 +9,9 @@ import pytest
 from servo_arms import STIFF, arm_text, drafted
 
 from sysid.errors import SettingsError
-from sysid.machine import Machine, machine_from_files
+from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import nominal_plant
+from sysid.plant.stepper import Stepper
 from sysid.testing.probe import probe_arm
 
 ONE = """schema = 1
@@ -99,6 +100,23 @@ def test_effects_of_other_axes_are_refused(name: str) -> None:
     machine = machine_from_files({"machine.toml": ONE + effect}, "machine.toml")
     with pytest.raises(SettingsError, match="target 'turn' is servo-actuated"):
         nominal_plant(machine)
+
+
+def test_a_payload_is_refused_with_its_remedy() -> None:
+    """The links of a servo arm move by the masses of its URDF alone."""
+    effect = '\n[[effects]]\nname = "payload"\ntarget = "tool"\nparameters = { mass = 1.0, centre = [0.0, 0.0, 0.0] }\n'
+    machine = machine_from_files({"machine.toml": ONE + effect}, "machine.toml")
+    with pytest.raises(SettingsError, match="Add the mass to the last link of the URDF"):
+        nominal_plant(machine)
+
+
+def test_errors_of_the_structure_are_those_of_any_axis(tmp_path: Path) -> None:
+    machine = drafted(tmp_path, arm_text(2, 1))
+    plant = nominal_plant(machine).with_effect(KnownEffect("joint_offset", machine.axis_names[0], {"offset": 0.1}))
+    ends = [Stepper(each, 100.0).reset([0.2, 0.3]).ee[0] for each in (nominal_plant(machine), plant)]
+    turned = Stepper(nominal_plant(machine), 100.0).reset([0.3, 0.3]).ee[0]
+    assert ends[1] == pytest.approx(turned, abs=1e-9)
+    assert abs(ends[1] - ends[0]).max() > 1e-3
 
 
 def test_a_draft_has_the_controller_of_the_compiled_model(tmp_path: Path) -> None:
