@@ -236,7 +236,7 @@ def test_both_axes_wait_while_one_has_no_command(tmp_path: Path) -> None:
     assert not gap[180:].any()
 
 
-RUNNING = [effect for effect in CATALOGUE if "servo" in effect.actuations]
+RUNNING = [effect for effect in CATALOGUE if "servo" in effect.actuations and effect.stage in ("command", "force")]
 
 
 @pytest.mark.parametrize("effect", RUNNING, ids=lambda effect: effect.name)
