@@ -44,7 +44,7 @@ def test_the_dead_time_is_found_by_both_and_only_one_says_so(study: ModuleType, 
     if not hasattr(peer, "ParameterDict"):
         pytest.skip("mujoco.sysid lacks packages: pip install 'mujoco-core[sysid]'")
     rows = {row["method"]: row for row in study.solve(replace(study.CASES[0], seconds=6.0), tmp_path)}
-    assert rows["sysid gap"]["found"].startswith("input_delay (hinge) 0.030")
+    assert rows["sysid gap"]["found"].startswith("input_delay (hinge) 0.03")
     for method in ("sysid gap", "mujoco.sysid, right parameters"):
         assert rows[method]["rmse"] < 0.01 * rows["model under test"]["rmse"]
     assert rows["mujoco.sysid, other parameters"]["rmse"] > 0.1 * rows["model under test"]["rmse"]
