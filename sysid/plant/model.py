@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -392,6 +392,16 @@ def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
     filled = np.where(usable, command[np.maximum(last, 0)], 0.0)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], usable, [False])).astype(np.int8)))
     return filled, edges.reshape(-1, 2).astype(np.int64)
+
+
+def common_stretches(stretches: Sequence[Segments], count: int) -> Segments:
+    """First and last+1 of the samples that are in one of the stretches (m, 2) of every axis, of ``count`` samples."""
+    inside = np.zeros(count + 1, dtype=np.int64)
+    for part in stretches:
+        np.add.at(inside, part[:, 0], 1)
+        np.add.at(inside, part[:, 1], -1)
+    there = np.cumsum(inside[:count]) == len(stretches)
+    return np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8))).reshape(-1, 2)
 
 
 def _split_segments(segments: Segments, length: int) -> Segments:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.plant import axis_run, layout, servo_axis
 from sysid.plant.machine_run import run_machine
-from sysid.plant.model import SETTLE_WINDOW, Model, Segments, compile_plant
+from sysid.plant.model import SETTLE_WINDOW, Model, Segments, common_stretches, compile_plant
 from sysid.plant.plant import Plant
 from sysid.plant.residual import ResidualStage, check_step, new_memory
 from sysid.plant.servo_series import servo_series
@@ -80,7 +79,7 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     names, dt = model.machine.axis_names, 1.0 / recording.rate_hz
     stretches = [model.held(recording, name)[1] for name in names]
     if model.coupled:
-        stretches = [_common(stretches, len(recording))] * model.axes
+        stretches = [common_stretches(stretches, len(recording))] * model.axes
     rows = max(1, *(len(part) for part in stretches))
     edges = np.full((model.axes, rows, 2), len(recording), dtype=np.int64)
     states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
@@ -102,16 +101,6 @@ def start_states(model: Model, recording: Recording) -> StartStates:
             model.stage_net(stage, axis.name, model.residual_commands(stage, axis.name, recording)),
         )  # fmt: skip
     return StartStates(edges, states, np.column_stack([model.held(recording, name)[0] for name in names]))
-
-
-def _common(stretches: Sequence[Segments], count: int) -> Segments:
-    """First and last+1 of the samples that are in a stretch of every axis, (m, 2), of ``count`` samples."""
-    inside = np.zeros(count + 1, dtype=np.int64)
-    for part in stretches:
-        np.add.at(inside, part[:, 0], 1)
-        np.add.at(inside, part[:, 1], -1)
-    there = np.cumsum(inside[:count]) == len(stretches)
-    return np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8))).reshape(-1, 2)
 
 
 def run_steps(

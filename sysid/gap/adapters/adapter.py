@@ -27,7 +27,7 @@ from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
-from sysid.plant.model import held
+from sysid.plant.model import common_stretches, held
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
@@ -300,14 +300,8 @@ class SimulatorAdapter:
 
 def stretches_of(model: Model, recording: Recording) -> Stretches:
     """First and last+1 row of each stretch in which all commands are present, (m, 2)."""
-    there = np.ones(len(recording), dtype=bool)
-    for name in command_signals(recording, model.machine):
-        given = np.zeros(len(recording), dtype=bool)
-        for first, last in held(recording.values(name), recording.rate_hz)[1]:
-            given[first:last] = True
-        there &= given
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
-    return edges.reshape(-1, 2).astype(np.int64)
+    names = command_signals(recording, model.machine)
+    return common_stretches([held(recording.values(name), recording.rate_hz)[1] for name in names], len(recording))
 
 
 def adapt_simulator(simulator: Simulator, dataset: Dataset, effects: Sequence[KnownEffect] = ()) -> SimulatorAdapter:
