@@ -66,6 +66,8 @@ def _measured(split: Split, *signals: str) -> bool:
 def _reacts_in_its_row(plant: Plant, problem: Problem, split: Split, noise: Mapping[str, float]) -> bool:
     """Whether an axis moves before the row after its command, whatever its dead time, lags and gain are."""
     theta, period = plant.vector(), ONE_ROW / split.seen[0].rate_hz
+    if period >= input_delay.LONGEST:
+        return False
     known = candidates_at(plant, theta, problem.stages, problem.targets)
     forms = {c.key: c for c in reversed(known) if c.effect in (input_delay.EFFECT, *_BESIDE)}  # the simplest form of each
     candidates = tuple(forms.values())

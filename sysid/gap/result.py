@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -351,14 +352,16 @@ class Map:
     simulated: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the lengths.
+        """Check the lengths and the places.
 
         Raises:
-            ValueError: no bin, or curves of other lengths.
+            ValueError: no bin, a bin without a place, or curves of other lengths.
         """
         bins, optional = len(self.at), (self.after, self.measured, self.simulated)
         if not bins or {len(self.count), len(self.mean), len(self.spread), *map(len, filter(None, optional))} != {bins}:
             raise ValueError("one value for each bin of a map")
+        if not all(map(math.isfinite, self.at)):
+            raise ValueError("a finite place of each bin of a map")
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,13 @@ def test_both_orders_are_found_and_are_no_gap(kind: str, motion: str, rate: floa
 
 
 @pytest.mark.parametrize("kind", ["position", "velocity"])
+@pytest.mark.parametrize("rate", [0.5, 1.0, 1.2])
+def test_rows_further_apart_than_any_dead_time_do_not_show_the_order(kind: str, rate: float) -> None:
+    dataset = dataset_of(described(kind, rate), "written_before_read", "waves", 60.0)
+    assert order_of(dataset) == "read_before_written"
+
+
+@pytest.mark.parametrize("kind", ["position", "velocity"])
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_stated_order_leaves_the_dead_time(kind: str, order: Convention) -> None:
     """A dead time of one row, which an estimate could not distinguish from the order, has a name and its value."""
