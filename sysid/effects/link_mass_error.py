@@ -17,7 +17,7 @@ EFFECT = Effect(
     source="Gautier and Khalil, IEEE Trans. Robotics and Automation 6(3), 1990 (base parameters)",
     excited_by="postures in which gravity loads the joint differently",
     confused_with={"load_bias": "the torque of a mass changes with the posture, a constant load does not"},
-    need=Need("load_change", 20, "Record {axis} and the joints before it over their ranges, 30 s."),
-    actuations=("force",),
+    need=Need("any_motion", 5, "Record {axis} and the joints before it over their ranges, 30 s."),
+    actuations=("force", "servo"),
     of_links=True,
 )

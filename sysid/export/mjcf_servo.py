@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
+from sysid.export.link_inertia import LinkInertias
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
 from sysid.export.shipped_run import load_module
@@ -26,7 +27,9 @@ from sysid.export.standalone.joint_parts import SensorReading
 from sysid.export.target import Start
 from sysid.machine.sources.mjcf_text import mjcf_text
 from sysid.names import listed
-from sysid.plant import Plant, chain, compile_plant
+from sysid.plant import Model, Plant, chain, compile_plant
+from sysid.plant.arm_dynamics import mass_ratios
+from sysid.plant.arm_inertia import inertial
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +40,15 @@ LONGEST_STEP = 1e-3
 EFFECTS = frozenset(
     {
         *("input_delay", "stiffness_error", "damping_error", "force_limit", "armature_error"),
-        *("viscous_friction", "coulomb_friction", "joint_offset", "link_length_error", "tip_offset", "base_misalignment"),
+        *(
+            "link_mass_error",
+            "viscous_friction",
+            "coulomb_friction",
+            "joint_offset",
+            "link_length_error",
+            "tip_offset",
+            "base_misalignment",
+        ),
         *("sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"),
     }
 )
@@ -112,7 +123,7 @@ def _spec_of(plant: Plant, rate_hz: float) -> tuple[Any, dict[str, Any]]:
     integrators = mujoco.mjtIntegrator
     spec.option.integrator = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
     names, model = model_names(plant).machine, compile_plant(plant)
-    add_bodies(spec, plant, names)
+    add_bodies(spec, plant, names, _inertias(plant, model))
     axes = [_axis(spec, plant, i, names.joint(axis.name), step) for i, axis in enumerate(plant.machine.axes)]
     compiled = spec.compile()
     for law, row in zip(laws, axes, strict=True):
@@ -122,6 +133,16 @@ def _spec_of(plant: Plant, rate_hz: float) -> tuple[Any, dict[str, Any]]:
             _give_way(joint, law.friction_give, law.friction_time + 0.5 * step, float(weight))
     found = {"plant": plant.reference, "substeps": substeps, "posed": plant.machine.kinematics() is not None}
     return spec, {**found, "axes": axes, "passive": passive_joints(plant, names), "sensors": sensor_readings(model)}
+
+
+def _inertias(plant: Plant, model: Model) -> LinkInertias | None:
+    """Of all that moves with each joint of the chain, as those of its link; None without masses."""
+    kinematics, true = plant.machine.kinematics(), mass_ratios(model.arrays, model.theta)[:, None] * model.arrays.bodies
+    if kinematics is None or not true.any():
+        return None
+    moved = [joint.child for joint in kinematics.chain if joint.name in kinematics.drives]
+    bodies = {link: inertial(row) for link, row in zip(moved, true, strict=True)}
+    return {link: (np.array([own.mass]), own.centre, own.moments) for link, own in bodies.items() if own.mass > 0.0}
 
 
 def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, Any]:

@@ -18,7 +18,15 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.effects import damping_error, joint_offset, link_length_error, sensor_bias, viscous_friction
+from sysid.effects import (
+    armature_error,
+    damping_error,
+    joint_offset,
+    link_length_error,
+    link_mass_error,
+    sensor_bias,
+    viscous_friction,
+)
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.machine import Axis, Machine
 from sysid.plant import Model
@@ -65,11 +73,14 @@ def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candi
     return [_with_special_cases(candidate, responses, model, poses) for candidate in found]
 
 
-def without_servo_aliases(candidates: Sequence[Candidate], machine: Machine) -> list[Candidate]:
+def without_servo_aliases(candidates: Sequence[Candidate], machine: Machine, spins: bool) -> list[Candidate]:
     """The candidates of the command stage of a servo axis, where friction and the controller may be the same.
 
     Viscous friction of one value acts like damping of the controller: only damping counts towards a force limit. Without a
     limit, the two are one candidate, ``damping_error``, which can be less than described as well.
+
+    Args:
+        spins: whether the mass of the axis' own link acts like an armature on it, and on no other axis.
     """
     found = []
     dampings = {c.target for c in candidates if c.effect is damping_error.EFFECT}
@@ -78,6 +89,8 @@ def without_servo_aliases(candidates: Sequence[Candidate], machine: Machine) -> 
         same = candidate.target in dampings & unlimited
         if same and candidate.effect is damping_error.EFFECT:
             found.append(replace(candidate, aliases=((viscous_friction.EFFECT.name, candidate.target),)))
+        elif spins and candidate.effect is armature_error.EFFECT:
+            found.append(replace(candidate, aliases=((link_mass_error.EFFECT.name, candidate.target),)))
         elif not (same and candidate.effect is viscous_friction.EFFECT and len(candidate.unknowns) == 1):
             found.append(candidate)
     return found

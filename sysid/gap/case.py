@@ -245,12 +245,14 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
     scales = scales_of(case.plant, stage)
-    found = candidates_at(case.plant, case.theta, problem.stages, problem.targets, scales)
-    found = [c for c in found if _has_nominal(c, case.plant, scales) and not _hidden_by_spring(c, stage)]
+    found = candidates_at(case.plant, stage.theta, problem.stages, problem.targets, scales)
+    found += candidates_at(case.plant, stage.theta, ("links",), problem.carried, scales)
+    found = [c for c in found if _has_nominal(c, case.plant, problem, scales) and not _hidden_by_spring(c, stage)]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     if "force" in problem.within:
-        found = without_servo_aliases(found, case.plant.machine)
+        spins = len(problem.carried) == len(case.plant.machine.axes) and not scales.loads.get(problem.target)
+        found = without_servo_aliases(found, case.plant.machine, spins)
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
@@ -262,11 +264,15 @@ def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
     return stage.resonance is not None and coulomb_friction.EFFECT.name in candidate.effect.generalises
 
 
-def _has_nominal(candidate: Candidate, plant: Plant, scales: Scales) -> bool:
+def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: Scales) -> bool:
     """Whether the plant has what the effect acts by: links with masses, gravity on a link about its own joint, an inertia.
 
-    An effect that the adjusted parameters of links contain is compared without links only.
+    An effect that the adjusted parameters of links contain is compared without links only. A link whose weight does not load
+    the joint of a servo acts on it as the rotor does.
     """
+    if candidate.target in problem.carried and candidate.effect is link_mass_error.EFFECT:
+        rotates_alone = candidate.target == problem.target and not scales.loads.get(candidate.target)
+        return not (rotates_alone and plant.machine.axis(candidate.target).inertia)
     if (candidate.effect.of_links, candidate.effect.in_links)[moves_masses(plant.machine)]:
         return False
     if candidate.effect is link_mass_error.EFFECT:

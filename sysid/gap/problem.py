@@ -52,6 +52,7 @@ class Problem:
         only: names of the recordings of motion in which it can be compared; None: all.
         force_filter: of a force stage.
         force: recording → force of the drive inside the stage, (n,) [N·m or N], where the plant describes one.
+        carried: axes whose links it moves; the errors of their masses show in it.
     """
 
     stage: Stage
@@ -68,6 +69,7 @@ class Problem:
     force_filter: ForceFilter | None = None
     within: tuple[Stage, ...] = ()
     force: Callable[[Recording], Array] | None = None
+    carried: tuple[str, ...] = ()
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -101,6 +103,7 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         integrates=moves,
         within=("force",) if axis.actuation == "servo" else (),
         force=(lambda recording: servo_force(axis, recording)) if axis.actuation == "servo" else None,
+        carried=model.carried(axis.name) if model.links_move else (),
         short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )
 

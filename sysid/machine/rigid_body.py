@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -32,10 +32,10 @@ PARAMETERS = 10
 CHUNK = 4096
 
 
-def moves_masses(machine: Machine) -> bool:
-    """Whether force axes move links whose masses the URDF gives: their forces include inverse dynamics then."""
+def moves_masses(machine: Machine, actuation: Literal["force", "servo"] = "force") -> bool:
+    """Whether axes of an actuation move links whose masses the URDF gives: their forces include inverse dynamics then."""
     kinematics = machine.kinematics()
-    if kinematics is None or not any(axis.actuation == "force" and axis.drives == "joint" for axis in machine.axes):
+    if kinematics is None or not any(axis.actuation == actuation and axis.drives == "joint" for axis in machine.axes):
         return False
     return has_masses(kinematics)
 

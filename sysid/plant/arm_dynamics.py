@@ -9,11 +9,15 @@ Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 5-6; Luh, Walke
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.effects.compiled import inlined, kernel, loop
 from sysid.machine.moved_bodies import GRAVITY
-from sysid.plant.machine_arrays import AXIS, OFFSET, ORDER, PRISMATIC, RATIO, ROTATION, SHIFT
+from sysid.plant.layout import AT, AXIS_WIDTH
+from sysid.plant.machine_arrays import AXIS, OFFSET, ORDER, PASSIVE, PRISMATIC, RATIO, ROTATION, SHIFT, MachineArrays
 from sysid.plant.trig import sincos
+
+Array = npt.NDArray[np.float64]
 
 #: Numbers that :func:`dynamics` keeps of a joint: axis, way from the joint before it, mass, first moment and inertia about its
 #: origin, force and torque.
@@ -139,6 +143,22 @@ def dynamics(q, v, links, bodies, kept, mass, bias):
             nx, ny, nz = nx + cx, ny + cy, nz + cz
 
 
+@loop
+def true_bodies(p, links, bodies, out):
+    """Inertial parameters of the bodies of a plant, (J, 10): those of the URDF, changed by ``link_mass_error``."""
+    for j in range(len(bodies)):
+        ratio = 1.0 if links[j, PASSIVE] != 0.0 else p[int(links[j, ORDER]) * AXIS_WIDTH + AT.link_mass_error]
+        for k in range(bodies.shape[1]):
+            out[j, k] = ratio * bodies[j, k]
+
+
+def mass_ratios(arrays: MachineArrays, theta: Array) -> Array:
+    """True mass of each body over that in the URDF, (J,)."""
+    links = arrays.links[: len(arrays.bodies)]
+    of_axis = theta[links[:, ORDER].astype(np.intp) * AXIS_WIDTH + AT.link_mass_error]
+    return np.where(links[:, PASSIVE] != 0.0, 1.0, of_axis)
+
+
 @inlined
 def _cross(ax, ay, az, bx, by, bz):
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -164,32 +184,35 @@ def _turned(x, y, z, ax, ay, az, s, c):
 
 
 @kernel
-def link_series(links, bodies, q, v, a, own, rest, slope):
-    """What the measured motion of all joints makes of the links, for the dynamics of each axis by itself.
+def link_series(links, bodies, q, v, a, own, bias, coupled, slope):
+    """What the motion of all joints makes of the links, for the dynamics of each axis by itself.
 
-    The torque on axis i is ``own·q̈ + rest + slope·(q − q_measured)`` for another motion q of this axis alone.
+    The torque on axis i is ``own·q̈ + bias + coupled + slope·(q − q_moved)`` for another motion q of this axis alone.
 
     Args:
-        q, v, a: measured positions, speeds and accelerations, (n, A) each.
-        own, rest, slope: out, (A, n): inertia about the axis [kg·m² or kg], torque of the motion without the own acceleration
-            [N·m or N], and its change by the own position at rest [N·m/rad or N/m].
+        q, v: positions and speeds at the samples, (n, A) each; ``a``: mean accelerations from each sample to the next, (n, A).
+        own, bias, slope: out, (A, n): inertia about the axis [kg·m² or kg], torque of speeds and gravity [N·m or N], and its
+            change by the own position at rest [N·m/rad or N/m].
+        coupled: out, (A, n): mean torque of the accelerations of the other axes from each sample to the next.
     """
     axes = q.shape[1]
-    kept, mass, bias = np.empty((len(bodies), BODY)), np.empty((axes, axes)), np.empty(axes)
-    still, place, ahead = np.zeros(axes), np.empty(axes), np.empty(axes)
+    kept, mass, torque = np.empty((len(bodies), BODY)), np.empty((axes, axes)), np.empty(axes)
+    still, place, further = np.zeros(axes), np.empty(axes), np.empty(axes)
+    coupled[:] = 0.0
     for k in range(len(q)):
-        dynamics(q[k], v[k], links, bodies, kept, mass, bias)
+        dynamics(q[k], v[k], links, bodies, kept, mass, torque)
         for i in range(axes):
-            own[i, k] = mass[i, i]
-            rest[i, k] = bias[i]
+            own[i, k], bias[i, k] = mass[i, i], torque[i]
             for j in range(axes):
                 if j != i:
-                    rest[i, k] += mass[i, j] * a[k, j]
+                    coupled[i, k] += 0.5 * mass[i, j] * a[k, j]
+                    if k > 0:
+                        coupled[i, k - 1] += 0.5 * mass[i, j] * a[k - 1, j]
         for i in range(axes):
             for j in range(axes):
                 place[j] = q[k, j]
             place[i] = q[k, i] + STEP
-            dynamics(place, still, links, bodies, kept, mass, ahead)
+            dynamics(place, still, links, bodies, kept, mass, further)
             place[i] = q[k, i] - STEP
-            dynamics(place, still, links, bodies, kept, mass, bias)
-            slope[i, k] = (ahead[i] - bias[i]) / (2.0 * STEP)
+            dynamics(place, still, links, bodies, kept, mass, torque)
+            slope[i, k] = (further[i] - torque[i]) / (2.0 * STEP)

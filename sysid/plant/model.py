@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,24 +20,21 @@ from sysid.machine.rigid_body import RigidBody, rigid_body
 from sysid.plant import axis_run, layout, residual, sensing, servo_axis, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
-from sysid.plant.machine_arrays import KIND, POSITION, SERVO, VELOCITY, MachineArrays, machine_arrays
+from sysid.plant.machine_arrays import KIND, ORDER, PASSIVE, POSITION, SERVO, VELOCITY, MachineArrays, machine_arrays
 from sysid.plant.plant import LINKAGE, Plant
 from sysid.plant.rate import rate_of
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
 from sysid.plant.servo_series import servo_series
+from sysid.plant.stretches import Segments, held_for, split
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
-Segments = npt.NDArray[np.int64]
 
 #: The start of the backlash behind a measured cylinder, and the position of a run that follows another, are estimated from
 #: this time [s].
 START_WINDOW = 0.2
 #: The position of the drive in its backlash at the start of a free run is estimated from this time after the first motion [s].
 SETTLE_WINDOW = 10.0
-#: A command may be missing this long [s] before the free run restarts.
-COMMAND_GAP = 0.1
-
 
 #: Parameters of an axis that have no influence without a load.
 _BY_LOAD = (AT.load_dependent_flow, AT.joint_compliance_drive)
@@ -75,6 +72,12 @@ class Model:
         """Whether servos move links with masses, so that the motion of every joint acts on the others."""
         return self.coupled and bool(self.arrays.bodies[:, 0].any())
 
+    def carried(self, axis: str) -> tuple[str, ...]:
+        """The axis and those behind it in the chain, whose links move with it."""
+        links = self.arrays.links[:-1]
+        order = [int(row[ORDER]) for row in links if not row[PASSIVE]]
+        return tuple(self.machine.axis_names[i] for i in order[order.index(self.axis_index(axis)) :])
+
     def axis_index(self, axis: str) -> int:
         return self.machine.axis_names.index(axis)
 
@@ -111,7 +114,7 @@ class Model:
         i, about, dt = self.axis_index(axis), self.machine.axis(axis), 1.0 / recording.rate_hz
         command, segments = self.held(recording, axis)
         if restart_every is not None:
-            segments = _split_segments(segments, max(2, round(restart_every / dt)))
+            segments = split(segments, max(2, round(restart_every / dt)))
         if about.actuation == "servo":
             return self._true_servo(thetas, recording, i, command, segments)
         measured = self.true_signal(thetas, recording, about.driven)
@@ -132,11 +135,12 @@ class Model:
 
     def _true_servo(self, thetas: Array, recording: Recording, i: int, command: Array, segments: Segments) -> Array:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
-        dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, recording)[i]
+        dt, series = 1.0 / recording.rate_hz, servo_series(self, recording)
         out = np.full((len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:
-            servo_axis.drive_servo(thetas[k], self.arrays, i, command, series, segments, dt, layout.axis_memory(dt), out[k])
+            its, size = series.of(i, thetas[k]), layout.axis_memory(dt)
+            servo_axis.drive_servo(thetas[k], self.arrays, i, command, its, segments, dt, size, out[k])
 
         in_parallel(lane, len(thetas), len(command))
         return out
@@ -363,51 +367,6 @@ def compile_plant(plant: Plant) -> Model:
     linked = frozenset(plant.linkages)
     arrays, rigid = machine_arrays(plant), rigid_body(plant.machine)
     return Model(plant.machine, plant.vector(), arrays, linked, plant.streams, plant.residuals, nets, rigid)
-
-
-def held_for(machine: Machine, recording: Recording, axis: str) -> tuple[Array, Segments]:
-    """:func:`held` of the command of an axis, in the rows in which the plant takes it (:meth:`Machine.command_shift`).
-
-    A command moved later begins with the first one of its stretch, one moved earlier ends with the last one.
-    """
-    filled, stretches = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
-    shift = machine.command_shift(axis)
-    if shift:
-        moved = filled.copy()
-        for first, last in stretches:
-            moved[first:last] = filled[np.clip(np.arange(first, last) - shift, first, last - 1)]
-        filled = moved
-    return filled, stretches
-
-
-def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
-    """The command with short gaps held, and the stretches (first, last+1) between longer ones."""
-    there = ~np.isnan(command)
-    if not there.any():
-        return np.zeros(len(command)), np.empty((0, 2), dtype=np.int64)
-    index = np.where(there, np.arange(len(command)), -1)
-    last = np.maximum.accumulate(index)
-    age = np.arange(len(command)) - last
-    usable = (last >= 0) & (age <= COMMAND_GAP * rate_hz)
-    filled = np.where(usable, command[np.maximum(last, 0)], 0.0)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], usable, [False])).astype(np.int8)))
-    return filled, edges.reshape(-1, 2).astype(np.int64)
-
-
-def common_stretches(stretches: Sequence[Segments], count: int) -> Segments:
-    """First and last+1 of the samples that are in one of the stretches (m, 2) of every axis, of ``count`` samples."""
-    inside = np.zeros(count + 1, dtype=np.int64)
-    for part in stretches:
-        np.add.at(inside, part[:, 0], 1)
-        np.add.at(inside, part[:, 1], -1)
-    there = np.cumsum(inside[:count]) == len(stretches)
-    return np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8))).reshape(-1, 2)
-
-
-def _split_segments(segments: Segments, length: int) -> Segments:
-    """Every stretch cut into pieces of at most ``length`` samples."""
-    cut = [(k, min(k + length, last)) for first, last in segments for k in range(first, last, length)]
-    return np.array(cut, dtype=np.int64).reshape(-1, 2)
 
 
 def frozen(values: Array) -> Array:

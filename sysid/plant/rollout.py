@@ -11,10 +11,11 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.plant import axis_run, layout, servo_axis
 from sysid.plant.machine_run import run_machine
-from sysid.plant.model import SETTLE_WINDOW, Model, Segments, common_stretches, compile_plant
+from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
 from sysid.plant.plant import Plant
 from sysid.plant.residual import ResidualStage, check_step, new_memory
 from sysid.plant.servo_series import servo_series
+from sysid.plant.stretches import Segments, common_stretches
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -85,11 +86,11 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
     theta = model.theta[None]
     share, load = model.share(theta, recording, SETTLE_WINDOW)[0], model.load(theta, recording, SETTLE_WINDOW)
+    motion = servo_series(model, recording).motion if model.coupled else ()
     for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
         edges[i, : len(segments)] = segments
         if model.coupled:
-            series = servo_series(model.machine, model.arrays, recording)[i]
-            servo_axis.starts_of(model.theta, model.arrays, i, series, segments, dt, states[i])
+            servo_axis.starts_of(model.theta, model.arrays, i, *(part[:, i] for part in motion), segments, dt, states[i])
             continue
         if model.rigid is not None and axis.actuation == "force":  # no forward dynamics of an arm: no free run
             continue

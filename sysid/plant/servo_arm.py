@@ -17,8 +17,9 @@ import numpy as np
 
 from sysid.effects import input_delay
 from sysid.effects.compiled import inlined, kernel, loop
+from sysid.machine.moved_bodies import PARAMETERS
 from sysid.plant import chain, servo_law
-from sysid.plant.arm_dynamics import BODY, dynamics
+from sysid.plant.arm_dynamics import BODY, dynamics, true_bodies
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import GIVE, GIVE_TIME
 
@@ -41,7 +42,7 @@ PASSES = 4
 @kernel
 def workspace(axes, joints):
     """Arrays ``work`` and ``kept`` that :func:`advance` needs for a machine of so many axes and joints of its chain."""
-    return np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY))
+    return np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY + PARAMETERS))
 
 
 @loop
@@ -54,6 +55,7 @@ def advance(p, arrays, s, command, dt, work, kept):
     axes = len(arrays.axes)
     size = len(s) // axes
     mass, at = work[:axes], work[3 * axes :]
+    kept, bodies = kept[:, :BODY], kept[:, BODY:]
     for i in range(axes):
         if np.isnan(s[i * size + STATE.position]):
             return
@@ -64,7 +66,8 @@ def advance(p, arrays, s, command, dt, work, kept):
             command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
         at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
-    dynamics(at[_PLACE], at[_SPEED], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+    true_bodies(p, arrays.links, arrays.bodies, bodies)
+    dynamics(at[_PLACE], at[_SPEED], arrays.links, bodies, kept, mass, at[_BIAS])
     count = math.ceil(dt / LONGEST - 1e-9)
     for i in range(axes):
         b, v = i * AXIS_WIDTH, at[_SPEED, i]
@@ -75,7 +78,7 @@ def advance(p, arrays, s, command, dt, work, kept):
         for i in range(axes):
             at[_PLACE, i] = s[i * size + STATE.position] + 0.5 * h * at[_SPEED, i]
             at[_MIDDLE, i] = at[_SPEED, i] + 0.5 * h * at[_RATE, i]
-        dynamics(at[_PLACE], at[_MIDDLE], arrays.links, arrays.bodies, kept, mass, at[_BIAS])
+        dynamics(at[_PLACE], at[_MIDDLE], arrays.links, bodies, kept, mass, at[_BIAS])
         for i in range(axes):
             mass[i, i] += at[_ARMATURE, i]
             at[_SIDE, i] = 0.0
@@ -237,12 +240,16 @@ def _rub(p, about, h, matrix, at):
 
 
 @kernel
-def run_servos(p, arrays, commands, s, dt, out):
-    """Positions (n, A) of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next."""
+def run_servos(p, arrays, commands, s, dt, places, speeds):
+    """Motion of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next.
+
+    Args:
+        places, speeds: out, (n, A).
+    """
     axes = commands.shape[1]
     size = len(s) // axes
     work, kept = workspace(axes, len(arrays.bodies))
     for k in range(len(commands)):
         for i in range(axes):
-            out[k, i] = chain.led(s, i * size, arrays.axes, i)
+            places[k, i], speeds[k, i] = s[i * size + STATE.position], s[i * size + STATE.speed]
         advance(p, arrays, s, commands[k], dt, work, kept)

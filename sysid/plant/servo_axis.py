@@ -9,20 +9,22 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, LEAD, LOW
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, LOW
 
-# Rows of the series of an axis (SERIES, n): inertia of the links about it, their torque without its own acceleration, the
-# change of that by its own position, and its measured position and speed.
-OWN, REST, SLOPE, PLACE, SPEED = range(5)
+# Rows of the series of an axis, (SERIES, n · F), F samples of the motion in a step of the command: inertia of the links about
+# it; the sum over the steps before of their mean torques without its own acceleration; the change of the torque by its own
+# position; its position and speed.
+OWN, TORQUE, SLOPE, PLACE, SPEED = range(5)
 SERIES = 5
 
 
 @inlined
-def _between(series, row, k, last, share):
-    """A row between samples ``k`` and k + 1."""
-    if k + 1 >= last:
+def _between(series, row, at):
+    """A row at the place ``at`` [samples]."""
+    k = int(at)
+    if k + 1 >= series.shape[1]:
         return series[row, k]
-    return series[row, k] + share * (series[row, k + 1] - series[row, k])
+    return series[row, k] + (at - k) * (series[row, k + 1] - series[row, k])
 
 
 @inlined
@@ -62,18 +64,21 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
     """Samples ``first … last`` of axis ``i`` from the state ``s``: its position before the step of each sample."""
     b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)
     kp, kv, low, high, armature = chain.servo_law(p, arrays.axes, i)
+    fine = series.shape[1] // len(command)
     for k in range(first, last):
         later, earlier, part = input_delay.ends(
             command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
         viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
-        count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, k, last, 0.5), dt)
+        count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, fine * (k + 0.5)), dt)
+        count = max(count, fine)
         out[k] = chain.joint_stage(chain.led(s, m, arrays.axes, i), p, b, s, m, 0.0)
+        behind = _between(series, TORQUE, fine * k)
         for j in range(count):
-            share = (j + 0.5) / count
-            mass = armature + _between(series, OWN, k, last, share)
-            rest, slope = _between(series, REST, k, last, share), _between(series, SLOPE, k, last, share)
-            place = _between(series, PLACE, k, last, share)
+            ahead = _between(series, TORQUE, fine * (k + (j + 1) / count))
+            rest, behind = (ahead - behind) * count / fine, ahead
+            at = fine * (k + (j + 0.5) / count)
+            mass, slope, place = armature + _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
             u = servo_law.held(earlier, later, part, j, count)
             x, v = step(
                 s[m + STATE.position], s[m + STATE.speed], u, mass, rest, slope, place, kp, kv, low, high, dt / count, p,
@@ -89,28 +94,29 @@ def drive_servo(p, arrays, i, command, series, segments, dt, size, out):
     """Free run of servo axis ``i`` from its command over all segments.
 
     Args:
-        command: (n,), ``series``: (SERIES, n), its last rows the measured motion in which each segment begins.
+        command: (n,), ``series``: (SERIES, n · F); each segment begins in its motion.
         segments: (m, 2) first and last+1 sample of each stretch with commands.
         out: position of the joint, (n,).
     """
     s = np.empty(size)
     for row in range(len(segments)):
         first, last = segments[row, 0], segments[row, 1]
-        start(p, arrays, i, s, series, first, dt)
+        at = first * (series.shape[1] // len(command))
+        start(p, arrays, i, s, series[PLACE, at], series[SPEED, at], first, dt)
         run(p, arrays, i, s, command, series, first, last, dt, out)
 
 
 @inlined
-def start(p, arrays, i, s, series, first, dt):
-    """State ``s`` (size,) in which a stretch begins: the measured position and speed; the first command was held before."""
+def start(p, arrays, i, s, place, speed, first, dt):
+    """State ``s`` (size,) in which a stretch begins, from its place and speed; the first command was held before."""
     b = i * AXIS_WIDTH
-    place = series[PLACE, first] - arrays.axes[i, LEAD] * series[SPEED, first]
     place = min(max(place, arrays.axes[i, LOW]), arrays.axes[i, HIGH])
-    begin(s, np.int64(0), len(s), place, series[SPEED, first], np.nan, p, b, first, dt)
+    begin(s, np.int64(0), len(s), place, speed, np.nan, p, b, first, dt)
 
 
 @kernel
-def starts_of(p, arrays, i, series, segments, dt, out):
-    """:func:`start` of each of the stretches ``segments`` (m, 2), (m, size)."""
+def starts_of(p, arrays, i, places, speeds, segments, dt, out):
+    """:func:`start` of each of the stretches ``segments`` (m, 2), (m, size), from places and speeds (n,)."""
     for row in range(len(segments)):
-        start(p, arrays, i, out[row], series, segments[row, 0], dt)
+        first = segments[row, 0]
+        start(p, arrays, i, out[row], places[first], speeds[first], first, dt)

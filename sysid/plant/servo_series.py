@@ -1,50 +1,141 @@
-"""Measured motion of the joints as inputs of the servo axes of an arm, for the run of each by itself (:mod:`.servo_axis`)."""
+"""Motion of the joints as inputs of the servo axes of an arm, for the run of each by itself (:mod:`.servo_axis`)."""
 
 from __future__ import annotations
 
+import math
+import threading
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
-from sysid.plant.arm_dynamics import link_series
-from sysid.plant.machine_arrays import MachineArrays
-from sysid.plant.servo_axis import OWN, PLACE, REST, SERIES, SLOPE, SPEED
+from sysid.plant.arm_dynamics import link_series, mass_ratios
+from sysid.plant.layout import axis_memory
+from sysid.plant.machine_arrays import LEAD
+from sysid.plant.servo_arm import LONGEST, run_servos
+from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, starts_of
 from sysid.plant.smooth_motion import second_difference, smooth_motion
+from sysid.plant.stretches import common_stretches
 from sysid.signals import axis_signal
+
+if TYPE_CHECKING:
+    from sysid.plant.model import Model
 
 Array = npt.NDArray[np.float64]
 
+#: Rows that the links make.
+LINKS = slice(OWN, SLOPE + 1)
+#: Most samples of the motion of a recording, which bound its memory; fewer steps between its rows follow.
+MOST = 500_000
 #: Place of the series in a recording's cache.
 _SERIES = "servo series"
 
 
-def servo_series(machine: Machine, arrays: MachineArrays, recording: Recording) -> Array:
-    """Series of all axes of a machine, (A, SERIES, n), in SI units, cached in the recording; missing readings are interpolated.
+def _spline(values: Array, rate_hz: float) -> CubicSpline:
+    """Low-passed values (n,) over time [s]; zero where they are missing."""
+    time, known = np.arange(len(values)) / rate_hz, np.count_nonzero(~np.isnan(values)) > 1
+    return CubicSpline(time, smooth_motion(values, rate_hz)[0] if known else np.zeros(len(values)))
 
-    A joint that is not measured at all rests at zero; the run of one axis by itself needs those of all others.
-    """
-    names, key = machine.axis_names, (arrays.links.tobytes(), arrays.bodies.tobytes())
-    known: tuple[tuple[bytes, bytes], Array] | None = recording.derived.get(_SERIES)
-    if known is not None and known[0] == key:
-        return known[1]
-    motion = np.zeros((3, len(recording), len(names)))
-    for i, name in enumerate(names):
+
+def _measured(machine: Machine, recording: Recording) -> tuple[Array, Array]:
+    """Places and speeds of all joints, (n, A) each; missing readings are interpolated, a joint that is not measured rests."""
+    places, speeds = np.zeros((2, len(recording), len(machine.axes)))
+    for i, name in enumerate(machine.axis_names):
         joint = recording.values(axis_signal(name, "joint"))
         if np.count_nonzero(~np.isnan(joint)) > 1:
-            place, speed, acceleration = smooth_motion(joint, recording.rate_hz)
-            # Central differences of the first and second order lose (ω·dt)²/6 and (ω·dt)²/12.
-            speed = speed - second_difference(speed) / 6.0
-            motion[:, :, i] = place, speed, acceleration - second_difference(acceleration) / 12.0
-    series = np.zeros((len(names), SERIES, len(recording)))
-    series[:, [PLACE, SPEED]] = motion[:2].transpose(2, 0, 1)
-    if arrays.bodies[:, 0].any():
-        own, rest, slope = np.zeros((3, len(names), len(recording)))
-        link_series(arrays.links, arrays.bodies, *motion, own, rest, slope)
-        rest = np.apply_along_axis(lambda row: row - second_difference(row) / 12.0, 1, rest)  # so does linear interpolation
-        series[:, OWN], series[:, REST], series[:, SLOPE] = own, rest, slope
-    recording.derived[_SERIES] = key, series
-    return series
+            places[:, i], speed, _ = smooth_motion(joint, recording.rate_hz)
+            speeds[:, i] = speed - second_difference(speed) / 6.0  # a central difference loses (ω·dt)²/6
+    return places, speeds
+
+
+class LinkSeries:
+    """Series of the axes of a plant in one recording, in SI units.
+
+    The joints move as the free run of the plant does between the samples, and as they were measured over longer times: samples
+    do not show the accelerations after a step of a command. The series are linear in the inertial parameters of each body:
+    what each adds is computed once, when first needed.
+    """
+
+    def __init__(self, model: Model, recording: Recording) -> None:
+        self.arrays, self._links, self._lock = model.arrays, dict[int | None, Array](), threading.Lock()
+        names, rate = model.machine.axis_names, recording.rate_hz
+        fine = min(math.ceil(1.0 / (rate * LONGEST) - 1e-9), max(1, MOST // len(recording))) if model.links_move else 1
+        places, speeds = _simulated(model, recording, fine)
+        joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
+        read = places + model.arrays.axes[:, LEAD] * speeds
+        beside = [_spline(joint, rate) for joint in (joints - read[::fine]).T]
+        time = np.arange(len(places)) / (rate * fine)
+        places += np.stack([spline(time) for spline in beside], axis=1)
+        speeds += np.stack([spline(time, 1) for spline in beside], axis=1)
+        self._motion, self._step, self._fine = (places, speeds), 1.0 / (rate * fine), fine
+
+    @property
+    def motion(self) -> tuple[Array, Array]:
+        """Places and speeds at the samples of the recording, (n, A) each."""
+        places, speeds = self._motion
+        return places[:: self._fine], speeds[:: self._fine]
+
+    def of(self, axis: int, theta: Array) -> Array:
+        """Series of an axis for the parameters ``theta`` of a plant, (SERIES, n · F)."""
+        found = np.empty((SERIES, len(self._motion[0])))
+        found[LINKS], found[PLACE], found[SPEED] = self._of_body(None)[axis], *(part[:, axis] for part in self._motion)
+        ratios = mass_ratios(self.arrays, theta)
+        for j in np.flatnonzero(ratios != 1.0):
+            found[LINKS] += (ratios[j] - 1.0) * self._of_body(int(j))[axis]
+        return found
+
+    def _of_body(self, j: int | None) -> Array:
+        """Rows :data:`LINKS` of all axes by body ``j``, by all bodies of the URDF where it is None, (A, 3, n · F)."""
+        with self._lock:
+            if j not in self._links:
+                alone = np.arange(len(self.arrays.bodies)) == j
+                self._links[j] = self._of(self.arrays.bodies * (alone if j is not None else ~alone)[:, None])
+            return self._links[j]
+
+    def _of(self, bodies: Array) -> Array:
+        places, speeds = self._motion
+        own, bias, coupled, slope = np.zeros((4, *places.T.shape))
+        if bodies[:, 0].any():
+            mean = np.diff(speeds, axis=0, append=speeds[-1:]) / self._step
+            link_series(self.arrays.links, bodies, places, speeds, mean, own, bias, coupled, slope)
+        mean = coupled[:, :-1] + 0.5 * (bias[:, :-1] + bias[:, 1:])
+        return np.stack([own, np.pad(np.cumsum(mean, axis=1), ((0, 0), (1, 0))), slope], axis=1)
+
+
+def _simulated(model: Model, recording: Recording, fine: int) -> Array:
+    """Places and speeds of the free run of all axes, (2, n · fine, A).
+
+    Where no commands are, it rests.
+    """
+    machine, dt = model.machine, 1.0 / (recording.rate_hz * fine)
+    held = [model.held(recording, name) for name in machine.axis_names]
+    stretches, count = common_stretches([part for _, part in held], len(recording)), len(recording) * fine
+    commands, (places, speeds) = np.column_stack([values for values, _ in held]), _measured(machine, recording)
+    starts = np.full((model.axes, len(stretches), axis_memory(dt)), np.nan)
+    for i in range(model.axes):
+        place = places[:, i] - model.arrays.axes[i, LEAD] * speeds[:, i]
+        starts_of(model.theta, model.arrays, i, place, speeds[:, i], stretches, dt, starts[i])
+    found = np.full((2, count, model.axes), np.nan)
+    for k, (first, last) in enumerate(stretches):
+        given, rows = np.repeat(commands[first:last], fine, axis=0), slice(first * fine, last * fine)
+        run_servos(model.theta, model.arrays, given, starts[:, k].ravel(), dt, *found[:, rows])
+    found[1] = np.nan_to_num(found[1])
+    every, there = np.arange(count), np.isfinite(found[0]).all(axis=1)
+    for column in found[0].T:
+        column[:] = np.interp(every, every[there], column[there]) if there.any() else 0.0
+    return found
+
+
+def servo_series(model: Model, recording: Recording) -> LinkSeries:
+    """Series of all axes of a plant, cached in the recording."""
+    key = (model.arrays.links.tobytes(), model.arrays.bodies.tobytes(), model.theta.tobytes())
+    known: tuple[tuple[bytes, ...], LinkSeries] | None = recording.derived.get(_SERIES)
+    if known is None or known[0] != key:
+        known = recording.derived[_SERIES] = key, LinkSeries(model, recording)
+    return known[1]
 
 
 def servo_force(axis: Axis, recording: Recording) -> Array:

@@ -24,13 +24,14 @@ from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION, SERVO
 from sysid.plant.machine_run import advance, enter, observe, settling
-from sysid.plant.model import WORKERS, compile_plant, frozen, held_for, in_parallel
+from sysid.plant.model import WORKERS, compile_plant, frozen, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH
 from sysid.plant.residual import check_step, new_memory
 from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
 from sysid.plant.servo_arm import workspace
 from sysid.plant.settled_pose import settled_loads
+from sysid.plant.stretches import held_for
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 from sysid.datasets.recording import Recording
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant, free_run, nominal_plant
-from sysid.plant.model import SERIAL, held
+from sysid.plant.model import SERIAL
+from sysid.plant.stretches import held
 from sysid.testing import probe_machine
 
 Array = npt.NDArray[np.float64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,6 +140,30 @@ def test_mass_matrix_and_bias_are_those_of_pinocchio(values: list[float]) -> Non
     np.testing.assert_allclose(mass @ a + bias, wanted, atol=1e-9)
     np.testing.assert_allclose(mass, mass.T, atol=1e-12)
     assert arrays.bodies.shape[1] == PARAMETERS
+
+
+def heavier(urdf: str, *links: str) -> str:
+    """The model with links of 1.4 times their masses."""
+    for link in links:
+        head, name, rest = urdf.partition(f'<link name="{link}">')
+        inertial, end, rest = rest.partition("</inertial>")
+        scaled = re.sub(r'(value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{1.4 * float(m[2])}"', inertial)
+        urdf = head + name + scaled + end + rest
+    return urdf
+
+
+@pytest.mark.parametrize(("axis", "links"), [("a", ("one",)), ("b", ("two", "side"))])
+def test_a_heavier_link_is_one_of_another_model(axis: str, links: tuple[str, ...]) -> None:
+    """With what is fixed to it, without what a passive joint moves on it; of the arm and of each axis by itself."""
+    machine = odd_machine()
+    changed = replace(machine, urdf_text=heavier(ODD, *links))
+    wanted = commands(3, 600, 0.01)
+    recording = recording_of(wanted, 0.7 * wanted, 0.01, machine)
+    effect = nominal_plant(machine).with_effect(KnownEffect("link_mass_error", axis, {"ratio": 1.4}))
+    found, expected = (compile_plant(plant) for plant in (effect, nominal_plant(changed)))
+    np.testing.assert_allclose(free_run(found, recording), free_run(expected, recording), atol=1e-9)
+    np.testing.assert_allclose(alone(found, recording), alone(expected, recording), atol=1e-9)
+    assert np.abs(alone(found, recording) - alone(compile_plant(nominal_plant(machine)), recording)).max() > 1e-3
 
 
 @given(st.floats(1e-6, 50.0))

@@ -27,7 +27,7 @@ from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
-from sysid.plant.model import common_stretches, held
+from sysid.plant.stretches import common_stretches, held
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]

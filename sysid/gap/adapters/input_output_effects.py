@@ -16,7 +16,8 @@ from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import first_motion
 from sysid.plant.machine_arrays import GAIN, KIND, VELOCITY, MachineArrays
-from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model, held
+from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
+from sysid.plant.stretches import held
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]

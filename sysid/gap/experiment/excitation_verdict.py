@@ -183,7 +183,8 @@ def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
     """Places at which the machine admits the effect, observable or not."""
-    if effect.of_links and not (effect.fitted and moves_masses(machine)):
+    of_servos = "servo" in effect.actuations and moves_masses(machine, "servo")
+    if effect.of_links and not (effect.fitted and (of_servos or moves_masses(machine))):
         return
     if effect.target == "axis":
         for axis in machine.axes:

@@ -13,7 +13,7 @@ from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.problem import Problem
-from sysid.plant.model import held
+from sysid.plant.stretches import held
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.adapters.simulator import RunCache, command_signals
 from sysid.gap.localise import run_rmse
 from sysid.plant import Plant, compile_plant
-from sysid.plant.model import held
+from sysid.plant.stretches import held
 from sysid.signals import axis_signal, split_signal
 
 
