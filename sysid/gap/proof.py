@@ -286,13 +286,15 @@ def _least_share(result: StageResult) -> float:
 
     Of static poses whose errors are independent noise, the region of practical equivalence alone decides on the size of an
     effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred. The
-    same holds for the links of an arm, whose friction is a large part of the forces.
+    same holds for the links of an arm, whose friction is a large part of the forces, and for a servo whose motion the effects
+    explain: a wrong armature moves it little beside a wrong damping.
     """
     fitted = result.stage_fit
     if result.problem.stage == "links":
         return float(np.finfo(float).tiny)
-    independent = fitted is not None and fitted.framed is not None and fitted.decision.exact
-    return float(np.finfo(float).tiny) if independent else SHARE
+    exact = fitted is not None and fitted.decision.exact
+    framed = fitted is not None and fitted.framed is not None
+    return float(np.finfo(float).tiny) if exact and (framed or "force" in result.problem.within) else SHARE
 
 
 def _use_narrower(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:

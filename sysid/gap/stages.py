@@ -15,6 +15,7 @@ from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.case import Case, Stage
 from sysid.gap.force_floor import shown_floor
 from sysid.gap.sensor_scales import with_sensor_scales
+from sysid.gap.servo.arm import beside_found, with_link_masses
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import LINKS, Forms, find_stage
 from sysid.gap.tasks.search import SearchTasks
@@ -53,13 +54,17 @@ def _independent(
         return (first, *_independent(case, rest, forms, part(progress, 0.1, 1.0), tasks))
     stages = [_with_shown_floor(case, stage) for stage in stages]
     results = _in_threads(case, stages, forms, progress) if tasks is None else tasks.run(case, stages, forms, progress)
-    found = [replace(s, problem=result.problem, result=result) for s, result in zip(stages, results, strict=True)]
+    found = [_with_result(stage, result) for stage, result in zip(stages, results, strict=True)]
 
     def again(stage: Stage, refuted: frozenset[EffectKey]) -> Stage:
-        result = find_stage(case, stage, forms, lambda share, text: progress(1.0, text), refuted)
-        return replace(stage, problem=result.problem, result=result)
+        return _with_result(stage, find_stage(case, stage, forms, lambda share, text: progress(1.0, text), refuted))
 
-    return with_sensor_scales(found, again)
+    found = beside_found(case, found, lambda some: _in_threads(case, some, forms, lambda share, text: progress(1.0, text)))
+    return with_link_masses(with_sensor_scales(found, again), again)
+
+
+def _with_result(stage: Stage, result: StageResult) -> Stage:
+    return replace(stage, problem=result.problem, result=result)
 
 
 def _in_threads(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> list[StageResult]:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline
 
 from sysid.datasets.recording import Recording
-from sysid.machine import Axis, Machine
+from sysid.machine import Axis
 from sysid.plant.arm_dynamics import link_series, mass_ratios
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD
@@ -34,21 +34,14 @@ MOST = 500_000
 _SERIES = "servo series"
 
 
-def _spline(values: Array, rate_hz: float) -> CubicSpline:
-    """Low-passed values (n,) over time [s]; zero where they are missing."""
-    time, known = np.arange(len(values)) / rate_hz, np.count_nonzero(~np.isnan(values)) > 1
-    return CubicSpline(time, smooth_motion(values, rate_hz)[0] if known else np.zeros(len(values)))
-
-
-def _measured(machine: Machine, recording: Recording) -> tuple[Array, Array]:
-    """Places and speeds of all joints, (n, A) each; missing readings are interpolated, a joint that is not measured rests."""
-    places, speeds = np.zeros((2, len(recording), len(machine.axes)))
-    for i, name in enumerate(machine.axis_names):
-        joint = recording.values(axis_signal(name, "joint"))
-        if np.count_nonzero(~np.isnan(joint)) > 1:
-            places[:, i], speed, _ = smooth_motion(joint, recording.rate_hz)
-            speeds[:, i] = speed - second_difference(speed) / 6.0  # a central difference loses (ω·dt)²/6
-    return places, speeds
+def _motion(joint: Array, rate_hz: float) -> CubicHermiteSpline:
+    """Low-passed positions (n,), missing ones interpolated, over time [s]; zero where none are known."""
+    time = np.arange(max(len(joint), 2)) / rate_hz
+    place, speed = np.zeros((2, len(time)))
+    if np.count_nonzero(~np.isnan(joint)) > 1:
+        place, speed, _ = smooth_motion(joint, rate_hz)
+        speed = speed - second_difference(speed) / 6.0  # a central difference loses (ω·dt)²/6
+    return CubicHermiteSpline(time, place, speed)
 
 
 class LinkSeries:
@@ -66,7 +59,7 @@ class LinkSeries:
         places, speeds = _simulated(model, recording, fine)
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
         read = places + model.arrays.axes[:, LEAD] * speeds
-        beside = [_spline(joint, rate) for joint in (joints - read[::fine]).T]
+        beside = [_motion(joint, rate) for joint in (joints - read[::fine]).T]
         time = np.arange(len(places)) / (rate * fine)
         places += np.stack([spline(time) for spline in beside], axis=1)
         speeds += np.stack([spline(time, 1) for spline in beside], axis=1)
@@ -113,11 +106,13 @@ def _simulated(model: Model, recording: Recording, fine: int) -> Array:
     machine, dt = model.machine, 1.0 / (recording.rate_hz * fine)
     held = [model.held(recording, name) for name in machine.axis_names]
     stretches, count = common_stretches([part for _, part in held], len(recording)), len(recording) * fine
-    commands, (places, speeds) = np.column_stack([values for values, _ in held]), _measured(machine, recording)
+    commands = np.column_stack([values for values, _ in held])
     starts = np.full((model.axes, len(stretches), axis_memory(dt)), np.nan)
-    for i in range(model.axes):
-        place = places[:, i] - model.arrays.axes[i, LEAD] * speeds[:, i]
-        starts_of(model.theta, model.arrays, i, place, speeds[:, i], stretches, dt, starts[i])
+    for i, name in enumerate(machine.axis_names):
+        motion = _motion(recording.values(axis_signal(name, "joint")), recording.rate_hz)
+        places, speeds = motion(motion.x), motion(motion.x, 1)
+        place = places - model.arrays.axes[i, LEAD] * speeds
+        starts_of(model.theta, model.arrays, i, place, speeds, stretches, dt, starts[i])
     found = np.full((2, count, model.axes), np.nan)
     for k, (first, last) in enumerate(stretches):
         given, rows = np.repeat(commands[first:last], fine, axis=0), slice(first * fine, last * fine)
