@@ -93,14 +93,18 @@ class WatchState(Strict):
         """Check what the types do not say.
 
         Raises:
-            ValueError: another schema, a history of other recordings, or one without a value for each.
+            ValueError: another schema, a history of other recordings or of another parameter, or one without a value for each.
         """
         if self.schema != SCHEMA:
             raise ValueError(f"schema {SCHEMA}")
         known = {recording.name for recording in self.recordings}
+        if len(known) < len(self.recordings):
+            raise ValueError("each recording once")
         for history in self.histories:
             if not len(history.recordings) == len(history.ends) == len(history.values) == len(history.deviations):
                 raise ValueError(f"one value for each recording of {history.parameter}")
+            if history.parameter.partition("[")[0] not in history.effect.parameters:
+                raise ValueError(f"a history of a parameter of {history.effect.name}, not of {history.parameter!r}")
             if unknown := [name for name in history.recordings if name not in known]:
                 raise ValueError(f"histories of the recordings that are listed, not of {unknown[0]!r}")
 

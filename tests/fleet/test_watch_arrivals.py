@@ -385,6 +385,8 @@ IN_STATE: dict[str, Callable[[Path], object]] = {
     "no deviation": lambda path: changed(path, lambda v: v["histories"][0]["deviations"].__setitem__(0, 0.0)),
     "values missing": lambda path: changed(path, lambda v: v["histories"][0]["values"].pop()),
     "unknown recording": lambda path: changed(path, lambda v: v["histories"][0]["recordings"].__setitem__(0, "x")),
+    "unknown parameter": lambda path: changed(path, lambda v: v["histories"][0].update(parameter="x")),
+    "a recording twice": lambda path: changed(path, lambda v: v["recordings"].append(v["recordings"][0])),
     "no machine": lambda path: changed(path, lambda v: v.pop("machine")),
 }
 

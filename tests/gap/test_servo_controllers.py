@@ -17,6 +17,8 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.aliases import without_servo_aliases
 from sysid.gap.candidates import Scales, candidates_at
+from sysid.gap.case import stage_candidates
+from sysid.gap.steps import open_study
 from sysid.machine import Machine
 from sysid.plant import nominal_plant
 
@@ -58,6 +60,22 @@ def three(model: Any) -> None:
     model.actuator_biasprm[2, 1] *= 0.85
 
 
+def heavier(model: Any, body: str, ratio: float) -> None:
+    model.body_mass[model.body(body).id] *= ratio
+    model.body_inertia[model.body(body).id] *= ratio
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def mass(model: Any) -> None:
+    heavier(model, "b1", 1.3)
+
+
+def mass_and_stiffness(model: Any) -> None:
+    heavier(model, "b2", 0.8)
+    model.actuator_gainprm[1, 0] *= 0.85
+    model.actuator_biasprm[1, 1] *= 0.85
+
+
 @dataclass(frozen=True)
 class Hidden:
     """What a machine has beyond its description: a change of the model, steps of dead time by joint, and what to find."""
@@ -74,6 +92,8 @@ CASES = {
     "limit": Hidden(limited, {("force_limit", "j1"): 3.0}),
     "armature": Hidden(armature, {("armature_error", "j2"): 2.5}),
     "friction": Hidden(friction, {("coulomb_friction", "j1"): 0.3}),
+    "mass": Hidden(mass, {("link_mass_error", "j1"): 1.3}),
+    "mass-and-stiffness": Hidden(mass_and_stiffness, {("link_mass_error", "j2"): 0.8, ("stiffness_error", "j1"): 0.85}),
     "three": Hidden(
         three,
         {("coulomb_friction", "j1"): 0.4, ("stiffness_error", "j2"): 0.85, ("input_delay", "j0"): 0.02},
@@ -111,7 +131,7 @@ def dataset_of(folder: Path, hidden: Hidden) -> tuple[Machine, Dataset]:
 
 
 @pytest.mark.parametrize(
-    "case", [name if name in ("nothing", "three") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "case", [name if name in ("nothing", "three", "mass") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
 def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> None:
     machine, dataset = dataset_of(tmp_path, CASES[case])
@@ -127,6 +147,18 @@ def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> No
         assert after < 1.2 * result.gap.noise_floor[signal]
 
 
+@pytest.mark.parametrize("joint", ["j0", "j1"])
+def test_the_first_link_is_an_armature_where_its_weight_does_not_load_its_joint(joint: str, tmp_path: Path) -> None:
+    """j0 is vertical; the axes before j1 carry its link."""
+    _, dataset = dataset_of(tmp_path, CASES["nothing"])
+    study = open_study(dataset, nominal_plant(dataset.machine))
+    stage = next(stage for stage in study.stages if stage.problem.target == joint)
+    offered = {(c.effect.name, c.target): c.aliases for c in stage_candidates(study.case, stage)}
+    masses = {target for name, target in offered if name == "link_mass_error"}
+    assert masses == {"j1", "j2"}
+    assert offered["armature_error", joint] == ((("link_mass_error", "j0"),) if joint == "j0" else ())
+
+
 @pytest.mark.parametrize("limit", [0.0, 0.3])
 def test_friction_is_damping_where_no_force_is_limited(limit: float, tmp_path: Path) -> None:
     machine = drafted(tmp_path, arm_text(2, 1, limited=limit))
@@ -135,7 +167,7 @@ def test_friction_is_damping_where_no_force_is_limited(limit: float, tmp_path: P
     assert {"stiffness_error", "force_limit", "armature_error", "coulomb_friction", "input_delay"} <= {
         c.effect.name for c in found
     }
-    merged = without_servo_aliases(found, machine)
+    merged = without_servo_aliases(found, machine, spins=False)
     aliases = {(c.effect.name, c.aliases) for c in merged if c.aliases}
     single = [c for c in merged if c.effect.name == "viscous_friction" and len(c.unknowns) == 1]
     assert aliases == (set() if limit else {("damping_error", (("viscous_friction", "j0"),))})

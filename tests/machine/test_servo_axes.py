@@ -89,12 +89,11 @@ def test_a_rotor_without_inertia_on_links_with_masses() -> None:
     assert [axis.inertia for axis in machine.axes] == [0.0, 0.0]
 
 
-@pytest.mark.parametrize("name", ["load_bias", "second_order_lag", "link_mass_error"])
+@pytest.mark.parametrize("name", ["load_bias", "second_order_lag"])
 def test_effects_of_other_axes_are_refused(name: str) -> None:
     parameters = {
         "load_bias": "force = 1.0",
         "second_order_lag": "time_constant = 0.1, damping_ratio = 1.0",
-        "link_mass_error": "ratio = 1.1",
     }
     effect = f'\n[[effects]]\nname = "{name}"\ntarget = "turn"\nparameters = {{ {parameters[name]} }}\n'
     machine = machine_from_files({"machine.toml": ONE + effect}, "machine.toml")

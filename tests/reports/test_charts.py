@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sysid.pictures import ticks
 from sysid.reports.charts import ChartCurve, chart, heat_map
 from sysid.reports.clearance import Canvas
+from sysid.reports.sections.summary import SignalGap, dumbbells
 
 
 @given(st.floats(-1e4, 1e4), st.floats(1e-6, 1e4))
@@ -33,6 +34,14 @@ def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
     assert all(0.0 <= x <= 300.0 and 0.0 <= y <= 200.0 for x, y in points)
     assert "time [s]" in text
     assert 'class="noise"' in text
+
+
+@pytest.mark.parametrize("after", [0.0, 1e-6, 2e-3])
+def test_errors_below_the_noise_have_a_place(after: float) -> None:
+    text = dumbbells([SignalGap("a.joint", "rad", after, after, 1e-3)], repaired=True)
+    places = [float(x) for x in re.findall(r'cx="([^"]*)"', text)]
+    assert len(places) == 2
+    assert all(190.0 <= x <= 710.0 for x in places)
 
 
 def test_labels_cannot_carry_markup() -> None:

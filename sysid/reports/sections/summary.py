@@ -238,7 +238,7 @@ def dumbbells(lines: list[SignalGap], repaired: bool) -> str:
     if not scored:
         return ""
     ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in scored]
-    decades = max(1, math.ceil(math.log10(max(max(pair) for pair in ratios) * 1.05)))
+    decades = max(1, math.ceil(math.log10(max(1.0, *map(max, ratios)) * 1.05)))
     left, width, row = 190, 520, 28
     height = 44 + row * len(scored)
 
