@@ -87,7 +87,8 @@ def test_nothing_there_and_something_broken(tmp_path: Path) -> None:
         (("dataset",), None), (("plant", "before"), []), (("plant", "after"), 1), (("verdict",), "good"), (("verdict",), []),
         (("seconds",), "long"), (("notes",), [1]), (("effects", 0, "interval95", "positive"), ["a", "b"]),
         (("gap", "before", "ee.x"), 1e308), (("gap", "before"), []),
-        (("maps", 0, "at"), []), (("maps", 0, "at", 0), None), (("maps", 0, "mean"), [1.0]), (("held_out_recordings",), [None]), (("settings",), []),
+        (("maps", 0, "at"), []), (("maps", 0, "at", 0), None),
+        (("maps", 0, "mean"), [1.0]), (("held_out_recordings",), [None]), (("settings",), []),
     ],
 )  # fmt: skip
 def test_a_value_of_another_type_is_refused(
