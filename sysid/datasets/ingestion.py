@@ -17,7 +17,7 @@ from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.joint_units import with_joint_units
 from sysid.datasets.plan import Plan, content_of, plan_of, sources_of
 from sysid.datasets.quality import describe
-from sysid.datasets.rates import rate_notes
+from sysid.datasets.rates import command_notes, rate_notes
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
@@ -193,7 +193,9 @@ def read_and_align(
     for number, recording in enumerate(recording_clocks):
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
-    notes = notes_of(found, plan, mounts, rate_notes(found, readings, plan.machine.rate_hz), alignment.refused)
+    rates = rate_notes(found, readings, plan.machine.rate_hz)
+    rates = rates or command_notes(readings, plan.machine.rate_hz)  # the rate of a wrong unit says nothing
+    notes = notes_of(found, plan, mounts, rates, alignment.refused)
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 

@@ -1,4 +1,4 @@
-"""Rates of tables against the rate of the machine: a unit of time that nobody stated may be wrong by a thousand."""
+"""Rates of logs against that of the machine: units of time that nobody stated, and commands between the rows of the grid."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from sysid.datasets.channels import ReadRecording
 from sysid.datasets.discover import RecordingFiles
 from sysid.logs import reader_for
 from sysid.logs.time_unit import NEAR, SECONDS
+
+#: Rate of commands over that of the grid from which a note says so: about twice.
+FASTER = 1.9
 
 
 def rate_notes(found: Sequence[RecordingFiles], readings: Mapping[str, ReadRecording], rate_hz: float) -> tuple[str, ...]:
@@ -38,3 +41,23 @@ def rate_notes(found: Sequence[RecordingFiles], readings: Mapping[str, ReadRecor
                 for unit in likely[:1]
             ]
     return tuple(notes)
+
+
+def command_notes(readings: Mapping[str, ReadRecording], rate_hz: float) -> tuple[str, ...]:
+    """A note for each log file whose commands come faster than the grid has rows: those between two rows act later.
+
+    Args:
+        readings: recording → what was read.
+        rate_hz: rate of the machine [Hz].
+    """
+    rates: dict[str, list[float]] = {}
+    for reading in readings.values():
+        for source, period in {c.source: c.period_s for c in reading.channels if c.signal.endswith(".command")}.items():
+            if period > 0.0 and 1.0 / period > FASTER * rate_hz:
+                rates.setdefault(source, []).append(1.0 / period)
+    return tuple(
+        f"{source}: commands at {max(found):.4g} Hz{f' in {len(found)} recordings' if len(found) > 1 else ''}, the grid has "
+        f"{rate_hz:g} Hz: a command between two rows acts up to {1e3 / rate_hz:.3g} ms later. "
+        f"State rate_hz = {max(found):.4g} in machine.toml"
+        for source, found in rates.items()
+    )

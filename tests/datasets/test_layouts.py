@@ -212,6 +212,20 @@ def test_a_rate_that_fits_the_machine_in_another_unit_is_noted(tmp_path: Path, r
     assert [expected in note for note in notes[:1]] == [True] * noted
 
 
+def test_commands_between_the_rows_of_the_grid_are_noted(tmp_path: Path) -> None:
+    (tmp_path / "machine.toml").write_text(MACHINE.replace("rate_hz = 50.0", "rate_hz = 25.0"))
+    for seed in range(2):
+        time, command, cylinder = motion(seed)
+        path = tmp_path / f"logs/r{seed}/log.csv"
+        path.parent.mkdir(parents=True)
+        pd.DataFrame({"time": time, "boom.command": command, "boom.cylinder": cylinder}).to_csv(path, index=False)
+    (note,) = ingest(tmp_path / "logs", tmp_path / "ws").quality["notes"]
+    assert note.startswith(
+        "log.csv: commands at 50 Hz in 2 recordings, the grid has 25 Hz: a command between two rows acts up to"
+    )
+    assert note.endswith("40 ms later. State rate_hz = 50 in machine.toml")
+
+
 def test_a_damaged_file_does_not_become_a_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for seed in range(3):
         monday(tmp_path / f"logs/r{seed}.csv", seed)
