@@ -12,8 +12,8 @@ cases; all others keep theirs.
 ``--measured`` reads the results that pipelines/emps.py, xl330.py, so101.py and ur10e.py left in a workspace, and calibrates
 TIAGo and UR10 anew. A machine without a result there keeps its earlier figures.
 
-Order of reading of arms/: case, motion, rigid; the rows arm, servo_sag, poses, flexible, smooth_friction; generate, solve,
-runner, names, score, published, measured, page, goals.
+Order of reading of arms/: case, motion, rigid; the rows arm, servo_arm, servo_sag, poses, flexible, smooth_friction; generate,
+solve, runner, names, score, published, measured, page, goals.
 """
 
 from __future__ import annotations

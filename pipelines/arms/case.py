@@ -59,6 +59,7 @@ class Case:
         logs, clean: recording → table with canonical columns, with and without sensor noise.
         poses: whether the recordings are sets of static poses.
         known: effects that the owner's description states.
+        files: the whole description, instead of one of ``axes``: file name → text.
         extra: further entries of the truth, for the scorer.
     """
 
@@ -74,6 +75,7 @@ class Case:
     tip: str = "tip"
     poses: bool = False
     known: Sequence[Hidden] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -86,9 +88,9 @@ def write_case(case: Case, folder: Path) -> Path:
     """Write site, truth and clean logs of a case into ``folder``; returns the site."""
     site = folder / "site"
     site.mkdir(parents=True, exist_ok=True)
-    (site / "machine.toml").write_text(machine_text(case), "utf-8")
-    if case.urdf is not None:
-        (site / "arm.urdf").write_text(case.urdf, "utf-8")
+    files = case.files or {"machine.toml": machine_text(case)} | ({"arm.urdf": case.urdf} if case.urdf is not None else {})
+    for name, text in files.items():
+        (site / name).write_text(text, "utf-8")
     (site / "recipe.toml").write_text(recipe_text(case), "utf-8")
     for name in case.logs:
         _write_log(case.logs[name], site / "logs" / name)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from arms import arm, flexible, poses, servo_sag, smooth_friction
+from arms import arm, flexible, poses, servo_arm, servo_sag, smooth_friction
 from arms.case import Case, write_case
 
 #: Generators in the order of the table; each has ``NAME`` and ``cases(seed)``.
-ROWS = {module.NAME: module for module in (arm, servo_sag, poses, flexible, smooth_friction)}
+ROWS = {module.NAME: module for module in (arm, servo_arm, servo_sag, poses, flexible, smooth_friction)}
 
 
 def cases_of(row: str, seed: int) -> Iterator[Case]:

@@ -38,7 +38,17 @@ ACCEPTED: dict[str, tuple[Accepted, ...]] = {
     ),
     # A proportional servo with damping: any form of its lag.
     "servo_lag": (Accepted("first_order_lag"), Accepted("second_order_lag"), Accepted("servo_resonance")),
-    "input_delay": (Accepted("input_delay"),),
+    "input_delay": (Accepted("input_delay", {"delay": "delay"}),),
+    **{
+        name: (Accepted(name, {key: key}),)
+        for name, key in (
+            ("armature_error", "ratio"),
+            ("stiffness_error", "ratio"),
+            ("damping_error", "ratio"),
+            ("link_mass_error", "ratio"),
+            ("force_limit", "limit"),
+        )
+    },
     "joint_compliance": (Accepted("joint_compliance", {"compliance": "compliance"}),),
     "joint_offset": (Accepted("joint_offset", {"offset": "offset"}),),
     "link_length_error": (Accepted("link_length_error", {"error": "error"}),),

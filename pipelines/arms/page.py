@@ -62,7 +62,7 @@ def goal_rows(cases: Sequence[Case]) -> list[tuple[str, str, str, str]]:
 
     arms, poses, friction = of("arm"), of("poses", ""), of("smooth_friction")
     plain, masses, eleven = of("servo_sag", "plain"), of("servo_sag", "urdf"), of("poses", "eleven")
-    force, velocity = of("flexible", "force"), of("flexible", "velocity")
+    force, velocity, servos = of("flexible", "force"), of("flexible", "velocity"), of("servo_arm")
     loaded = [c for c in arms if c["spread"] is not None]
     mass = [_error(c, "payload") for c in loaded]
     rows = [
@@ -77,6 +77,10 @@ def goal_rows(cases: Sequence[Case]) -> list[tuple[str, str, str, str]]:
             loaded,
         ),
         ("— force error over the truth's: median, largest", "≤ 1.2", _ratios(arms), arms),
+        ("**arm of position servos**, from its MJCF: names right", "≥ 90 %", _outcomes(servos), servos),
+        ("— parameter error: median, 90 %, largest", "", _quantiles(_errors(servos, "")), servos),
+        ("— held-out error over the encoders' noise: median, largest", "≤ 1.2", _ratios(servos), servos),
+        ("— wall time [s]", "", _seconds(servos), servos),
         ("**sagging servo, no masses**: nothing wrong", "all", _outcomes(plain), plain),
         ("— a tie of bias and compliance on every sagging joint", "all", _share(plain, lambda c: bool(c["tie"])), plain),
         ("— a next recording is planned", "all", _share(plain, lambda c: c["planned"]), plain),

@@ -171,6 +171,12 @@ def _ratios(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> tuple[float 
         error = math.sqrt(sum(after[name] ** 2 for name in signals) / 3.0)
         floor = math.sqrt(sum(stated[name] ** 2 for name in signals) / 3.0)
         return error / truth["tip_noise"], error / floor if floor else None
+    if "encoder_noise" in truth:
+        joints = [name for name in after if name.endswith(".joint")]
+        return (
+            max((after[name] / truth["encoder_noise"] for name in joints), default=None),
+            max((after[name] / stated[name] for name in joints), default=None),
+        )
     bands = {item["axis"]: (item["bandwidth_hz"], item["position_hz"]) for item in answer.get("forces", ())}
     ratios, stated_ratios = [], []
     for axis, noise in truth.get("torque_noise", {}).items():

@@ -19,11 +19,13 @@ import pytest
 from scipy import signal
 
 from sysid.datasets import ingest
+from sysid.datasets.recording import Recording
 from sysid.machine import load_machine
+from sysid.plant import free_run, nominal_plant
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
 MODULES = ("arm", "case", "flexible", "generate", "goals", "measured", "names", "page", "poses", "published", "rigid", "runner")
-MODULES += ("score", "servo_sag", "smooth_friction", "solve")
+MODULES += ("score", "servo_arm", "servo_sag", "smooth_friction", "solve")
 Array = npt.NDArray[np.float64]
 
 
@@ -143,6 +145,30 @@ def test_a_servo_is_behind_its_setpoint_by_load_times_compliance(arms: dict[str,
     data.qpos[:] = q[-1]
     mujoco.mj_forward(model, data)
     assert np.allclose(wanted[-1] - q[-1], compliance * data.qfrc_bias, atol=1e-6)
+
+
+def test_a_servo_arm_with_nothing_hidden_moves_as_its_description(arms: dict[str, ModuleType], tmp_path: Path) -> None:
+    for seed in (3, 6):
+        case = arms["servo_arm"].make(seed, hides=False)
+        plant = nominal_plant(load_machine(arms["case"].write_case(case, tmp_path / str(seed)) / "machine.toml"))
+        for name, table in case.clean.items():
+            found = free_run(plant, Recording(name, table, case.rate_hz))
+            joints = [f"{axis}.joint" for axis in plant.machine.axis_names]
+            assert rms((found[joints] - table[joints]).to_numpy()) < 1e-3
+
+
+def test_what_a_servo_arm_hides_is_in_its_model(arms: dict[str, ModuleType]) -> None:
+    servo = arms["servo_arm"]
+    for seed in range(30):
+        draw = np.random.default_rng(seed)
+        arm = servo.random_arm(draw, 4)
+        true, hidden = servo.hide(draw, arm)
+        changed = {part: np.flatnonzero(getattr(true, part) != getattr(arm, part)) for part in arm.__dataclass_fields__}
+        assert sum(map(len, changed.values())) == len(hidden)
+        for each in hidden:
+            part = {"coulomb_friction": "friction", "force_limit": "limit", "input_delay": "late"}.get(each.name)
+            part = part or servo.RATIOS[each.name][0]
+            assert arm.names.index(each.target) in changed[part]
 
 
 def test_poses_with_nothing_hidden_are_those_of_the_owners_kinematics(arms: dict[str, ModuleType], tmp_path: Path) -> None:
