@@ -184,13 +184,14 @@ def _turned(x, y, z, ax, ay, az, s, c):
 
 
 @kernel
-def link_series(links, bodies, q, v, a, own, bias, coupled, slope):
+def link_series(links, bodies, q, v, a, ahead, own, bias, coupled, slope):
     """What the motion of all joints makes of the links, for the dynamics of each axis by itself.
 
     The torque on axis i is ``own·q̈ + bias + coupled + slope·(q − q_moved)`` for another motion q of this axis alone.
 
     Args:
         q, v: positions and speeds at the samples, (n, A) each; ``a``: mean accelerations from each sample to the next, (n, A).
+        ahead: share of the first of both samples in the inertia of the step between them.
         own, bias, slope: out, (A, n): inertia about the axis [kg·m² or kg], torque of speeds and gravity [N·m or N], and its
             change by the own position at rest [N·m/rad or N/m].
         coupled: out, (A, n): mean torque of the accelerations of the other axes from each sample to the next.
@@ -205,9 +206,9 @@ def link_series(links, bodies, q, v, a, own, bias, coupled, slope):
             own[i, k], bias[i, k] = mass[i, i], torque[i]
             for j in range(axes):
                 if j != i:
-                    coupled[i, k] += 0.5 * mass[i, j] * a[k, j]
+                    coupled[i, k] += ahead * mass[i, j] * a[k, j]
                     if k > 0:
-                        coupled[i, k - 1] += 0.5 * mass[i, j] * a[k - 1, j]
+                        coupled[i, k - 1] += (1.0 - ahead) * mass[i, j] * a[k - 1, j]
         for i in range(axes):
             for j in range(axes):
                 place[j] = q[k, j]

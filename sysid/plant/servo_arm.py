@@ -21,7 +21,7 @@ from sysid.machine.moved_bodies import PARAMETERS
 from sysid.plant import chain, servo_law
 from sysid.plant.arm_dynamics import BODY, dynamics, true_bodies
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, GIVE_TIME
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME, IMPLICIT, LEAD
 
 #: Longest step of a moving arm [s]: its posture counts as that of the middle of a step.
 LONGEST = 0.002
@@ -35,8 +35,8 @@ PASSES = 4
 # Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
-    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _ROWS,
-) = range(24)  # fmt: skip
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _ROWS,
+) = range(26)  # fmt: skip
 
 
 @kernel
@@ -68,26 +68,32 @@ def advance(p, arrays, s, command, dt, work, kept):
         at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
     true_bodies(p, arrays.links, arrays.bodies, bodies)
     dynamics(at[_PLACE], at[_SPEED], arrays.links, bodies, kept, mass, at[_BIAS])
-    count = math.ceil(dt / LONGEST - 1e-9)
+    count, own = math.ceil(dt / LONGEST - 1e-9), servo_law.own_steps(arrays.axes[0, LEAD], dt)
     for i in range(axes):
         b, v = i * AXIS_WIDTH, at[_SPEED, i]
         viscous, gradual = chain.servo_friction(v, p, b)
         count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous + gradual, mass[i, i] + at[_ARMATURE, i], dt))
+        if arrays.axes[i, LEAD] != arrays.axes[0, LEAD]:
+            own = 0
+    half = 0.5
+    if own > 0:
+        count, half = own, 0.0
     h = dt / count
     for k in range(count):
         for i in range(axes):
-            at[_PLACE, i] = s[i * size + STATE.position] + 0.5 * h * at[_SPEED, i]
-            at[_MIDDLE, i] = at[_SPEED, i] + 0.5 * h * at[_RATE, i]
+            lead = arrays.axes[i, LEAD] if own > 0 else 0.0
+            at[_BEGIN, i] = s[i * size + STATE.position] + lead * at[_SPEED, i]
+            at[_PLACE, i] = at[_BEGIN, i] + half * h * at[_SPEED, i]
+            at[_MIDDLE, i] = at[_SPEED, i] + half * h * at[_RATE, i]
         dynamics(at[_PLACE], at[_MIDDLE], arrays.links, bodies, kept, mass, at[_BIAS])
         for i in range(axes):
             mass[i, i] += at[_ARMATURE, i]
             at[_SIDE, i] = 0.0
             at[_MEAN, i] = at[_SPEED, i]
-            at[_PLACE, i] = s[i * size + STATE.position]
-        _solve(p, arrays.axes, h, k, count, work)
+        _solve(p, arrays.axes, h, k, count, own > 0, work)
         for i in range(axes):
-            m = i * size
-            s[m + STATE.position] += h * at[_MEAN, i]
+            m, lead = i * size, arrays.axes[i, LEAD] if own > 0 else 0.0
+            s[m + STATE.position] = at[_BEGIN, i] + h * at[_MEAN, i] - lead * at[_AFTER, i]
             s[m + STATE.speed] = at[_AFTER, i]
             chain.stop(s, m, arrays.axes, i)
             at[_RATE, i] = (s[m + STATE.speed] - at[_SPEED, i]) / h
@@ -95,8 +101,8 @@ def advance(p, arrays, s, command, dt, work, kept):
 
 
 @inlined
-def _solve(p, about, h, k, count, work):
-    """Speeds after step ``k`` of ``count``, and their means over it."""
+def _solve(p, about, h, k, count, own, work):
+    """Speeds after step ``k`` of ``count``, and their means over it; ``own``: whether it is one of the described simulator."""
     axes = work.shape[1]
     mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
     for turn in range(PASSES):
@@ -108,14 +114,20 @@ def _solve(p, about, h, k, count, work):
             if at[_SIDE, i] == 0.0:
                 u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
                 kv, stiffness = at[_KV, i], at[_KP, i]
-                damping += kv
-                push += at[_KP, i] * (u - at[_PLACE, i])
+                push += at[_KP, i] * (u - at[_BEGIN, i])
+                if own and about[i, IMPLICIT] < 0.0:
+                    push -= kv * at[_SPEED, i]
+                else:
+                    damping += kv
             else:
                 push += at[_HIGHEST, i] if at[_SIDE, i] > 0.0 else at[_LOWEST, i]
-            at[_OWN, i] = chain.rotor(mass[i, i], kv, viscous, about, i)
-            at[_THETA, i] = servo_law.weight(h * damping / at[_OWN, i])
-            at[_BRAKE, i] = damping + 0.5 * h * stiffness
             at[_PUSH, i] = push
+            if own:
+                at[_OWN, i], at[_THETA, i], at[_CREEP, i], at[_BRAKE, i] = mass[i, i], 1.0, 0.0, damping
+                continue
+            at[_OWN, i] = chain.rotor(mass[i, i], kv, viscous, about, i)
+            at[_THETA, i] = at[_CREEP, i] = servo_law.weight(h * damping / at[_OWN, i])
+            at[_BRAKE, i] = damping + 0.5 * h * stiffness
         rubs = False
         for i in range(axes):
             free = at[_PUSH, i] - (1.0 - at[_THETA, i]) * at[_BRAKE, i] * at[_SPEED, i]
@@ -139,7 +151,9 @@ def _solve(p, about, h, k, count, work):
             at[_MEAN, i] = w
             if at[_SIDE, i] == 0.0:
                 u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
-                force = at[_KP, i] * (u - at[_PLACE, i] - 0.5 * h * w) - at[_KV, i] * w
+                force = at[_KP, i] * (u - at[_BEGIN, i]) - at[_KV, i] * at[_SPEED, i]
+                if not own:
+                    force += at[_KV, i] * (at[_SPEED, i] - w) - 0.5 * at[_KP, i] * h * w
                 if force > at[_HIGHEST, i] or force < at[_LOWEST, i]:
                     at[_SIDE, i] = math.copysign(1.0, force)
                     settled = False
@@ -185,8 +199,8 @@ def _slide_or_hold(p, about, h, matrix, factor, at):
                     at[_AFTER, i] = 0.0
                     at[_GRIP, i] = HELD * matrix[i, i]
                 else:
-                    at[_AFTER, i] -= (1.0 - at[_THETA, i] - ahead) * v / give
-                    at[_GRIP, i] = (at[_THETA, i] + ahead) / give
+                    at[_AFTER, i] -= (1.0 - at[_CREEP, i] - ahead) * v / give
+                    at[_GRIP, i] = (at[_CREEP, i] + ahead) / give
         _divide(matrix, factor, at[_GRIP], at[_AFTER])
         found = True
         for i in range(axes):
@@ -203,7 +217,7 @@ def _slide_or_hold(p, about, h, matrix, factor, at):
                 for j in range(axes):
                     friction -= matrix[i, j] * at[_AFTER, j]
             else:
-                mean = (1.0 - at[_THETA, i]) * v + at[_THETA, i] * at[_AFTER, i]
+                mean = (1.0 - at[_CREEP, i]) * v + at[_CREEP, i] * at[_AFTER, i]
                 friction = (mean + about[i, GIVE_TIME] / h * (at[_AFTER, i] - v)) / give
             dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
             if dry == 0.0:
@@ -231,7 +245,7 @@ def _rub(p, about, h, matrix, at):
                 if j != i:
                     free -= matrix[i, j] * at[_AFTER, j]
             v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
-            after = servo_law.rub(free, matrix[i, i], v, at[_THETA, i], h, dry, about[i, GIVE], about[i, GIVE_TIME])
+            after = servo_law.rub(free, matrix[i, i], v, at[_CREEP, i], h, dry, about[i, GIVE], about[i, GIVE_TIME])
             moved = max(moved, abs(after - at[_AFTER, i]))
             largest = max(largest, abs(after))
             at[_AFTER, i] = after

@@ -9,7 +9,7 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, LOW
+from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, IMPLICIT, LEAD, LOW
 
 # Rows of the series of an axis, (SERIES, n · F), F samples of the motion in a step of the command: inertia of the links about
 # it; the sum over the steps before of their mean torques without its own acceleration; the change of the torque by its own
@@ -28,30 +28,36 @@ def _between(series, row, at):
 
 
 @inlined
-def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i):
+def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
     """Position and speed after ``h`` (:mod:`sysid.plant.servo_law`).
 
     Args:
         inertia: of links and armature; the links' torque is ``rest + slope·(x − place)``.
+        own: whether it is a step of the described simulator.
     """
+    half, explicit = (0.0, axes[i, IMPLICIT] < 0.0) if own else (0.5, False)
     b = i * AXIS_WIDTH
     w, after = v, v
     for _ in range(2):  # the second time with the friction of the mean speed
         viscous, gradual = chain.servo_friction(w, p, b)
-        mass = chain.rotor(inertia, kv, viscous, axes, i)
-        damping, stiffness = viscous + gradual + kv, kp + slope
+        mass = inertia if own else chain.rotor(inertia, kv, viscous, axes, i)
+        damping, stiffness = viscous + gradual, kp + slope
         push = kp * (u - x) - rest - slope * (x - place)
+        if explicit:
+            push -= kv * v
+        else:
+            damping += kv
         for limited in range(2):
-            theta = servo_law.weight(h * damping / mass)
-            brake = damping + 0.5 * h * stiffness
+            theta = 1.0 if own else servo_law.weight(h * damping / mass)
+            brake = damping + half * h * stiffness
             free = mass / h * v - (1.0 - theta) * brake * v + push
             resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
-            after = servo_law.rub(free, resistance, v, theta, h, dry, axes[i, GIVE], axes[i, GIVE_TIME])
+            after = servo_law.rub(free, resistance, v, 0.0 if own else theta, h, dry, axes[i, GIVE], axes[i, GIVE_TIME])
             w = (1.0 - theta) * v + theta * after
-            force = kp * (u - x - 0.5 * h * w) - kv * w
+            force = kp * (u - x - half * h * w) - kv * (v if own else w)
             if limited == 1 or low <= force <= high:
                 break
-            mass = chain.rotor(inertia, 0.0, viscous, axes, i)
+            mass = inertia if own else chain.rotor(inertia, 0.0, viscous, axes, i)
             damping, stiffness = viscous + gradual, slope  # at its limit the controller neither damps nor holds
             push = (high if force > high else low) - rest - slope * (x - place)
         if not chain.friction_changes(v, w, p, b):
@@ -64,27 +70,30 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
     """Samples ``first … last`` of axis ``i`` from the state ``s``: its position before the step of each sample."""
     b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)
     kp, kv, low, high, armature = chain.servo_law(p, arrays.axes, i)
-    fine = series.shape[1] // len(command)
+    fine, lead = series.shape[1] // len(command), arrays.axes[i, LEAD]
+    own = servo_law.own_steps(lead, dt)
+    middle, lead = (0.0, lead) if own > 0 else (0.5, 0.0)
     for k in range(first, last):
         later, earlier, part = input_delay.ends(
             command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
         viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
         count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, fine * (k + 0.5)), dt)
-        count = max(count, fine)
+        count = own if own > 0 else max(count, fine)
         out[k] = chain.joint_stage(chain.led(s, m, arrays.axes, i), p, b, s, m, 0.0)
         behind = _between(series, TORQUE, fine * k)
         for j in range(count):
             ahead = _between(series, TORQUE, fine * (k + (j + 1) / count))
             rest, behind = (ahead - behind) * count / fine, ahead
-            at = fine * (k + (j + 0.5) / count)
+            at, v = fine * (k + (j + middle) / count), s[m + STATE.speed]
             mass, slope, place = armature + _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
+            place += lead * _between(series, SPEED, at)
             u = servo_law.held(earlier, later, part, j, count)
             x, v = step(
-                s[m + STATE.position], s[m + STATE.speed], u, mass, rest, slope, place, kp, kv, low, high, dt / count, p,
-                arrays.axes, i,
+                s[m + STATE.position] + lead * v, v, u, mass, rest, slope, place, kp, kv, low, high, dt / count, p, arrays.axes,
+                i, own > 0,
             )  # fmt: skip
-            s[m + STATE.position] = x
+            s[m + STATE.position] = x - lead * v
             s[m + STATE.speed] = v
             chain.stop(s, m, arrays.axes, i)
 

@@ -5,8 +5,11 @@ the speed w and at the position ``x + h·w/2`` in the middle of the step, so tha
 the speed by damping exact: 1/2 (trapezoidal rule) where damping is slow against the step, towards 1 (implicit Euler) where
 it is fast, so that a stiff servo on a light link is stable. Dry friction acts on v′ and may stop the motion, not reverse it.
 
-Source: MuJoCo 4, *Computation*, constraint model (friction loss); exponentially fitted θ: Liniger and Willoughby, SIAM J.
-Numer. Anal. 7 (1970), 47–66.
+Where the steps of the described simulator fill a step between samples, they are taken as they are: w = v′, with the forces at
+the position and speed before the step, of which damping alone is implicit.
+
+Source: MuJoCo 4, *Computation*, numerical integration, and constraint model (friction loss); exponentially fitted θ: Liniger
+and Willoughby, SIAM J. Numer. Anal. 7 (1970), 47–66.
 """
 
 from __future__ import annotations
@@ -26,6 +29,15 @@ def substeps(kp, damping, mass, dt):
     """Steps within ``dt`` for a servo: an overdamped one corrects errors at the rate kp/damping, else at √(kp/mass)."""
     rate = kp / max(math.sqrt(kp * mass), damping)
     return min(max(math.ceil(dt * rate / SHARE), 1), MOST)
+
+
+@inlined
+def own_steps(half, dt):
+    """Steps of the described simulator within ``dt``, from half of one [s]; 0 where it has none, or they do not fill it."""
+    if half <= 0.0:
+        return 0
+    count = math.floor(0.5 * dt / half + 0.5)
+    return count if abs(2.0 * half * count - dt) < 1e-6 * dt else 0
 
 
 @inlined

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
+from sysid.plant import servo_law
 from sysid.plant.arm_dynamics import link_series, mass_ratios
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD
@@ -55,15 +56,19 @@ class LinkSeries:
     def __init__(self, model: Model, recording: Recording) -> None:
         self.arrays, self._links, self._lock = model.arrays, dict[int | None, Array](), threading.Lock()
         names, rate = model.machine.axis_names, recording.rate_hz
-        fine = min(math.ceil(1.0 / (rate * LONGEST) - 1e-9), max(1, MOST // len(recording))) if model.links_move else 1
+        lead, most = model.arrays.axes[:, LEAD], max(1, MOST // len(recording))
+        own = servo_law.own_steps.py_func(lead[0], 1.0 / rate) if (lead == lead[0]).all() else 0
+        fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if model.links_move else 1
         places, speeds = _simulated(model, recording, fine)
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
-        read = places + model.arrays.axes[:, LEAD] * speeds
+        read = places + lead * speeds
         beside = [_motion(joint, rate) for joint in (joints - read[::fine]).T]
         time = np.arange(len(places)) / (rate * fine)
         places += np.stack([spline(time) for spline in beside], axis=1)
         speeds += np.stack([spline(time, 1) for spline in beside], axis=1)
         self._motion, self._step, self._fine = (places, speeds), 1.0 / (rate * fine), fine
+        # Steps of the described simulator take the inertia and the torques at their begin, else they are means.
+        self._lead, self._ahead = (lead, 1.0) if fine == own else (0.0 * lead, 0.5)
 
     @property
     def motion(self) -> tuple[Array, Array]:
@@ -92,9 +97,9 @@ class LinkSeries:
         places, speeds = self._motion
         own, bias, coupled, slope = np.zeros((4, *places.T.shape))
         if bodies[:, 0].any():
-            mean = np.diff(speeds, axis=0, append=speeds[-1:]) / self._step
-            link_series(self.arrays.links, bodies, places, speeds, mean, own, bias, coupled, slope)
-        mean = coupled[:, :-1] + 0.5 * (bias[:, :-1] + bias[:, 1:])
+            mean, places = np.diff(speeds, axis=0, append=speeds[-1:]) / self._step, places + self._lead * speeds
+            link_series(self.arrays.links, bodies, places, speeds, mean, self._ahead, own, bias, coupled, slope)
+        mean = coupled[:, :-1] + self._ahead * bias[:, :-1] + (1.0 - self._ahead) * bias[:, 1:]
         return np.stack([own, np.pad(np.cumsum(mean, axis=1), ((0, 0), (1, 0))), slope], axis=1)
 
 
