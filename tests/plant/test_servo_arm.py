@@ -29,8 +29,9 @@ from sysid.testing.probe import probe_recording, probe_servo
 
 Array = npt.NDArray[np.float64]
 
-#: Largest RMS difference from MuJoCo as a share of the motion's range.
-PARITY = 1e-3
+#: Largest RMS difference from MuJoCo as a share of the motion's range; with dry friction, which is a soft constraint there, and
+#: with Coriolis forces that are implicit there.
+PARITY, RUBBING, CORIOLIS = 1e-8, 3e-4, 3e-4
 
 
 def compare(folder: Path, text: str, joints: int, dt: float = 0.01, seconds: float = 30.0) -> tuple[Array, Array]:
@@ -48,7 +49,7 @@ def compare(folder: Path, text: str, joints: int, dt: float = 0.01, seconds: flo
 def test_arms_of_mujoco(tmp_path: Path, joints: int) -> None:
     whole, single = compare(tmp_path, arm_text(joints, joints), joints)
     assert whole.max() < PARITY
-    assert single.max() < 5.0 * PARITY  # differences of measured accelerations, at 100 Hz
+    assert single.max() < PARITY
 
 
 @pytest.mark.parametrize("joints", [2, 4, 7])
@@ -67,7 +68,7 @@ def test_dry_friction_that_holds(tmp_path: Path, joints: int) -> None:
     text = arm_text(joints, 3, rubs=STIFF)
     assert {e.name for e in drafted(tmp_path, text).effects} == {"viscous_friction", "coulomb_friction"}
     whole, _ = compare(tmp_path, text, joints)
-    assert whole.max() < PARITY
+    assert whole.max() < RUBBING
 
 
 @pytest.mark.parametrize("joints", [2, 5])
@@ -75,13 +76,13 @@ def test_friction_that_gives_way_as_that_of_mujoco_does_by_default(tmp_path: Pat
     text = arm_text(joints, 3, rubs=" ")
     assert {e.name for e in drafted(tmp_path, text).effects} == {"viscous_friction", "coulomb_friction"}
     whole, _ = compare(tmp_path, text, joints)
-    assert whole.max() < PARITY
+    assert whole.max() < RUBBING
 
 
 @pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "Euler"])
 def test_long_steps_of_mujoco(tmp_path: Path, integrator: str) -> None:
     whole, _ = compare(tmp_path, arm_text(3, 1, step=0.002, integrator=integrator, limited=0.3), 3, 0.02)
-    assert whole.max() < PARITY
+    assert whole.max() < (CORIOLIS if integrator == "implicit" else PARITY)
 
 
 def test_dead_time_of_the_control(tmp_path: Path) -> None:
