@@ -138,10 +138,24 @@ def _solve(p, about, h, k, count, own, work):
             at[_FREE, i] = free
             at[_AFTER, i] = free
             rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
-        if rubs:
-            if not _slide_or_hold(p, about, h, matrix, factor, at):
-                _rub(p, about, h, matrix, at)
-        else:
+        gives = own
+        for i in range(axes):
+            gives &= about[i, GIVE] > 0.0
+        if rubs and gives:  # the friction is that of the motion without implicit damping
+            for i in range(axes):
+                matrix[i, i] -= at[_BRAKE, i]
+                at[_FREE, i] -= at[_BRAKE, i] * at[_SPEED, i]
+        if rubs and not _slide_or_hold(p, about, h, own, matrix, factor, at):
+            _rub(p, about, h, own, matrix, at)
+        if rubs and gives:
+            for i in range(axes):
+                at[_FREE, i] = at[_BRAKE, i] * at[_SPEED, i]
+                for j in range(axes):
+                    at[_FREE, i] += matrix[i, j] * at[_AFTER, j]
+            for i in range(axes):
+                matrix[i, i] += at[_BRAKE, i]
+                at[_AFTER, i] = at[_FREE, i]
+        if gives or not rubs:
             at[_GRIP, :] = 0.0
             _divide(matrix, factor, at[_GRIP], at[_AFTER])
         for i in range(axes):
@@ -183,7 +197,7 @@ def _divide(matrix, factor, more, x):
 
 
 @inlined
-def _slide_or_hold(p, about, h, matrix, factor, at):
+def _slide_or_hold(p, about, h, own, matrix, factor, at):
     """:func:`_rub` by an active set, from the joints that slide before the step; False where it finds none."""
     axes = matrix.shape[0]
     for i in range(axes):
@@ -191,7 +205,7 @@ def _slide_or_hold(p, about, h, matrix, factor, at):
     for _ in range(2 * axes):
         for i in range(axes):
             v, give = at[_SPEED, i], about[i, GIVE]
-            ahead = about[i, GIVE_TIME] / h
+            ahead = _give_time(about, i, own) / h
             at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * chain.dry(at[_SLIP, i], v, p, i * AXIS_WIDTH)
             at[_GRIP, i] = 0.0
             if at[_SLIP, i] == 0.0 and chain.dry(1.0, v, p, i * AXIS_WIDTH) + chain.dry(-1.0, v, p, i * AXIS_WIDTH) > 0.0:
@@ -218,7 +232,7 @@ def _slide_or_hold(p, about, h, matrix, factor, at):
                     friction -= matrix[i, j] * at[_AFTER, j]
             else:
                 mean = (1.0 - at[_CREEP, i]) * v + at[_CREEP, i] * at[_AFTER, i]
-                friction = (mean + about[i, GIVE_TIME] / h * (at[_AFTER, i] - v)) / give
+                friction = (mean + _give_time(about, i, own) / h * (at[_AFTER, i] - v)) / give
             dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
             if dry == 0.0:
                 continue
@@ -232,7 +246,13 @@ def _slide_or_hold(p, about, h, matrix, factor, at):
 
 
 @inlined
-def _rub(p, about, h, matrix, at):
+def _give_time(about, i, own):
+    """Time in which the dry friction of an axis gives way [s], in steps of the described simulator as its constraint has it."""
+    return about[i, GIVE_TIME] + (about[i, LEAD] if own else 0.0)
+
+
+@inlined
+def _rub(p, about, h, own, matrix, at):
     """Speeds behind dry friction: ``matrix · after + friction = free``, friction against the speed or holding it at zero."""
     axes = matrix.shape[0]
     for i in range(axes):
@@ -245,7 +265,8 @@ def _rub(p, about, h, matrix, at):
                 if j != i:
                     free -= matrix[i, j] * at[_AFTER, j]
             v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
-            after = servo_law.rub(free, matrix[i, i], v, at[_CREEP, i], h, dry, about[i, GIVE], about[i, GIVE_TIME])
+            time = _give_time(about, i, own)
+            after = servo_law.rub(free, matrix[i, i], v, at[_CREEP, i], h, dry, about[i, GIVE], time)
             moved = max(moved, abs(after - at[_AFTER, i]))
             largest = max(largest, abs(after))
             at[_AFTER, i] = after

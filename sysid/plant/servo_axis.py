@@ -52,7 +52,13 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i,
             brake = damping + half * h * stiffness
             free = mass / h * v - (1.0 - theta) * brake * v + push
             resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
-            after = servo_law.rub(free, resistance, v, 0.0 if own else theta, h, dry, axes[i, GIVE], axes[i, GIVE_TIME])
+            give, time = axes[i, GIVE], axes[i, GIVE_TIME] + (axes[i, LEAD] if own else 0.0)
+            if own and give > 0.0:  # the friction is that of the motion without implicit damping
+                free -= brake * v
+                rubbing = free - mass / h * servo_law.rub(free, mass / h, v, 0.0, h, dry, give, time)
+                after = (free + brake * v - rubbing) / resistance
+            else:
+                after = servo_law.rub(free, resistance, v, theta, h, dry, give, time)
             w = (1.0 - theta) * v + theta * after
             force = kp * (u - x - half * h * w) - kv * (v if own else w)
             if limited == 1 or low <= force <= high:

@@ -29,9 +29,9 @@ from sysid.testing.probe import probe_recording, probe_servo
 
 Array = npt.NDArray[np.float64]
 
-#: Largest RMS difference from MuJoCo as a share of the motion's range; with dry friction, which is a soft constraint there, and
-#: with Coriolis forces that are implicit there.
-PARITY, RUBBING, CORIOLIS = 1e-8, 3e-4, 3e-4
+#: Largest RMS difference from MuJoCo as a share of the motion's range; of one axis beside others with dry friction, and with
+#: Coriolis forces that are implicit there.
+PARITY, BESIDE, CORIOLIS = 1e-7, 3e-4, 3e-4
 
 
 def compare(folder: Path, text: str, joints: int, dt: float = 0.01, seconds: float = 30.0) -> tuple[Array, Array]:
@@ -67,16 +67,18 @@ def test_force_limits_that_saturate(tmp_path: Path, joints: int) -> None:
 def test_dry_friction_that_holds(tmp_path: Path, joints: int) -> None:
     text = arm_text(joints, 3, rubs=STIFF)
     assert {e.name for e in drafted(tmp_path, text).effects} == {"viscous_friction", "coulomb_friction"}
-    whole, _ = compare(tmp_path, text, joints)
-    assert whole.max() < RUBBING
+    whole, single = compare(tmp_path, text, joints)
+    assert whole.max() < PARITY
+    assert single.max() < BESIDE
 
 
 @pytest.mark.parametrize("joints", [2, 5])
 def test_friction_that_gives_way_as_that_of_mujoco_does_by_default(tmp_path: Path, joints: int) -> None:
     text = arm_text(joints, 3, rubs=" ")
     assert {e.name for e in drafted(tmp_path, text).effects} == {"viscous_friction", "coulomb_friction"}
-    whole, _ = compare(tmp_path, text, joints)
-    assert whole.max() < RUBBING
+    whole, single = compare(tmp_path, text, joints)
+    assert whole.max() < PARITY
+    assert single.max() < BESIDE
 
 
 @pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "Euler"])
