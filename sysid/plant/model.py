@@ -136,11 +136,11 @@ class Model:
     def _true_servo(self, thetas: Array, recording: Recording, i: int, command: Array, segments: Segments) -> Array:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
         dt, series = 1.0 / recording.rate_hz, servo_series(self, recording)
-        out = np.full((len(thetas), len(command)), np.nan)
+        out, begins = np.full((len(thetas), len(command)), np.nan), series.begins(i)
 
         def lane(k: int) -> None:
             its, size = series.of(i, thetas[k]), layout.axis_memory(dt)
-            servo_axis.drive_servo(thetas[k], self.arrays, i, command, its, segments, dt, size, out[k])
+            servo_axis.drive_servo(thetas[k], self.arrays, i, command, its, *begins, segments, dt, size, out[k])
 
         in_parallel(lane, len(thetas), len(command))
         return out

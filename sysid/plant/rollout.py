@@ -86,11 +86,12 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
     theta = model.theta[None]
     share, load = model.share(theta, recording, SETTLE_WINDOW)[0], model.load(theta, recording, SETTLE_WINDOW)
-    motion = servo_series(model, recording).motion if model.coupled else ()
     for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
         edges[i, : len(segments)] = segments
         if model.coupled:
-            servo_axis.starts_of(model.theta, model.arrays, i, *(part[:, i] for part in motion), segments, dt, states[i])
+            servo_axis.starts_of(
+                model.theta, model.arrays, i, *servo_series(model, recording).begins(i), segments, dt, states[i]
+            )
             continue
         if model.rigid is not None and axis.actuation == "force":  # no forward dynamics of an arm: no free run
             continue

@@ -105,19 +105,19 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
 
 
 @kernel
-def drive_servo(p, arrays, i, command, series, segments, dt, size, out):
+def drive_servo(p, arrays, i, command, series, places, speeds, segments, dt, size, out):
     """Free run of servo axis ``i`` from its command over all segments.
 
     Args:
-        command: (n,), ``series``: (SERIES, n · F); each segment begins in its motion.
+        command: (n,), ``series``: (SERIES, n · F).
+        places, speeds: (n,), in which the segments begin.
         segments: (m, 2) first and last+1 sample of each stretch with commands.
         out: position of the joint, (n,).
     """
     s = np.empty(size)
     for row in range(len(segments)):
         first, last = segments[row, 0], segments[row, 1]
-        at = first * (series.shape[1] // len(command))
-        start(p, arrays, i, s, series[PLACE, at], series[SPEED, at], first, dt)
+        start(p, arrays, i, s, places[first], speeds[first], first, dt)
         run(p, arrays, i, s, command, series, first, last, dt, out)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +33,10 @@ Array = npt.NDArray[np.float64]
 LINKS = slice(OWN, SLOPE + 1)
 #: Most samples of the motion of a recording, which bound its memory; fewer steps between its rows follow.
 MOST = 500_000
+#: Time from whose motion the begin is estimated [s], and least samples of it.
+BEGIN, LEAST_BEGIN = 0.2, 6
+#: A begin fits the plant below this error, and a joint rests below this speed [standard deviations].
+FITS, RESTS = 2.0, 3.0
 #: Place of the series in a recording's cache.
 _SERIES = "servo series"
 
@@ -59,22 +65,23 @@ class LinkSeries:
         lead, most = model.arrays.axes[:, LEAD], max(1, MOST // len(recording))
         own = servo_law.own_steps.py_func(lead[0], 1.0 / rate) if (lead == lead[0]).all() else 0
         fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if model.links_move else 1
-        places, speeds = _simulated(model, recording, fine)
+        (places, speeds), runs = _simulated(model, recording, fine)
+        alone = places[::fine].copy(), speeds[::fine].copy()
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
         read = places + lead * speeds
         beside = [_motion(joint, rate) for joint in (joints - read[::fine]).T]
         time = np.arange(len(places)) / (rate * fine)
         places += np.stack([spline(time) for spline in beside], axis=1)
         speeds += np.stack([spline(time, 1) for spline in beside], axis=1)
-        self._motion, self._step, self._fine = (places, speeds), 1.0 / (rate * fine), fine
+        self._motion, self._step = (places, speeds), 1.0 / (rate * fine)
+        self._begins = [np.where(runs[:, None], own, part[::fine]) for own, part in zip(alone, self._motion, strict=True)]
         # Steps of the described simulator take the inertia and the torques at their begin, else they are means.
         self._lead, self._ahead = (lead, 1.0) if fine == own else (0.0 * lead, 0.5)
 
-    @property
-    def motion(self) -> tuple[Array, Array]:
-        """Places and speeds at the samples of the recording, (n, A) each."""
-        places, speeds = self._motion
-        return places[:: self._fine], speeds[:: self._fine]
+    def begins(self, axis: int) -> tuple[Array, Array]:
+        """Places and speeds of an axis at the samples of the recording, (n,) each, from which a stretch of it begins."""
+        places, speeds = self._begins
+        return np.ascontiguousarray(places[:, axis]), np.ascontiguousarray(speeds[:, axis])
 
     def of(self, axis: int, theta: Array) -> Array:
         """Series of an axis for the parameters ``theta`` of a plant, (SERIES, n · F)."""
@@ -103,30 +110,89 @@ class LinkSeries:
         return np.stack([own, np.pad(np.cumsum(mean, axis=1), ((0, 0), (1, 0))), slope], axis=1)
 
 
-def _simulated(model: Model, recording: Recording, fine: int) -> Array:
-    """Places and speeds of the free run of all axes, (2, n · fine, A).
-
-    Where no commands are, it rests.
-    """
-    machine, dt = model.machine, 1.0 / (recording.rate_hz * fine)
+def _simulated(model: Model, recording: Recording, fine: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Places and speeds of the free run of all axes, (2, n · fine, A), and the samples (n,) in which it runs."""
+    machine, rate = model.machine, recording.rate_hz
     held = [model.held(recording, name) for name in machine.axis_names]
     stretches, count = common_stretches([part for _, part in held], len(recording)), len(recording) * fine
     commands = np.column_stack([values for values, _ in held])
-    starts = np.full((model.axes, len(stretches), axis_memory(dt)), np.nan)
-    for i, name in enumerate(machine.axis_names):
-        motion = _motion(recording.values(axis_signal(name, "joint")), recording.rate_hz)
-        places, speeds = motion(motion.x), motion(motion.x, 1)
-        place = places - model.arrays.axes[i, LEAD] * speeds
-        starts_of(model.theta, model.arrays, i, place, speeds, stretches, dt, starts[i])
+    joints = np.stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names], axis=1)
     found = np.full((2, count, model.axes), np.nan)
-    for k, (first, last) in enumerate(stretches):
-        given, rows = np.repeat(commands[first:last], fine, axis=0), slice(first * fine, last * fine)
-        run_servos(model.theta, model.arrays, given, starts[:, k].ravel(), dt, *found[:, rows])
+    for first, last in stretches:
+        run = partial(_run, model, commands[first:last], 1.0 / rate, fine)
+        found[:, first * fine : last * fine] = run(
+            _begin(run, joints[first:last], rate, model.arrays.axes[:, LEAD]), last - first
+        )
     found[1] = np.nan_to_num(found[1])
     every, there = np.arange(count), np.isfinite(found[0]).all(axis=1)
     for column in found[0].T:
         column[:] = np.interp(every, every[there], column[there]) if there.any() else 0.0
+    return found, there[::fine]
+
+
+def _run(model: Model, commands: Array, dt: float, fine: int, begin: Array, count: int) -> Array:
+    """Places and speeds (2, count · fine, A) from those of the begin (2, A)."""
+    whole, states = np.array([[0, count]]), np.full((model.axes, 1, axis_memory(dt / fine)), np.nan)
+    for i in range(model.axes):
+        starts_of(model.theta, model.arrays, i, begin[0, i : i + 1], begin[1, i : i + 1], whole, dt / fine, states[i])
+    found = np.empty((2, count * fine, model.axes))
+    run_servos(model.theta, model.arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found)
     return found
+
+
+def _begin(run: Callable[[Array, int], Array], joints: Array, rate_hz: float, lead: Array) -> Array:
+    """Place and speed (2, A) in which measured joints (n, A) begin.
+
+    They are those from which the plant moves as measured for a short time; where it does not, those of the low-passed
+    measurement, at rest where its speed is less than its noise.
+    """
+    begin = np.array([_from_motion(joint, rate_hz) for joint in joints.T]).T
+    begin[0] -= lead * begin[1]
+    count = min(len(joints), max(LEAST_BEGIN, round(BEGIN * rate_hz)))
+    measured, fine = joints[:count], run(begin, count).shape[1] // count
+    if np.isnan(measured).any() or count < LEAST_BEGIN:
+        return begin
+
+    def errors(start: Array) -> Array:
+        place, speed = run(start, count)
+        return np.ravel(measured - (place + lead * speed)[::fine])
+
+    noise = np.maximum([_noise(joint) for joint in joints.T], 1e-9)
+    weight = np.broadcast_to(1.0 / noise, measured.shape).ravel()
+    best, step = begin, np.array([noise, noise * rate_hz])
+    left = errors(best) * weight
+    for _ in range(2):
+        columns = []
+        for k in np.ndindex(step.shape):
+            moved = best.copy()
+            moved[k] += step[k]
+            columns.append(left - errors(moved) * weight)
+        better = best + step * np.linalg.lstsq(np.array(columns).T, left, rcond=1e-6)[0].reshape(step.shape)
+        rest = errors(better) * weight
+        if not rest @ rest < left @ left:
+            break
+        best, left = better, rest
+    fits: npt.NDArray[np.bool_] = (left.reshape(measured.shape) ** 2).mean(axis=0) < FITS**2
+    return np.asarray(np.where(fits, best, begin))
+
+
+def _from_motion(joint: Array, rate_hz: float) -> tuple[float, float]:
+    """Place and speed at the first sample of a low-passed position (n,)."""
+    motion = _motion(joint, rate_hz)
+    first = joint[: max(LEAST_BEGIN, round(0.5 * BEGIN * rate_hz))]
+    first = first[~np.isnan(first)]
+    if len(first) >= LEAST_BEGIN:
+        time = (np.arange(len(first)) - 0.5 * (len(first) - 1)) / rate_hz
+        slope = float(time @ first) / float(time @ time)
+        if abs(slope) < RESTS * _noise(joint) / float(np.sqrt(time @ time)):
+            return float(first.mean()), 0.0
+    return float(motion(0.0)), float(motion(0.0, 1))
+
+
+def _noise(joint: Array) -> float:
+    """Standard deviation of white noise, from third differences."""
+    third = np.abs(np.diff(joint[~np.isnan(joint)], 3))
+    return float(np.median(third)) * 1.4826 / 20.0**0.5 if len(third) else 0.0
 
 
 def servo_series(model: Model, recording: Recording) -> LinkSeries:

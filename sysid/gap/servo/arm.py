@@ -9,6 +9,7 @@ one of them names is put into the others, which are searched again. It stays if 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -97,8 +98,8 @@ def _deviation(result: StageResult, mass: Candidate) -> float:
 def _agree(one: StageResult, mass: Candidate, other: StageResult, same: Candidate) -> bool:
     """Whether two axes determine the same mass."""
     apart = abs(float(one.fit.values_of(mass)[0] - other.fit.values_of(same)[0]))
-    spread = _deviation(one, mass) ** 2 + _deviation(other, same) ** 2
-    return apart <= max(2.0 * Z * spread**0.5, mass.unknowns[0].negligible)
+    spread = math.hypot(_deviation(one, mass), _deviation(other, same))
+    return apart <= max(2.0 * Z * spread, mass.unknowns[0].negligible)
 
 
 def _needs(result: StageResult) -> int:
