@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import pandas as pd
 
 from sysid.machine import Convention
@@ -50,6 +51,12 @@ class EffectEvidence:
     ratio: float
 
 
+def _check_intervals(parameters: Mapping[str, Value], interval95: Mapping[str, tuple[Value, Value]]) -> None:
+    for name, ends in interval95.items():
+        if len({np.shape(value) for value in (parameters.get(name, ends[0]), *ends)}) > 1:
+            raise ValueError(f"an interval with the components of {name}")
+
+
 @dataclass(frozen=True)
 class NamedEffect:
     """A missing effect with its parameters (absolute values in the repaired plant).
@@ -70,6 +77,14 @@ class NamedEffect:
     evidence: EffectEvidence | None = None
     undetermined: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the intervals.
+
+        Raises:
+            ValueError: an interval of other components than its value.
+        """
+        _check_intervals(self.parameters, self.interval95)
 
     @property
     def given(self) -> dict[str, Value]:
@@ -102,6 +117,10 @@ class WrittenEffect:
     why: str = ""
     side: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the intervals, see :class:`NamedEffect`."""
+        _check_intervals(self.parameters, self.interval95)
 
 
 @dataclass(frozen=True)

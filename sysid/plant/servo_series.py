@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 #: Rows that the links make.
 LINKS = slice(OWN, SLOPE + 1)
 #: Most samples of the motion of a recording, which bound its memory; fewer steps between its rows follow.
-MOST = 500_000
+MOST = 1_000_000
 #: Time from whose motion the begin is estimated [s], and least samples of it.
 BEGIN, LEAST_BEGIN = 0.2, 6
 #: A begin fits the plant below this error, and a joint rests below this speed [standard deviations].

@@ -86,6 +86,7 @@ def test_nothing_there_and_something_broken(tmp_path: Path) -> None:
     [
         (("dataset",), None), (("plant", "before"), []), (("plant", "after"), 1), (("verdict",), "good"), (("verdict",), []),
         (("seconds",), "long"), (("notes",), [1]), (("effects", 0, "interval95", "positive"), ["a", "b"]),
+        (("effects", 0, "interval95", "positive"), [[], 1.0]),
         (("gap", "before", "ee.x"), 1e308), (("gap", "before"), []),
         (("maps", 0, "at"), []), (("maps", 0, "at", 0), None),
         (("maps", 0, "mean"), [1.0]), (("held_out_recordings",), [None]), (("settings",), []),
