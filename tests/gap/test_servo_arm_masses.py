@@ -1,0 +1,89 @@
+"""One mass for all axes of an arm: it stays where the arm needs no more effects with it, else every axis is searched without."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from servo_arms import arm_text, drafted
+
+from sysid.gap.candidates import Candidate, Scales, candidates_at
+from sysid.gap.case import Stage
+from sysid.gap.fit import Fit
+from sysid.gap.problem import Split, drive_problem
+from sysid.gap.result import EffectEvidence
+from sysid.gap.servo.arm import with_link_masses
+from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.plant import compile_plant, nominal_plant
+
+KEY = ("link_mass_error", "j2", None)
+
+
+class Arm:
+    """Three axes with results that state which effects each needs, with a mass of j2 in place and without."""
+
+    def __init__(self, folder: Any) -> None:
+        self.plant = nominal_plant(drafted(folder, arm_text(3)))
+        self.theta, self.model = self.plant.vector(), compile_plant(self.plant)
+        names = self.plant.machine.axis_names
+        found = candidates_at(self.plant, self.theta, ("command", "force"), names, Scales())
+        found += candidates_at(self.plant, self.theta, ("links",), names, Scales())
+        self.candidates = {(c.effect.name, c.target): c for c in reversed(found)}
+
+    def stage(self, axis: str, *effects: tuple[str, float]) -> Stage:
+        problem = drive_problem(self.model, self.plant.machine.axis(axis))
+        stage = Stage(problem, Split((), (), ()), np.ones(1), self.theta)
+        return Stage(problem, stage.split, stage.sigma, self.theta, self.result(stage, axis, *effects))
+
+    def result(self, stage: Stage, axis: str, *effects: tuple[str, float]) -> StageResult:
+        chosen: list[Candidate] = []
+        for name, _ in effects:
+            chosen.append(self.candidates[name, "j2" if name == "link_mass_error" else axis])
+        values = np.array([value for _, value in effects])
+        fit = Fit(tuple(chosen), tuple(u for c in chosen for u in c.unknowns), values, stage.theta, (), 0.0)
+        named = tuple(AcceptedEffect(c, EffectEvidence(1.0, 1.0, 0.0, 2.0)) for c in chosen)
+        model = SimpleNamespace(deviations_of=lambda candidate: np.array([0.001]))
+        fitted: Any = SimpleNamespace(decision=SimpleNamespace(model=model))
+        return StageResult(stage.problem, named, (), fit, 5.0, 1.0, stage_fit=fitted)
+
+
+def names(stages: tuple[Stage, ...]) -> dict[str, list[str]]:
+    return {s.problem.target: [kept.candidate.effect.name for kept in s.found.named] for s in stages}
+
+
+@pytest.fixture
+def arm(tmp_path: Any) -> Arm:
+    return Arm(tmp_path)
+
+
+def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm) -> None:
+    stages = [arm.stage("j0"), arm.stage("j1", ("armature_error", 1.4)), arm.stage("j2", ("link_mass_error", 1.3))]
+
+    def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
+        assert refuted == {KEY}
+        assert stage.theta[list(arm.candidates[KEY[:2]].unknowns[0].places)] == pytest.approx(1.3)
+        return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, stage.problem.target))
+
+    assert names(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["link_mass_error"]}
+
+
+def test_a_mass_that_the_axes_before_contradict_is_searched_without(arm: Arm) -> None:
+    stages = [arm.stage("j0"), arm.stage("j1"), arm.stage("j2", ("link_mass_error", 1.3))]
+
+    def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
+        axis, heavier = stage.problem.target, not np.array_equal(stage.theta, arm.theta)
+        needs = [("armature_error", 0.8)] if heavier else [("stiffness_error", 0.8)] if axis == "j2" else []
+        return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, axis, *needs))
+
+    assert names(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["stiffness_error"]}
+
+
+def test_axes_that_agree_on_a_mass_are_not_searched_again(arm: Arm) -> None:
+    stages = [arm.stage(axis, ("link_mass_error", 1.3 + k * 1e-3)) for k, axis in enumerate(("j0", "j1", "j2"))]
+
+    def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
+        raise AssertionError(stage.label)
+
+    assert set(map(tuple, names(with_link_masses(stages, search)).values())) == {("link_mass_error",)}
