@@ -1,4 +1,4 @@
-"""One mass for all axes of an arm: it stays where the arm needs no more effects with it, else every axis is searched without."""
+"""One mass for all axes of an arm: it stays where the arm needs no more effects with it, else each is searched without."""
 
 from __future__ import annotations
 
