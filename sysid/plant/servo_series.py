@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import uniform_filter1d
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
@@ -20,7 +21,7 @@ from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD
 from sysid.plant.servo_arm import LONGEST, run_servos
 from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, starts_of
-from sysid.plant.smooth_motion import second_difference, smooth_motion
+from sysid.plant.smooth_motion import POSITION_HZ, second_difference, smooth_motion
 from sysid.plant.stretches import common_stretches
 from sysid.signals import axis_signal
 
@@ -37,18 +38,42 @@ MOST = 1_000_000
 BEGIN, LEAST_BEGIN = 0.2, 6
 #: A begin fits the plant below this error, and a joint rests below this speed [standard deviations].
 FITS, RESTS = 2.0, 3.0
+#: Cut-off of slow differences [Hz], and mean square that counts as noise [variances].
+SLOW_HZ, NOISY = 4.0, 3.0
 #: Place of the series in a recording's cache.
 _SERIES = "servo series"
 
 
 def _motion(joint: Array, rate_hz: float) -> CubicHermiteSpline:
     """Low-passed positions (n,), missing ones interpolated, over time [s]; zero where none are known."""
-    time = np.arange(max(len(joint), 2)) / rate_hz
-    place, speed = np.zeros((2, len(time)))
-    if np.count_nonzero(~np.isnan(joint)) > 1:
-        place, speed, _ = smooth_motion(joint, rate_hz)
-        speed = speed - second_difference(speed) / 6.0  # a central difference loses (ω·dt)²/6
-    return CubicHermiteSpline(time, place, speed)
+    known = np.count_nonzero(~np.isnan(joint)) > 1
+    return _spline(smooth_motion(joint, rate_hz)[0] if known else np.zeros(max(len(joint), 2)), rate_hz)
+
+
+def _spline(place: Array, rate_hz: float) -> CubicHermiteSpline:
+    """Smooth positions (n,) over time [s]."""
+    speed = np.gradient(place, 1.0 / rate_hz)
+    # A central difference loses (ω·dt)²/6.
+    return CubicHermiteSpline(np.arange(len(place)) / rate_hz, place, speed - second_difference(speed) / 6.0)
+
+
+def _difference(joint: Array, run: Array, rate_hz: float) -> CubicHermiteSpline:
+    """Measured less simulated positions (n,) over time [s], slow and fast ones where they exceed the noise.
+
+    Noise of the other joints would shake an axis that dry friction holds.
+    """
+    sigma, count = _noise(joint), np.count_nonzero(~np.isnan(joint))
+    if count < 2:
+        return _spline(np.zeros(max(len(joint), 2)), rate_hz)
+    slow, whole = (smooth_motion(joint - run, rate_hz, cut)[0] for cut in (SLOW_HZ, POSITION_HZ))
+    parts = (slow, sigma**2 * min(1.0, 2.0 * SLOW_HZ / rate_hz)), (whole - slow, sigma**2)
+    return _spline(sum((_beyond(part, noise, rate_hz) for part, noise in parts), start=np.zeros(len(slow))), rate_hz)
+
+
+def _beyond(values: Array, noise: float, rate_hz: float) -> Array:
+    """Values (n,) less what noise of a variance may be of them, by their mean square within :data:`BEGIN`."""
+    local = uniform_filter1d(values**2, max(3, round(BEGIN * rate_hz)), mode="nearest")
+    return np.asarray(values * np.clip(1.0 - NOISY * noise / np.maximum(local, 1e-30), 0.0, 1.0))
 
 
 class LinkSeries:
@@ -69,7 +94,7 @@ class LinkSeries:
         alone = places[::fine].copy(), speeds[::fine].copy()
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
         read = places + lead * speeds
-        beside = [_motion(joint, rate) for joint in (joints - read[::fine]).T]
+        beside = [_difference(*columns, rate) for columns in zip(joints.T, read[::fine].T, strict=True)]
         time = np.arange(len(places)) / (rate * fine)
         places += np.stack([spline(time) for spline in beside], axis=1)
         speeds += np.stack([spline(time, 1) for spline in beside], axis=1)
