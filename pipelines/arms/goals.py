@@ -49,9 +49,12 @@ def _arm(arms: Sequence[Case]) -> list[Row]:
 def _servos(cases: Sequence[Case]) -> list[Row]:
     plain, masses = _of(cases, "servo_sag", "plain"), _of(cases, "servo_sag", "urdf")
     arms = _of(cases, "servo_arm")
-    return [
+    controlled = [
         ("arm of position servos, from its MJCF: right names", "all", *_count(arms, _right)),
         ("— held-out error, of the encoders' noise", "≤ 1.2", *_at_most(_ratios(arms), 1.2)),
+    ]
+    return [
+        *(controlled if arms else []),
         ("sagging servo without a URDF: a tie or no name", "all", *_count(plain, lambda c: bool(c["tie"]) and _right(c))),
         ("sagging servo with a URDF: every compliance named", "all", *_count(masses, _right)),
         ("— compliance", "≤ 5 %", *_within(_errors(masses, "joint_compliance"), 0.05, "named ones")),

@@ -135,7 +135,7 @@ class Model:
 
     def _true_servo(self, thetas: Array, recording: Recording, i: int, command: Array, segments: Segments) -> Array:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
-        dt, series = 1.0 / recording.rate_hz, servo_series(self, recording)
+        dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, self.theta, recording)
         out, begins = np.full((len(thetas), len(command)), np.nan), series.begins(i)
 
         def lane(k: int) -> None:

@@ -89,9 +89,8 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
         edges[i, : len(segments)] = segments
         if model.coupled:
-            servo_axis.starts_of(
-                model.theta, model.arrays, i, *servo_series(model, recording).begins(i), segments, dt, states[i]
-            )
+            begins = servo_series(model.machine, model.arrays, model.theta, recording).begins(i)
+            servo_axis.starts_of(model.theta, model.arrays, i, *begins, segments, dt, states[i])
             continue
         if model.rigid is not None and axis.actuation == "force":  # no forward dynamics of an arm: no free run
             continue

@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,19 +13,16 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import uniform_filter1d
 
 from sysid.datasets.recording import Recording
-from sysid.machine import Axis
+from sysid.machine import Axis, Machine
 from sysid.plant import servo_law
 from sysid.plant.arm_dynamics import link_series, mass_ratios
 from sysid.plant.layout import axis_memory
-from sysid.plant.machine_arrays import LEAD
+from sysid.plant.machine_arrays import LEAD, MachineArrays
 from sysid.plant.servo_arm import LONGEST, run_servos
 from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, starts_of
 from sysid.plant.smooth_motion import POSITION_HZ, second_difference, smooth_motion
-from sysid.plant.stretches import common_stretches
+from sysid.plant.stretches import common_stretches, held_for
 from sysid.signals import axis_signal
-
-if TYPE_CHECKING:
-    from sysid.plant.model import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -84,13 +80,13 @@ class LinkSeries:
     what each adds is computed once, when first needed.
     """
 
-    def __init__(self, model: Model, recording: Recording) -> None:
-        self.arrays, self._links, self._lock = model.arrays, dict[int | None, Array](), threading.Lock()
-        names, rate = model.machine.axis_names, recording.rate_hz
-        lead, most = model.arrays.axes[:, LEAD], max(1, MOST // len(recording))
+    def __init__(self, machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> None:
+        self.arrays, self._links, self._lock = arrays, dict[int | None, Array](), threading.Lock()
+        names, rate = machine.axis_names, recording.rate_hz
+        lead, most = arrays.axes[:, LEAD], max(1, MOST // len(recording))
         own = servo_law.own_steps.py_func(lead[0], 1.0 / rate) if (lead == lead[0]).all() else 0
-        fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if model.links_move else 1
-        (places, speeds), runs = _simulated(model, recording, fine)
+        fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if arrays.bodies[:, 0].any() else 1
+        (places, speeds), runs = _simulated(machine, arrays, theta, recording, fine)
         alone = places[::fine].copy(), speeds[::fine].copy()
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
         read = places + lead * speeds
@@ -135,19 +131,18 @@ class LinkSeries:
         return np.stack([own, np.pad(np.cumsum(mean, axis=1), ((0, 0), (1, 0))), slope], axis=1)
 
 
-def _simulated(model: Model, recording: Recording, fine: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _simulated(
+    machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording, fine: int
+) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Places and speeds of the free run of all axes, (2, n · fine, A), and the samples (n,) in which it runs."""
-    machine, rate = model.machine, recording.rate_hz
-    held = [model.held(recording, name) for name in machine.axis_names]
+    rate, held = recording.rate_hz, [held_for(machine, recording, name) for name in machine.axis_names]
     stretches, count = common_stretches([part for _, part in held], len(recording)), len(recording) * fine
     commands = np.column_stack([values for values, _ in held])
     joints = np.stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names], axis=1)
-    found = np.full((2, count, model.axes), np.nan)
+    found = np.full((2, count, len(held)), np.nan)
     for first, last in stretches:
-        run = partial(_run, model, commands[first:last], 1.0 / rate, fine)
-        found[:, first * fine : last * fine] = run(
-            _begin(run, joints[first:last], rate, model.arrays.axes[:, LEAD]), last - first
-        )
+        run = partial(_run, arrays, theta, commands[first:last], 1.0 / rate, fine)
+        found[:, first * fine : last * fine] = run(_begin(run, joints[first:last], rate, arrays.axes[:, LEAD]), last - first)
     found[1] = np.nan_to_num(found[1])
     every, there = np.arange(count), np.isfinite(found[0]).all(axis=1)
     for column in found[0].T:
@@ -155,13 +150,14 @@ def _simulated(model: Model, recording: Recording, fine: int) -> tuple[Array, np
     return found, there[::fine]
 
 
-def _run(model: Model, commands: Array, dt: float, fine: int, begin: Array, count: int) -> Array:
+def _run(arrays: MachineArrays, theta: Array, commands: Array, dt: float, fine: int, begin: Array, count: int) -> Array:
     """Places and speeds (2, count · fine, A) from those of the begin (2, A)."""
-    whole, states = np.array([[0, count]]), np.full((model.axes, 1, axis_memory(dt / fine)), np.nan)
-    for i in range(model.axes):
-        starts_of(model.theta, model.arrays, i, begin[0, i : i + 1], begin[1, i : i + 1], whole, dt / fine, states[i])
-    found = np.empty((2, count * fine, model.axes))
-    run_servos(model.theta, model.arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found)
+    axes = len(arrays.axes)
+    whole, states = np.array([[0, count]]), np.full((axes, 1, axis_memory(dt / fine)), np.nan)
+    for i in range(axes):
+        starts_of(theta, arrays, i, begin[0, i : i + 1], begin[1, i : i + 1], whole, dt / fine, states[i])
+    found = np.empty((2, count * fine, axes))
+    run_servos(theta, arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found)
     return found
 
 
@@ -220,12 +216,12 @@ def _noise(joint: Array) -> float:
     return float(np.median(third)) * 1.4826 / 20.0**0.5 if len(third) else 0.0
 
 
-def servo_series(model: Model, recording: Recording) -> LinkSeries:
-    """Series of all axes of a plant, cached in the recording."""
-    key = (model.arrays.links.tobytes(), model.arrays.bodies.tobytes(), model.theta.tobytes())
+def servo_series(machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> LinkSeries:
+    """Series of all axes of a plant with the parameters ``theta``, cached in the recording."""
+    key = (arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes())
     known: tuple[tuple[bytes, ...], LinkSeries] | None = recording.derived.get(_SERIES)
     if known is None or known[0] != key:
-        known = recording.derived[_SERIES] = key, LinkSeries(model, recording)
+        known = recording.derived[_SERIES] = key, LinkSeries(machine, arrays, theta, recording)
     return known[1]
 
 
