@@ -46,6 +46,7 @@ from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import (
     DAMPING,
     GAIN,
+    GIVE_TIME,
     HIGH,
     HIGHEST,
     IMPLICIT,
@@ -178,6 +179,12 @@ def rotor(armature, kv, friction, axes, i):
     ``friction``: viscous friction, which is implicit in them.
     """
     return armature + axes[i, LEAD] * (axes[i, IMPLICIT] * kv + friction)
+
+
+@inlined
+def give_time(axes, i, own):
+    """Time in which the dry friction of a servo axis gives way [s]; ``own``: in steps of the described simulator."""
+    return axes[i, GIVE_TIME] + (axes[i, LEAD] if own else 0.0)
 
 
 @inlined

@@ -21,7 +21,7 @@ from sysid.machine.moved_bodies import PARAMETERS
 from sysid.plant import chain, servo_law
 from sysid.plant.arm_dynamics import BODY, dynamics, true_bodies
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, GIVE_TIME, IMPLICIT, LEAD
+from sysid.plant.machine_arrays import GIVE, IMPLICIT, LEAD
 
 #: Longest step of a moving arm [s]: its posture counts as that of the middle of a step.
 LONGEST = 0.002
@@ -205,7 +205,7 @@ def _slide_or_hold(p, about, h, own, matrix, factor, at):
     for _ in range(2 * axes):
         for i in range(axes):
             v, give = at[_SPEED, i], about[i, GIVE]
-            ahead = _give_time(about, i, own) / h
+            ahead = chain.give_time(about, i, own) / h
             at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * chain.dry(at[_SLIP, i], v, p, i * AXIS_WIDTH)
             at[_GRIP, i] = 0.0
             if at[_SLIP, i] == 0.0 and chain.dry(1.0, v, p, i * AXIS_WIDTH) + chain.dry(-1.0, v, p, i * AXIS_WIDTH) > 0.0:
@@ -232,7 +232,7 @@ def _slide_or_hold(p, about, h, own, matrix, factor, at):
                     friction -= matrix[i, j] * at[_AFTER, j]
             else:
                 mean = (1.0 - at[_CREEP, i]) * v + at[_CREEP, i] * at[_AFTER, i]
-                friction = (mean + _give_time(about, i, own) / h * (at[_AFTER, i] - v)) / give
+                friction = (mean + chain.give_time(about, i, own) / h * (at[_AFTER, i] - v)) / give
             dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
             if dry == 0.0:
                 continue
@@ -243,12 +243,6 @@ def _slide_or_hold(p, about, h, own, matrix, factor, at):
         if found:
             return True
     return False
-
-
-@inlined
-def _give_time(about, i, own):
-    """Time in which the dry friction of an axis gives way [s], in steps of the described simulator as its constraint has it."""
-    return about[i, GIVE_TIME] + (about[i, LEAD] if own else 0.0)
 
 
 @inlined
@@ -265,7 +259,7 @@ def _rub(p, about, h, own, matrix, at):
                 if j != i:
                     free -= matrix[i, j] * at[_AFTER, j]
             v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
-            time = _give_time(about, i, own)
+            time = chain.give_time(about, i, own)
             after = servo_law.rub(free, matrix[i, i], v, at[_CREEP, i], h, dry, about[i, GIVE], time)
             moved = max(moved, abs(after - at[_AFTER, i]))
             largest = max(largest, abs(after))

@@ -9,7 +9,7 @@ from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, servo_law
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, GIVE_TIME, HIGH, IMPLICIT, LEAD, LOW
+from sysid.plant.machine_arrays import GIVE, HIGH, IMPLICIT, LEAD, LOW
 
 # Rows of the series of an axis, (SERIES, n · F), F samples of the motion in a step of the command: inertia of the links about
 # it; the sum over the steps before of their mean torques without its own acceleration; the change of the torque by its own
@@ -52,7 +52,7 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i,
             brake = damping + half * h * stiffness
             free = mass / h * v - (1.0 - theta) * brake * v + push
             resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
-            give, time = axes[i, GIVE], axes[i, GIVE_TIME] + (axes[i, LEAD] if own else 0.0)
+            give, time = axes[i, GIVE], chain.give_time(axes, i, own)
             if own and give > 0.0:  # the friction is that of the motion without implicit damping
                 free -= brake * v
                 rubbing = free - mass / h * servo_law.rub(free, mass / h, v, 0.0, h, dry, give, time)

@@ -237,7 +237,6 @@ def _watch(state: bytes) -> Iterator[Path]:
 def watch_state(data: bytes) -> None:
     """The file of a watch: it is continued, or refused."""
     from sysid.errors import SysidError
-    from sysid.files import json_text
     from sysid.fleet.watching import watch
 
     with _watch(data) as place:
@@ -245,7 +244,7 @@ def watch_state(data: bytes) -> None:
             found = watch(place / "ws", "demo")
         except SysidError:
             return
-        json_text(found.to_json())
+        json.dumps(found.to_json(), allow_nan=False)
         watch(place / "ws", "demo")
 
 
@@ -273,7 +272,6 @@ KINDS = ("file", "file", "folder", "link", "outside", "pipe")
 def arrivals(data: bytes) -> None:
     """Entries of a log folder, ``kind name NUL content`` parted by FF FF: taken in, left out with a reason, or waited for."""
     from sysid.errors import SysidError
-    from sysid.files import json_text
     from sysid.fleet.watching import watch
 
     with _watch(_watched()[1]) as place:
@@ -284,7 +282,7 @@ def arrivals(data: bytes) -> None:
         before = sorted(path.name for path in place.parent.iterdir())
         try:
             found = watch(place / "ws", "demo", [folder], quiet_s=0.0)
-            json_text(found.to_json())
+            json.dumps(found.to_json(), allow_nan=False)
         except SysidError:
             pass
         assert sorted(path.name for path in place.parent.iterdir()) == before, "something was written outside"

@@ -35,10 +35,9 @@ def beside_found(case: Case, stages: Sequence[Stage], search: Callable[[Sequence
     for stage in stages:
         changed = stage.found.fit.theta != case.theta
         whole[changed] = stage.found.fit.theta[changed]
-    model = compile_plant(case.plant)
-    if not model.links_move or np.array_equal(whole, case.theta):
+    if np.array_equal(whole, case.theta) or not any(stage.problem.carried for stage in stages):
         return list(stages)
-    better = replace(model, theta=whole)
+    better = replace(compile_plant(case.plant), theta=whole)
     problems = [drive_problem(better, case.plant.machine.axis(s.problem.target)) if s.problem.carried else None for s in stages]
     moved = [s if problem is None else replace(s, problem=problem) for s, problem in zip(stages, problems, strict=True)]
     unclear = [k for k, stage in enumerate(moved) if stage.problem.carried and not _is_clear(stage.found)]
