@@ -47,6 +47,7 @@ ACCEPTED: dict[str, tuple[Accepted, ...]] = {
             ("damping_error", "ratio"),
             ("link_mass_error", "ratio"),
             ("force_limit", "limit"),
+            ("backlash", "width"),
         )
     },
     "joint_compliance": (Accepted("joint_compliance", {"compliance": "compliance"}),),

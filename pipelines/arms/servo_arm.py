@@ -1,7 +1,8 @@
 """Row ``servo_arm``: arms of two to seven position servos in MuJoCo, described by the MJCF that their user has.
 
 The machine differs from the model in up to three of: dry friction, armature, mass of a link, stiffness and damping of a
-controller, its force limit, dead time of its command. Hobby servos to industrial arms, logged at 50 to 200 Hz.
+controller, its force limit, dead time of its command, backlash between motor and joint. Hobby servos to industrial arms, logged
+at 50 to 200 Hz.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ DIRECTIONS = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 1 0")
 GRAVITY = 9.81
 #: Share of the samples in which a force limit has to act for its name to be due.
 LIMITED = 2e-3
+#: Least crossings of a backlash in all recordings: on one flank it is an offset.
+CROSSED = 10
 #: Hidden effect → field of the arm that it multiplies, and its factors.
 RATIOS = {
     "armature_error": ("armature", (1.5, 2.0)),
@@ -41,7 +44,7 @@ RATIOS = {
 class ServoArm:
     """Links from the base on: length [m], mass [kg]; joints: damping, armature, dry friction; controllers: gains, force limit.
 
-    ``late``: dead time of each command, in steps of the simulation.
+    ``late``: dead time of each command, in steps of the simulation; ``backlash``: full width [rad].
     """
 
     length: Array
@@ -53,6 +56,7 @@ class ServoArm:
     kv: Array
     limit: Array
     late: npt.NDArray[np.int64]
+    backlash: Array
 
     @property
     def names(self) -> list[str]:
@@ -71,11 +75,15 @@ def make(seed: int, hides: bool = True) -> Case:
     true, hidden = hide(draw, arm) if hides else (arm, [])
     rate, noise = float(draw.choice(RATES)), float(10.0 ** draw.uniform(-4.0, -3.2))
     encoders = {f"{name}.joint": noise for name in arm.names}
-    logs, clean, limited = {}, {}, np.zeros(len(arm.mass))
-    for k in range(4):
-        clean[f"motion-{k + 1}"], at_limit = record(true, draw, rate, smooth=k % 2 == 1)
-        logs[f"motion-{k + 1}"] = noisy(clean[f"motion-{k + 1}"], encoders, draw)
-        limited += at_limit / 4.0
+    runs = [record(true, np.random.default_rng([seed, 7, k]), rate, smooth=k % 2 == 1) for k in range(4)]
+    idle = (true.backlash > 0.0) & (sum(crossed for _, _, crossed in runs) < CROSSED)
+    if idle.any():
+        true = replace(true, backlash=np.where(idle, 0.0, true.backlash))
+        hidden = [each for each in hidden if each.name != "backlash" or not idle[arm.names.index(each.target)]]
+        runs = [record(true, np.random.default_rng([seed, 7, k]), rate, smooth=k % 2 == 1) for k in range(4)]
+    clean = {f"motion-{k + 1}": run for k, (run, _, _) in enumerate(runs)}
+    logs = {name: noisy(run, encoders, draw) for name, run in clean.items()}
+    limited = np.mean([at_limit for _, at_limit, _ in runs], axis=0)
     hidden = [each if each.name != "force_limit" else replace(each, due=_acts(each, arm, limited)) for each in hidden]
     extra = {"encoder_noise": noise, "joints": len(arm.mass)}
     return Case(NAME, f"{NAME}-{seed:03d}", rate, (), logs, clean, hidden, files=described(arm, rate), extra=extra)
@@ -98,12 +106,12 @@ def random_arm(draw: np.random.Generator, joints: int) -> ServoArm:
     kv = 2.0 * draw.uniform(0.6, 1.2, joints) * np.sqrt(kp * (inertia + armature))
     limit = 2.0 * load + kp * draw.uniform(0.3, 0.6, joints)
     nothing = np.zeros(joints)
-    return ServoArm(length, mass, 0.1 * kv, armature, nothing, kp, kv, limit, nothing.astype(np.int64))
+    return ServoArm(length, mass, 0.1 * kv, armature, nothing, kp, kv, limit, nothing.astype(np.int64), nothing)
 
 
 def hide(draw: np.random.Generator, arm: ServoArm) -> tuple[ServoArm, list[Hidden]]:
     """The machine, and how it differs from its model. The first joint is vertical: its link is a part of its armature."""
-    kinds = ("coulomb_friction", "input_delay", "force_limit", *RATIOS)
+    kinds = ("coulomb_friction", "input_delay", "force_limit", "backlash", *RATIOS)
     true, hidden = arm, list[Hidden]()
     for _ in range(int(draw.integers(0, 4))):
         kind, k = str(draw.choice(kinds)), int(draw.integers(len(arm.mass)))
@@ -120,6 +128,9 @@ def hide(draw: np.random.Generator, arm: ServoArm) -> tuple[ServoArm, list[Hidde
         elif kind == "force_limit":
             limit = float(0.55 * arm.limit[k])
             true, stated = _changed(true, "limit", k, limit), {"limit": limit}
+        elif kind == "backlash":
+            width = float(draw.uniform(0.005, 0.03))
+            true, stated = _changed(true, "backlash", k, width), {"width": width}
         else:
             steps = int(draw.integers(20, 61))
             true, stated = _changed(true, "late", k, steps), {"delay": steps * STEP}
@@ -141,7 +152,7 @@ def model_text(arm: ServoArm) -> str:
         bodies += (
             f'<body name="link{k}" pos="{place}"><joint name="{name}" axis="{DIRECTIONS[k]}" range="-{REACH} {REACH}" '
             f'damping="{arm.damping[k]:.9g}" armature="{arm.armature[k]:.9g}" frictionloss="{arm.friction[k]:.9g}"/>'
-            f'<geom type="capsule" fromto="0 0 0 {arm.length[k]:.9g} 0 0" size="{0.1 * arm.length[k]:.9g}" '
+            f'{behind(arm, k)}<geom type="capsule" fromto="0 0 0 {arm.length[k]:.9g} 0 0" size="{0.1 * arm.length[k]:.9g}" '
             f'mass="{arm.mass[k]:.9g}" contype="0" conaffinity="0"/>'
         )
         actuators += (
@@ -155,6 +166,13 @@ def model_text(arm: ServoArm) -> str:
     )
 
 
+def behind(arm: ServoArm, k: int) -> str:
+    """The joint of a link behind that of its motor, with the stiff ends of a gear; none without backlash."""
+    half = 0.5 * arm.backlash[k]
+    ends = f'range="{-half:.9g} {half:.9g}" solreflimit="0.002 1" solimplimit="0.99 0.999 0.0001"'
+    return f'<joint name="{arm.names[k]}_link" axis="{DIRECTIONS[k]}" {ends}/>' if half > 0.0 else ""
+
+
 def described(arm: ServoArm, rate_hz: float) -> dict[str, str]:
     """The files of the machine that ``sysid init --from`` drafts from the model, with the rate of the logs."""
     with tempfile.TemporaryDirectory() as folder:
@@ -166,8 +184,8 @@ def described(arm: ServoArm, rate_hz: float) -> dict[str, str]:
     return files | {"machine.toml": "\n".join(lines) + "\n"}
 
 
-def record(arm: ServoArm, draw: np.random.Generator, rate_hz: float, smooth: bool) -> tuple[pd.DataFrame, Array]:
-    """One recording without noise, and the share of it that each controller is at its force limit."""
+def record(arm: ServoArm, draw: np.random.Generator, rate_hz: float, smooth: bool) -> tuple[pd.DataFrame, Array, Array]:
+    """One recording without noise, the share of it that each controller is at its force limit, and crossings of backlash."""
     import mujoco
 
     every, count = round(1.0 / (rate_hz * STEP)), round(SECONDS * rate_hz)
@@ -188,9 +206,12 @@ def record(arm: ServoArm, draw: np.random.Generator, rate_hz: float, smooth: boo
     control = np.column_stack([np.r_[np.full(n, c[0]), c[: len(c) - n]] for n, c in zip(arm.late, control.T, strict=True)])
     data.ctrl[:] = control[0]
     mujoco.mj_step(model, data, round(6.0 / STEP))
-    joint, limited = np.empty((count, joints)), np.zeros(joints)
+    places = [int(model.joint(name).qposadr[0]) for name in arm.names]
+    links = [k for k in range(joints) if arm.backlash[k] > 0.0]
+    joint, limited, between = np.empty((count, joints)), np.zeros(joints), np.zeros((count, joints))
     for k in range(count):
-        joint[k] = data.qpos
+        between[k, links] = data.qpos[[places[n] + 1 for n in links]]
+        joint[k] = data.qpos[places] + between[k]
         for row in control[k * every : (k + 1) * every]:
             data.ctrl[:] = row
             mujoco.mj_step(model, data)
@@ -198,4 +219,5 @@ def record(arm: ServoArm, draw: np.random.Generator, rate_hz: float, smooth: boo
     table: dict[str, Any] = {"time": time}
     table |= {f"{name}.command": wanted[:, k] for k, name in enumerate(arm.names)}
     table |= {f"{name}.joint": joint[:, k] for k, name in enumerate(arm.names)}
-    return pd.DataFrame(table), limited / count
+    flank = np.sign(between)
+    return pd.DataFrame(table), limited / count, np.count_nonzero(flank[1:] * flank[:-1] < 0.0, axis=0)

@@ -1,7 +1,7 @@
 """An arm of servos in MuJoCo: position actuators with their gains, limits and delays on joints with armature and friction.
 
 The time step is that of the simulator that ``machine.toml`` describes, where a sample is a whole number of its steps; dry
-friction gives way as its constraint does.
+friction gives way as its constraint does. Backlash is a second joint behind that of the motor, with hard ends.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ EFFECTS = frozenset(
             "link_mass_error",
             "viscous_friction",
             "coulomb_friction",
+            "backlash",
             "joint_offset",
             "link_length_error",
             "tip_offset",
@@ -157,6 +158,10 @@ def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, 
     dry_friction(joint, effect_slots(plant, "coulomb_friction", axis.name).get("positive", 0.0), step)
     if axis.limits is not None:
         limit(joint, [end + offset for end in axis.limits], step)
+    width, behind = effect_slots(plant, "backlash", axis.name, "drive").get("width", 0.0), None
+    if width > 0.0:
+        behind = joint.parent.add_joint(name=f"{joint.name}_backlash", type=joint.type, axis=joint.axis, pos=joint.pos)
+        limit(behind, [-0.5 * width, 0.5 * width], step)
     actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
     actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kv]
@@ -166,7 +171,7 @@ def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, 
     if late > 0:
         actuator.delay = (late - 1e-3) * step  # a whole number of steps must not become one more by rounding
         actuator.nsample = late + 2
-    return {"axis": axis.name, "joint": joint.name, "offset": offset}
+    return {"axis": axis.name, "joint": joint.name, "offset": offset, "behind": behind.name if behind is not None else None}
 
 
 def _give_way(joint: Any, give: float, time: float, weight: float) -> None:

@@ -23,6 +23,7 @@ def begin(s, m, size, position, speed, joint, p, b, first, dt):
     s[m + STATE.position] = position
     s[m + STATE.speed] = speed
     s[m + STATE.backlash_drive] = joint
+    s[m + STATE.backlash_drive + 1] = speed
     if p[b + AT.temperature_drift] != 0.0:
         s[m + STATE.temperature_drift] = math.exp(-first * dt / p[b + AT.temperature_drift + 1])
 

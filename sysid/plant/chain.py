@@ -188,9 +188,34 @@ def give_time(axes, i, own):
 
 
 @inlined
-def led(s, m, axes, i):
-    """Position of a servo axis at a sample: steps of the described simulator are half a step ahead of the motion."""
-    return s[m + STATE.position] + axes[i, LEAD] * s[m + STATE.speed]
+def has_backlash(p, b):
+    """Whether a servo moves its joint through a backlash."""
+    return p[b + AT.backlash_drive] > 0.0
+
+
+@inlined
+def servo_motion(p, b, s, m):
+    """Position and speed of the joint of a servo axis; those of the motor until its backlash has begun."""
+    j = m + STATE.backlash_drive
+    if has_backlash(p, b) and not np.isnan(s[j]):
+        return s[j], s[j + 1]
+    return s[m + STATE.position], s[m + STATE.speed]
+
+
+@inlined
+def servo_joint(p, b, s, m, axes, i):
+    """Joint of a servo axis at a sample: steps of the described simulator are half a step ahead of the motion."""
+    place, speed = servo_motion(p, b, s, m)
+    return place + axes[i, LEAD] * speed
+
+
+@inlined
+def rest_on_flank(force, p, b, s, m):
+    """Let the joint begin where the motor was, on the flank that a ``force`` of the motor presses [N·m or N]."""
+    j, half = m + STATE.backlash_drive, 0.5 * p[b + AT.backlash_drive]
+    if half > 0.0 and np.isnan(s[j]):
+        s[j], s[j + 1] = s[m + STATE.position], s[m + STATE.speed]
+        s[m + STATE.position] += half if force > 0.0 else -half if force < 0.0 else 0.0
 
 
 @inlined

@@ -31,7 +31,7 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
     size = len(s) // len(arrays.axes)
     for i in range(len(arrays.axes)):
         b, m = i * AXIS_WIDTH, i * size
-        x = chain.led(s, m, arrays.axes, i) if arrays.axes[i, KIND] == SERVO else s[m + STATE.position]
+        x = chain.servo_joint(p, b, s, m, arrays.axes, i) if arrays.axes[i, KIND] == SERVO else s[m + STATE.position]
         drive[i] = x
         if arrays.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
             x = chain.look_up(x, arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])
@@ -40,7 +40,7 @@ def observe(p, arrays, s, load, scratch, drive, joints, structure, tip, nets, t)
             structure[i] = np.nan
             missing = True
             continue
-        joints[i] = chain.joint_stage(x, p, b, s, m, load[i])
+        joints[i] = x if arrays.axes[i, KIND] == SERVO else chain.joint_stage(x, p, b, s, m, load[i])
         if nets is not None:
             joints[i] += residual.contribution(nets, t, i, JOINT)
         structure[i] = chain.structure_stage(joints[i], p, b, s, m, load[i])

@@ -14,7 +14,7 @@ from sysid.plant.machine_run import run_machine
 from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
 from sysid.plant.plant import Plant
 from sysid.plant.residual import ResidualStage, check_step, new_memory
-from sysid.plant.servo_series import servo_series
+from sysid.plant.servo_series import servo_begins
 from sysid.plant.stretches import Segments, common_stretches
 from sysid.signals import axis_signal, point_signals
 
@@ -89,8 +89,9 @@ def start_states(model: Model, recording: Recording) -> StartStates:
     for i, (axis, segments) in enumerate(zip(model.machine.axes, stretches, strict=True)):
         edges[i, : len(segments)] = segments
         if model.coupled:
-            begins = servo_series(model.machine, model.arrays, model.theta, recording).begins(i)
-            servo_axis.starts_of(model.theta, model.arrays, i, *begins, segments, dt, states[i])
+            places, speeds = servo_begins(model.machine, model.arrays, model.theta, recording)
+            own = (np.ascontiguousarray(part[:, i]) for part in (places, speeds))
+            servo_axis.starts_of(model.theta, model.arrays, i, *own, segments, dt, states[i])
             continue
         if model.rigid is not None and axis.actuation == "force":  # no forward dynamics of an arm: no free run
             continue

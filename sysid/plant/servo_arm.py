@@ -3,7 +3,7 @@
 ``M(q)·q̈ + c(q, q̇) + g(q) = force − friction`` by the step of :mod:`sysid.plant.servo_law`, in which the forces of the
 controllers are implicit and those of speeds and gravity are taken at the extrapolated middle of the step. Dry friction of all
 joints is solved together: by an active set, of the joints that slide and those that friction holds, else by projected
-Gauss-Seidel sweeps.
+Gauss-Seidel sweeps. A motor that crosses the backlash of its joint moves by itself, and nothing but its links moves that joint.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and Canny, Symposium on Interactive 3D Graphics
 (1995), on friction by impulses; Cottle, Pang, Stone, The Linear Complementarity Problem (1992), §5.2 (Gauss-Seidel).
@@ -18,7 +18,7 @@ import numpy as np
 from sysid.effects import input_delay
 from sysid.effects.compiled import inlined, kernel, loop
 from sysid.machine.moved_bodies import PARAMETERS
-from sysid.plant import chain, servo_law
+from sysid.plant import chain, servo_axis, servo_law
 from sysid.plant.arm_dynamics import BODY, dynamics, true_bodies
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import GIVE, IMPLICIT, LEAD
@@ -29,14 +29,16 @@ LONGEST = 0.002
 SWEEPS, SETTLED = 200, 1e-9
 #: Resistance that holds a joint at rest, as a multiple of its own.
 HELD = 1e12
-#: Corrections for controllers that reach their force limits, and for the friction of the mean speed.
+#: Corrections for controllers that reach their force limits, and for the friction of the mean speed; the same for backlash.
 PASSES = 4
+#: A joint is on a flank of its backlash within this share of it.
+ON_FLANK = 1e-9
 
 # Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
-    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _ROWS,
-) = range(26)  # fmt: skip
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _JOINT, _SWING, _LOOSE, _OFFSET, _CROSSED, _ROWS,
+) = range(31)  # fmt: skip
 
 
 @kernel
@@ -65,14 +67,16 @@ def advance(p, arrays, s, command, dt, work, kept):
         at[_LATER, i], at[_EARLIER, i], at[_PART, i] = input_delay.ends(
             command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
-        at[_PLACE, i], at[_SPEED, i], at[_RATE, i] = s[m + STATE.position], s[m + STATE.speed], 0.0
+        (at[_PLACE, i], at[_SWING, i]), at[_RATE, i] = chain.servo_motion(p, b, s, m), 0.0
     true_bodies(p, arrays.links, arrays.bodies, bodies)
-    dynamics(at[_PLACE], at[_SPEED], arrays.links, bodies, kept, mass, at[_BIAS])
+    dynamics(at[_PLACE], at[_SWING], arrays.links, bodies, kept, mass, at[_BIAS])
     count, own = math.ceil(dt / LONGEST - 1e-9), servo_law.own_steps(arrays.axes[0, LEAD], dt)
     for i in range(axes):
-        b, v = i * AXIS_WIDTH, at[_SPEED, i]
-        viscous, gradual = chain.servo_friction(v, p, b)
-        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous + gradual, mass[i, i] + at[_ARMATURE, i], dt))
+        b, m = i * AXIS_WIDTH, i * size
+        chain.rest_on_flank(at[_BIAS, i], p, b, s, m)
+        viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
+        moving = at[_ARMATURE, i] + (0.0 if chain.has_backlash(p, b) else mass[i, i])
+        count = max(count, servo_law.substeps(at[_KP, i], at[_KV, i] + viscous + gradual, moving, dt))
         if arrays.axes[i, LEAD] != arrays.axes[0, LEAD]:
             own = 0
     half = 0.5
@@ -81,23 +85,69 @@ def advance(p, arrays, s, command, dt, work, kept):
     h = dt / count
     for k in range(count):
         for i in range(axes):
-            lead = arrays.axes[i, LEAD] if own > 0 else 0.0
-            at[_BEGIN, i] = s[i * size + STATE.position] + lead * at[_SPEED, i]
-            at[_PLACE, i] = at[_BEGIN, i] + half * h * at[_SPEED, i]
-            at[_MIDDLE, i] = at[_SPEED, i] + half * h * at[_RATE, i]
+            b, m, lead = i * AXIS_WIDTH, i * size, arrays.axes[i, LEAD] if own > 0 else 0.0
+            at[_SPEED, i] = s[m + STATE.speed]
+            at[_BEGIN, i] = s[m + STATE.position] + lead * at[_SPEED, i]
+            place, at[_SWING, i] = chain.servo_motion(p, b, s, m)
+            at[_JOINT, i] = place + lead * at[_SWING, i]
+            at[_PLACE, i] = at[_JOINT, i] + half * h * at[_SWING, i]
+            at[_MIDDLE, i] = at[_SWING, i] + half * h * at[_RATE, i]
+            at[_OFFSET, i] = at[_JOINT, i] - at[_BEGIN, i]
+            at[_LOOSE, i] = abs(at[_OFFSET, i]) < 0.5 * (1.0 - ON_FLANK) * p[b + AT.backlash_drive]
         dynamics(at[_PLACE], at[_MIDDLE], arrays.links, bodies, kept, mass, at[_BIAS])
         for i in range(axes):
             mass[i, i] += at[_ARMATURE, i]
-            at[_SIDE, i] = 0.0
-            at[_MEAN, i] = at[_SPEED, i]
-        _solve(p, arrays.axes, h, k, count, own > 0, work)
+        for _ in range(PASSES):
+            for i in range(axes):
+                at[_SIDE, i] = 0.0
+                at[_MEAN, i] = at[_SPEED, i]
+            _solve(p, arrays.axes, h, k, count, own > 0, work)
+            if not _changes_flank(p, arrays.axes, h, k, count, own > 0, work):
+                break
         for i in range(axes):
-            m, lead = i * size, arrays.axes[i, LEAD] if own > 0 else 0.0
-            s[m + STATE.position] = at[_BEGIN, i] + h * at[_MEAN, i] - lead * at[_AFTER, i]
-            s[m + STATE.speed] = at[_AFTER, i]
+            m, lead, j = i * size, arrays.axes[i, LEAD] if own > 0 else 0.0, i * size + STATE.backlash_drive
+            ahead, fast = at[_BEGIN, i] + h * at[_MEAN, i], at[_AFTER, i]
+            at[_RATE, i] = (fast - at[_SWING, i]) / h
+            if at[_LOOSE, i] != 0.0:
+                s[j], s[j + 1] = at[_JOINT, i] + h * at[_MEAN, i] - lead * fast, fast
+                ahead, fast = at[_CROSSED, i], at[_PUSH, i]
+            elif chain.has_backlash(p, i * AXIS_WIDTH):
+                s[j], s[j + 1] = ahead + at[_OFFSET, i] - lead * fast, fast
+            s[m + STATE.position], s[m + STATE.speed] = ahead - lead * fast, fast
             chain.stop(s, m, arrays.axes, i)
-            at[_RATE, i] = (s[m + STATE.speed] - at[_SPEED, i]) / h
-            at[_SPEED, i] = s[m + STATE.speed]
+            if s[m + STATE.speed] != fast:
+                at[_RATE, i] = (s[m + STATE.speed] - at[_SWING, i]) / h
+
+
+@inlined
+def _changes_flank(p, about, h, k, count, own, work):
+    """Whether a joint leaves or reaches a flank of its backlash in the step, against what :func:`_solve` took it for.
+
+    Places and speeds after the step of motors that cross their backlash are left in the rows ``_CROSSED`` and ``_PUSH``.
+    """
+    axes, found = work.shape[1], False
+    mass, at = work[:axes], work[3 * axes :]
+    for i in range(axes):
+        half = 0.5 * p[i * AXIS_WIDTH + AT.backlash_drive]
+        if half == 0.0:
+            continue
+        if at[_LOOSE, i] != 0.0:
+            u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
+            rotor = servo_law.rotor_alone(at[_ARMATURE, i], at[_KP, i], h)
+            at[_CROSSED, i], at[_PUSH, i] = servo_axis.step(
+                at[_BEGIN, i], at[_SPEED, i], at[_SPEED, i], u, rotor, 0.0, 0.0, 0.0, at[_KP, i], at[_KV, i], at[_LOWEST, i],
+                at[_HIGHEST, i], h, p, about, i, own,
+            )  # fmt: skip
+            offset = at[_JOINT, i] + h * at[_MEAN, i] - at[_CROSSED, i]
+            if abs(offset) > half:
+                at[_LOOSE, i], at[_OFFSET, i], found = 0.0, math.copysign(half, offset), True
+        else:
+            force = at[_BIAS, i] - at[_ARMATURE, i] * (at[_AFTER, i] - at[_SWING, i]) / h
+            for j in range(axes):
+                force += mass[i, j] * (at[_AFTER, j] - at[_SWING, j]) / h
+            if force * at[_OFFSET, i] > 0.0:
+                at[_LOOSE, i], found = 1.0, True
+    return found
 
 
 @inlined
@@ -109,6 +159,12 @@ def _solve(p, about, h, k, count, own, work):
         settled = True
         for i in range(axes):
             b, w = i * AXIS_WIDTH, at[_MEAN, i]
+            if at[_LOOSE, i] != 0.0:
+                at[_OWN, i] = mass[i, i] - at[_ARMATURE, i]
+                at[_PUSH, i], at[_BRAKE, i], at[_THETA, i], at[_CREEP, i] = -at[_BIAS, i], 0.0, 1.0 if own else 0.5, 0.0
+                if at[_OWN, i] <= 0.0:  # a joint without masses rests
+                    at[_OWN, i], at[_SWING, i] = 1.0, 0.0
+                continue
             viscous, gradual = chain.servo_friction(w, p, b)
             damping, kv, stiffness, push = viscous + gradual, 0.0, 0.0, -at[_BIAS, i]
             if at[_SIDE, i] == 0.0:
@@ -133,11 +189,14 @@ def _solve(p, about, h, k, count, own, work):
             free = at[_PUSH, i] - (1.0 - at[_THETA, i]) * at[_BRAKE, i] * at[_SPEED, i]
             for j in range(axes):
                 matrix[i, j] = (at[_OWN, i] if j == i else mass[i, j]) / h
-                free += matrix[i, j] * at[_SPEED, j]
+                free += matrix[i, j] * at[_SWING, j]
+            if at[_LOOSE, i] == 0.0:
+                links = mass[i, i] - at[_ARMATURE, i]
+                free += (at[_OWN, i] - links) / h * (at[_SPEED, i] - at[_SWING, i])
             matrix[i, i] += at[_THETA, i] * at[_BRAKE, i]
             at[_FREE, i] = free
             at[_AFTER, i] = free
-            rubs |= chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH) > 0.0
+            rubs |= _dry(free, at[_SPEED, i], p, i, at) > 0.0
         gives = own
         for i in range(axes):
             gives &= about[i, GIVE] > 0.0
@@ -159,6 +218,9 @@ def _solve(p, about, h, k, count, own, work):
             at[_GRIP, :] = 0.0
             _divide(matrix, factor, at[_GRIP], at[_AFTER])
         for i in range(axes):
+            if at[_LOOSE, i] != 0.0:
+                at[_MEAN, i] = (1.0 - at[_THETA, i]) * at[_SWING, i] + at[_THETA, i] * at[_AFTER, i]
+                continue
             w = (1.0 - at[_THETA, i]) * at[_SPEED, i] + at[_THETA, i] * at[_AFTER, i]
             if turn == 0 and chain.friction_changes(at[_MEAN, i], w, p, i * AXIS_WIDTH):
                 settled = False
@@ -173,6 +235,12 @@ def _solve(p, about, h, k, count, own, work):
                     settled = False
         if settled:
             break
+
+
+@inlined
+def _dry(moved, v, p, i, at):
+    """Dry friction of an axis, which its motor alone has."""
+    return chain.dry(moved, v, p, i * AXIS_WIDTH) if at[_LOOSE, i] == 0.0 else 0.0
 
 
 @inlined
@@ -206,9 +274,9 @@ def _slide_or_hold(p, about, h, own, matrix, factor, at):
         for i in range(axes):
             v, give = at[_SPEED, i], about[i, GIVE]
             ahead = chain.give_time(about, i, own) / h
-            at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * chain.dry(at[_SLIP, i], v, p, i * AXIS_WIDTH)
+            at[_AFTER, i] = at[_FREE, i] - at[_SLIP, i] * _dry(at[_SLIP, i], v, p, i, at)
             at[_GRIP, i] = 0.0
-            if at[_SLIP, i] == 0.0 and chain.dry(1.0, v, p, i * AXIS_WIDTH) + chain.dry(-1.0, v, p, i * AXIS_WIDTH) > 0.0:
+            if at[_SLIP, i] == 0.0 and _dry(1.0, v, p, i, at) + _dry(-1.0, v, p, i, at) > 0.0:
                 if give == 0.0:
                     at[_AFTER, i] = 0.0
                     at[_GRIP, i] = HELD * matrix[i, i]
@@ -233,7 +301,7 @@ def _slide_or_hold(p, about, h, own, matrix, factor, at):
             else:
                 mean = (1.0 - at[_CREEP, i]) * v + at[_CREEP, i] * at[_AFTER, i]
                 friction = (mean + chain.give_time(about, i, own) / h * (at[_AFTER, i] - v)) / give
-            dry = chain.dry(friction, v, p, i * AXIS_WIDTH)
+            dry = _dry(friction, v, p, i, at)
             if dry == 0.0:
                 continue
             if slips == 0.0 and abs(friction) > dry:
@@ -258,7 +326,7 @@ def _rub(p, about, h, own, matrix, at):
             for j in range(axes):
                 if j != i:
                     free -= matrix[i, j] * at[_AFTER, j]
-            v, dry = at[_SPEED, i], chain.dry(free, at[_SPEED, i], p, i * AXIS_WIDTH)
+            v, dry = at[_SPEED, i], _dry(free, at[_SPEED, i], p, i, at)
             time = chain.give_time(about, i, own)
             after = servo_law.rub(free, matrix[i, i], v, at[_CREEP, i], h, dry, about[i, GIVE], time)
             moved = max(moved, abs(after - at[_AFTER, i]))
@@ -280,5 +348,5 @@ def run_servos(p, arrays, commands, s, dt, places, speeds):
     work, kept = workspace(axes, len(arrays.bodies))
     for k in range(len(commands)):
         for i in range(axes):
-            places[k, i], speeds[k, i] = s[i * size + STATE.position], s[i * size + STATE.speed]
+            places[k, i], speeds[k, i] = chain.servo_motion(p, i * AXIS_WIDTH, s, i * size)
         advance(p, arrays, s, commands[k], dt, work, kept)

@@ -1,6 +1,15 @@
-"""A servo axis by itself, compiled: its controller and friction, with the measured motion of the other joints as series."""
+"""A servo axis by itself, compiled: its controller and friction, with the measured motion of the other joints as series.
+
+Backlash separates the motor, whose position the controller reads and on which friction and armature act, from the joint and
+its links: either crosses it by itself, and on a flank, which does not rebound, both move as one.
+
+Source: Nordin and Gutman, Automatica 38 (2002), 1633–1649, on models of backlash; Moreau, in Nonsmooth Mechanics and
+Applications (1988), on steps with inelastic impacts.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -28,10 +37,11 @@ def _between(series, row, at):
 
 
 @inlined
-def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
+def step(x, v, before, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
     """Position and speed after ``h`` (:mod:`sysid.plant.servo_law`).
 
     Args:
+        before: speed of all that moves, before an impact with the motor's speed ``v``.
         inertia: of links and armature; the links' torque is ``rest + slope·(x − place)``.
         own: whether it is a step of the described simulator.
     """
@@ -50,7 +60,7 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i,
         for limited in range(2):
             theta = 1.0 if own else servo_law.weight(h * damping / mass)
             brake = damping + half * h * stiffness
-            free = mass / h * v - (1.0 - theta) * brake * v + push
+            free = mass / h * before - (1.0 - theta) * brake * v + push
             resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
             give, time = axes[i, GIVE], chain.give_time(axes, i, own)
             if own and give > 0.0:  # the friction is that of the motion without implicit damping
@@ -71,6 +81,37 @@ def step(x, v, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i,
     return x + h * w, after
 
 
+@inlined
+def advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
+    """One step of motor and joint, of which the inertia ``links`` moves."""
+    b, j, lead = i * AXIS_WIDTH, m + STATE.backlash_drive, axes[i, LEAD] if own else 0.0
+    v = s[m + STATE.speed]
+    x = s[m + STATE.position] + lead * v
+    behind, half, before = chain.has_backlash(p, b), 0.5 * p[b + AT.backlash_drive], v
+    mass, load, rise, offset, y, w = links + armature, rest, slope, 0.0, x, v
+    if behind:
+        w = s[j + 1]
+        y = s[j] + lead * w
+        mass, load, rise = servo_law.rotor_alone(armature, kp, h), 0.0, 0.0  # the motor by itself at first
+    for _ in range(2):
+        far, fast = step(x, v, before, u, mass, load, rise, place - offset, kp, kv, low, high, h, p, axes, i, own)
+        if not behind or offset != 0.0:
+            y, w = far + offset, fast
+            break
+        free = 0.0  # a joint without masses rests
+        if links > 0.0:
+            free = w - h * (rest + slope * (y + (0.0 if own else 0.5 * h * w) - place)) / links
+        ahead = y + h * (free if own else 0.5 * (w + free))
+        if abs(ahead - far) <= half:
+            y, w = ahead, free
+            break
+        offset, mass, load, rise = math.copysign(half, ahead - far), links + armature, rest, slope
+        before = (links * w + armature * v) / mass
+    s[m + STATE.position], s[m + STATE.speed] = far - lead * fast, fast
+    if behind:
+        s[j], s[j + 1] = y - lead * w, w
+
+
 @loop
 def run(p, arrays, i, s, command, series, first, last, dt, out):
     """Samples ``first … last`` of axis ``i`` from the state ``s``: its position before the step of each sample."""
@@ -84,23 +125,20 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
             command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
         )
         viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
-        count = servo_law.substeps(kp, kv + viscous + gradual, armature + _between(series, OWN, fine * (k + 0.5)), dt)
+        moving = armature if chain.has_backlash(p, b) else armature + _between(series, OWN, fine * (k + 0.5))
+        count = servo_law.substeps(kp, kv + viscous + gradual, moving, dt)
         count = own if own > 0 else max(count, fine)
-        out[k] = chain.joint_stage(chain.led(s, m, arrays.axes, i), p, b, s, m, 0.0)
+        out[k] = chain.servo_joint(p, b, s, m, arrays.axes, i)
         behind = _between(series, TORQUE, fine * k)
+        chain.rest_on_flank(_between(series, TORQUE, fine * (k + 1.0)) - behind, p, b, s, m)
         for j in range(count):
             ahead = _between(series, TORQUE, fine * (k + (j + 1) / count))
             rest, behind = (ahead - behind) * count / fine, ahead
-            at, v = fine * (k + (j + middle) / count), s[m + STATE.speed]
-            mass, slope, place = armature + _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
+            at = fine * (k + (j + middle) / count)
+            links, slope, place = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
             place += lead * _between(series, SPEED, at)
             u = servo_law.held(earlier, later, part, j, count)
-            x, v = step(
-                s[m + STATE.position] + lead * v, v, u, mass, rest, slope, place, kp, kv, low, high, dt / count, p, arrays.axes,
-                i, own > 0,
-            )  # fmt: skip
-            s[m + STATE.position] = x - lead * v
-            s[m + STATE.speed] = v
+            advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, dt / count, p, arrays.axes, i, own > 0)
             chain.stop(s, m, arrays.axes, i)
 
 

@@ -27,8 +27,14 @@ MOST = 200
 @inlined
 def substeps(kp, damping, mass, dt):
     """Steps within ``dt`` for a servo: an overdamped one corrects errors at the rate kp/damping, else at √(kp/mass)."""
-    rate = kp / max(math.sqrt(kp * mass), damping)
-    return min(max(math.ceil(dt * rate / SHARE), 1), MOST)
+    slow = max(math.sqrt(kp * mass), damping)
+    return MOST if kp * dt >= SHARE * MOST * slow else max(math.ceil(kp * dt / (SHARE * slow)), 1)
+
+
+@inlined
+def rotor_alone(armature, kp, h):
+    """Inertia of a rotor that crosses a backlash: one that the controller turns back within a step follows it instead."""
+    return max(armature, kp * h * h)
 
 
 @inlined

@@ -21,7 +21,7 @@ from sysid.plant.machine_arrays import LEAD, MachineArrays
 from sysid.plant.servo_arm import LONGEST, run_servos
 from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, starts_of
 from sysid.plant.smooth_motion import POSITION_HZ, second_difference, smooth_motion
-from sysid.plant.stretches import common_stretches, held_for
+from sysid.plant.stretches import Segments, common_stretches, held_for
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -36,8 +36,8 @@ BEGIN, LEAST_BEGIN = 0.2, 6
 FITS, RESTS = 2.0, 3.0
 #: Cut-off of slow differences [Hz], and mean square that counts as noise [variances].
 SLOW_HZ, NOISY = 4.0, 3.0
-#: Place of the series in a recording's cache.
-_SERIES = "servo series"
+#: Places of the series, and of the begins of runs, in a recording's cache.
+_SERIES, _BEGINS = "servo series", "servo begins"
 
 
 def _motion(joint: Array, rate_hz: float) -> CubicHermiteSpline:
@@ -83,9 +83,7 @@ class LinkSeries:
     def __init__(self, machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> None:
         self.arrays, self._links, self._lock = arrays, dict[int | None, Array](), threading.Lock()
         names, rate = machine.axis_names, recording.rate_hz
-        lead, most = arrays.axes[:, LEAD], max(1, MOST // len(recording))
-        own = servo_law.own_steps.py_func(lead[0], 1.0 / rate) if (lead == lead[0]).all() else 0
-        fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if arrays.bodies[:, 0].any() else 1
+        lead, (fine, own) = arrays.axes[:, LEAD], _steps(arrays, recording)
         (places, speeds), runs = _simulated(machine, arrays, theta, recording, fine)
         alone = places[::fine].copy(), speeds[::fine].copy()
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
@@ -97,7 +95,7 @@ class LinkSeries:
         self._motion, self._step = (places, speeds), 1.0 / (rate * fine)
         self._begins = [np.where(runs[:, None], own, part[::fine]) for own, part in zip(alone, self._motion, strict=True)]
         # Steps of the described simulator take the inertia and the torques at their begin, else they are means.
-        self._lead, self._ahead = (lead, 1.0) if fine == own else (0.0 * lead, 0.5)
+        self._lead, self._ahead = (lead, 1.0) if own else (0.0 * lead, 0.5)
 
     def begins(self, axis: int) -> tuple[Array, Array]:
         """Places and speeds of an axis at the samples of the recording, (n,) each, from which a stretch of it begins."""
@@ -131,18 +129,51 @@ class LinkSeries:
         return np.stack([own, np.pad(np.cumsum(mean, axis=1), ((0, 0), (1, 0))), slope], axis=1)
 
 
+def _steps(arrays: MachineArrays, recording: Recording) -> tuple[int, bool]:
+    """Steps of the motion between two samples, and whether they are those of the described simulator."""
+    rate, lead, most = recording.rate_hz, arrays.axes[:, LEAD], max(1, MOST // len(recording))
+    own = servo_law.own_steps.py_func(lead[0], 1.0 / rate) if (lead == lead[0]).all() else 0
+    fine = min(own or math.ceil(1.0 / (rate * LONGEST) - 1e-9), most) if arrays.bodies[:, 0].any() else 1
+    return fine, fine == own
+
+
+def servo_begins(machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> tuple[Array, Array]:
+    """Places and speeds of all joints in which each stretch with all commands begins, (n, A) each, NaN at other samples.
+
+    They are cached in the recording.
+    """
+    key = arrays.axes.tobytes(), arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes()
+    known: tuple[tuple[bytes, ...], tuple[Array, Array]] | None = recording.derived.get(_BEGINS)
+    if known is None or known[0] != key:
+        commands, stretches = _commands(machine, recording)
+        joints = np.stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names], axis=1)
+        places, speeds = np.full((2, *joints.shape), np.nan)
+        rate, fine = recording.rate_hz, _steps(arrays, recording)[0]
+        for first, last in stretches:
+            run = partial(_run, arrays, theta, commands[first:last], 1.0 / rate, fine)
+            places[first], speeds[first] = _begin(run, joints[first:last], rate, arrays.axes[:, LEAD])
+        known = recording.derived[_BEGINS] = key, (places, speeds)
+    return known[1]
+
+
+def _commands(machine: Machine, recording: Recording) -> tuple[Array, Segments]:
+    """Commands of all axes (n, A), held over short gaps, and the stretches in which all have one."""
+    held = [held_for(machine, recording, name) for name in machine.axis_names]
+    return np.column_stack([values for values, _ in held]), common_stretches([part for _, part in held], len(recording))
+
+
 def _simulated(
     machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording, fine: int
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Places and speeds of the free run of all axes, (2, n · fine, A), and the samples (n,) in which it runs."""
-    rate, held = recording.rate_hz, [held_for(machine, recording, name) for name in machine.axis_names]
-    stretches, count = common_stretches([part for _, part in held], len(recording)), len(recording) * fine
-    commands = np.column_stack([values for values, _ in held])
-    joints = np.stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names], axis=1)
-    found = np.full((2, count, len(held)), np.nan)
+    commands, stretches = _commands(machine, recording)
+    begins, count = np.stack(servo_begins(machine, arrays, theta, recording)), len(recording) * fine
+    found = np.full((2, count, commands.shape[1]), np.nan)
     for first, last in stretches:
-        run = partial(_run, arrays, theta, commands[first:last], 1.0 / rate, fine)
-        found[:, first * fine : last * fine] = run(_begin(run, joints[first:last], rate, arrays.axes[:, LEAD]), last - first)
+        part = commands[first:last]
+        found[:, first * fine : last * fine] = _run(
+            arrays, theta, part, 1.0 / recording.rate_hz, fine, begins[:, first], last - first
+        )
     found[1] = np.nan_to_num(found[1])
     every, there = np.arange(count), np.isfinite(found[0]).all(axis=1)
     for column in found[0].T:
@@ -218,7 +249,7 @@ def _noise(joint: Array) -> float:
 
 def servo_series(machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> LinkSeries:
     """Series of all axes of a plant with the parameters ``theta``, cached in the recording."""
-    key = (arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes())
+    key = arrays.axes.tobytes(), arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes()
     known: tuple[tuple[bytes, ...], LinkSeries] | None = recording.derived.get(_SERIES)
     if known is None or known[0] != key:
         known = recording.derived[_SERIES] = key, LinkSeries(machine, arrays, theta, recording)

@@ -109,7 +109,8 @@ class Stepper:
 
         Args:
             joints: as the sensors read them, (axes,) or (rows, axes) [rad or m].
-            drive: position of the drives; else from the joints through the linkage, in the middle of the backlash.
+            drive: position of the drives; else from the joints through the linkage, in the middle of the backlash. A servo
+                begins on the flank that carries its links.
             speed: of force and servo axes at the start [m/s or rad/s]; else zero.
             commands: held for a long time before; else zero, or the position of a servo axis. The command of a position axis is
                 its position.
@@ -330,7 +331,8 @@ def _begin_lane(p, arrays, s, drive, speed, joint, dt):
     """Initial positions and speeds of the axes, into the memory ``s`` (A · size,) of a lane."""
     size = len(s) // len(arrays.axes)
     for i in range(len(arrays.axes)):
-        axis_loop.begin(s, i * size, size, drive[i], speed[i], joint[i], p, i * AXIS_WIDTH, 0, dt)
+        behind = np.nan if arrays.axes[i, KIND] == SERVO else joint[i]
+        axis_loop.begin(s, i * size, size, drive[i], speed[i], behind, p, i * AXIS_WIDTH, 0, dt)
 
 
 @kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from servo_arms import arm_text, commands, drafted
 
@@ -14,6 +15,8 @@ from sysid.export.target import Start
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, nominal_plant
 from sysid.plant.stepper import Stepper
+
+Array = npt.NDArray[np.float64]
 
 EFFECTS = (
     KnownEffect("stiffness_error", "j0", {"ratio": 0.9}),
@@ -60,12 +63,10 @@ def test_the_written_model_is_drafted_as_the_repaired_machine(tmp_path: Path) ->
     assert rubbing[1].friction_time == pytest.approx(rubbing[0].friction_time, rel=1e-3)
 
 
-def test_it_moves_as_the_plant(tmp_path: Path) -> None:
-    plant, target = repaired(tmp_path), MjcfTarget()
-    files = target.write(plant, 100.0, tmp_path)
-    assert set(files) == {"robot.xml", "robot.json", "mujoco_servos.py"}
-    simulation = target.simulation(plant, tmp_path)
-    wanted = commands(3, 1500, 0.01)
+def run_both(plant: Plant, target: MjcfTarget, folder: Path, count: int) -> tuple[Array, Array]:
+    """Joints and end effector of the plant and of its export in ``folder``, (count, 6) each."""
+    simulation = target.simulation(plant, folder)
+    wanted = commands(3, count, 0.01)
     stepper = Stepper(plant, 100.0)
     stepper.reset(np.zeros(3), commands=wanted[0])
     assert simulation is not None
@@ -75,8 +76,32 @@ def test_it_moves_as_the_plant(tmp_path: Path) -> None:
         state = stepper.step(row)
         ours[k] = [*state.joints[0], *state.ee[0]]
         theirs[k] = list(simulation.step(row).values())  # type: ignore[union-attr]
+    return ours, theirs
+
+
+def test_it_moves_as_the_plant(tmp_path: Path) -> None:
+    plant, target = repaired(tmp_path), MjcfTarget()
+    files = target.write(plant, 100.0, tmp_path)
+    assert set(files) == {"robot.xml", "robot.json", "mujoco_servos.py"}
+    ours, theirs = run_both(plant, target, tmp_path, 1500)
     assert np.sqrt(np.mean((ours - theirs)[:, :3] ** 2, axis=0)).max() < 2e-3 * np.ptp(ours[:, :3])
     assert np.sqrt(np.mean((ours - theirs)[:, 3:] ** 2, axis=0)).max() < 1e-3
+
+
+def test_backlash_is_a_joint_behind_that_of_the_motor(tmp_path: Path) -> None:
+    """It is drafted as it was written, and moves as the plant within a tenth of its width."""
+    width, target = 0.02, MjcfTarget()
+    plant = nominal_plant(drafted(tmp_path, arm_text(3, 4))).with_effect(
+        KnownEffect("backlash", "j1", {"width": width}, "drive")
+    )
+    target.write(plant, 100.0, tmp_path)
+    again = drafted(tmp_path, (tmp_path / "robot.xml").read_text("utf-8"))
+    assert again.axis_names == plant.machine.axis_names
+    found = [(e.target, e.parameters, e.side) for e in again.effects if e.name == "backlash"]
+    assert found == [("j1", {"width": pytest.approx(width)}, "drive")]
+    ours, theirs = run_both(plant, target, tmp_path, 1500)
+    away = np.sqrt(np.mean((ours - theirs)[:, :3] ** 2, axis=0))
+    assert away.max() < 0.1 * width
 
 
 def test_what_it_cannot_have_is_said(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ STIFF = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001"'
 
 def arm_text(
     joints: int, seed: int = 0, *, step: float = 0.001, integrator: str = "implicitfast", limited: float = 0.0, rubs: str = "",
-    delay: float = 0.0,
+    delay: float = 0.0, backlash: float = 0.0,
 ) -> str:  # fmt: skip
     """An arm of ``joints`` hinges with random directions, masses, gains, damping and armature.
 
@@ -33,6 +33,7 @@ def arm_text(
         limited: force limit of each joint as a share of kp [rad]; 0 for none.
         rubs: attributes of the friction of every second joint; empty for none.
         delay: of every control [s], through MuJoCo's control history.
+        backlash: of every joint, by a second one with hard ends behind it [rad].
     """
     rng, bodies, actuators = np.random.default_rng(seed), "", ""
     for k in range(joints):
@@ -42,7 +43,7 @@ def arm_text(
         bodies += (
             f'<body name="b{k}" pos="0 0 {0.1 if k == 0 else 0.18 * 0.9 ** (k - 1):.4f}">'
             f'<joint name="j{k}" axis="{axis}" range="-2.5 2.5" damping="{0.08 * size:.4f}" {friction} '
-            f'armature="{rng.uniform(0.01, 0.03) * size**2:.5f}"/>'
+            f'armature="{rng.uniform(0.01, 0.03) * size**2:.5f}"/>{behind(k, axis, backlash)}'
             f'<inertial pos="{rng.uniform(-0.01, 0.01):.4f} 0 {0.09 * 0.9**k:.4f}" mass="{0.5 * size**2:.4f}" '
             f'diaginertia="{2e-3 * size**3:.6f} {1.8e-3 * size**3:.6f} {6e-4 * size**3:.6f}"/>'
         )
@@ -55,6 +56,14 @@ def arm_text(
         f'<worldbody>{bodies}<site name="tip" pos="0 0 0.05"/>{"</body>" * joints}</worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
     )
+
+
+def behind(k: int, axis: str, backlash: float) -> str:
+    """The joint behind joint ``k`` that a backlash needs; it stores no energy at its ends."""
+    if not backlash:
+        return ""
+    ends = f'range="{-0.5 * backlash} {0.5 * backlash}" solreflimit="0.002 3" solimplimit="0.9999 0.9999 0.001"'
+    return f'<joint name="p{k}" axis="{axis}" limited="true" {ends}/>'
 
 
 def commands(joints: int, count: int, dt: float, seed: int = 0) -> Array:
@@ -75,9 +84,9 @@ def logged(text: str, wanted: Array, dt: float) -> Array:
     data.ctrl[:] = wanted[0]
     for _ in range(round(4.0 / model.opt.timestep)):
         mujoco.mj_step(model, data)
-    found = np.empty(wanted.shape)
+    found, each = np.empty(wanted.shape), len(data.qpos) // wanted.shape[1]
     for k, row in enumerate(wanted):
-        data.ctrl[:], found[k] = row, data.qpos
+        data.ctrl[:], found[k] = row, data.qpos.reshape(-1, each).sum(axis=1)
         for _ in range(steps):
             mujoco.mj_step(model, data)
     return found

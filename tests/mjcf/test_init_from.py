@@ -293,3 +293,36 @@ def test_urdfs_of_the_shipped_machines(name: str, datasets_folder: Path, tmp_pat
     shipped = load_machine(datasets_folder / name / "machine.toml")
     machine = drafted(tmp_path, datasets_folder / name / "arm.urdf", "--kind", "servo", "--tip", str(shipped.tip))
     assert {axis.joint for axis in shipped.axes} <= {axis.joint for axis in machine.axes}
+
+
+GEAR = """<mujoco><compiler angle="radian"/><worldbody><body>
+<joint name="elbow" axis="0 1 0" range="-1 1" armature="0.01"/>{joint}<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5"/></body></worldbody>
+<actuator><position joint="elbow" kp="20" kv="1"/>{actuator}</actuator></mujoco>"""
+BEHIND = '<joint name="gear" axis="{axis}" range="{range}" limited="true" {more}/>'
+
+
+@pytest.mark.parametrize("half", [0.001, 0.02, 0.05])
+def test_a_joint_between_two_ends_behind_a_driven_one_is_its_backlash(tmp_path: Path, half: float) -> None:
+    joint = BEHIND.format(axis="0 1 0", range=f"-{half} {half}", more="")
+    machine = drafted(tmp_path, written(tmp_path, GEAR.format(joint=joint, actuator="")))
+    assert machine.axis_names == ("elbow",)
+    assert effects_of(machine)["backlash", "elbow"] == {"width": pytest.approx(2.0 * half)}
+
+
+@pytest.mark.parametrize(
+    ("axis", "ends", "more", "actuator"),
+    [
+        ("0 0 1", "-0.02 0.02", "", ""),
+        ("0 1 0", "-0.2 0.2", "", ""),
+        ("0 1 0", "-0.02 0.01", "", ""),
+        ("0 1 0", "-0.02 0.02", 'stiffness="10"', ""),
+        ("0 1 0", "-0.02 0.02", "", '<position joint="gear" kp="20"/>'),
+    ],
+    ids=["another axis", "wide", "to one side", "a spring", "driven"],
+)
+def test_other_second_joints_are_joints(tmp_path: Path, axis: str, ends: str, more: str, actuator: str) -> None:
+    joint = BEHIND.format(axis=axis, range=ends, more=more)
+    source = written(tmp_path, GEAR.format(joint=joint, actuator=actuator))
+    machine = drafted(tmp_path, source, *([] if actuator else ["--kind", "servo"]))
+    assert machine.axis_names == ("elbow", "gear")
+    assert not [effect for effect in machine.effects if effect.name == "backlash"]

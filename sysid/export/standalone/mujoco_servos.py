@@ -37,6 +37,8 @@ class Servos:
         joints = [self.model.joint(axis["joint"]) for axis in self.about["axes"]]
         self.places, self.dofs = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
         self.offsets = np.array([axis["offset"] for axis in self.about["axes"]])
+        #: Axis → joint behind its backlash.
+        self.behind = {k: self.model.joint(axis["behind"]) for k, axis in enumerate(self.about["axes"]) if axis["behind"]}
         self.sensors = {name: SensorReading(**values) for name, values in self.about["sensors"].items()}
 
     def reset(self, joints: Any, commands: Any = None, speeds: Any = None) -> dict[str, float]:
@@ -57,6 +59,11 @@ class Servos:
                 mujoco.mj_initCtrlHistory(self.model, self.data, actuator, None, np.full((count, 1), held[k]))
         self.data.ctrl[self.controls] = held
         mujoco.mj_forward(self.model, self.data)
+        for k, joint in self.behind.items():  # the motor presses the flank that carries the links
+            half = np.sign(self.data.qfrc_bias[int(joint.dofadr[0])]) * joint.range[1]
+            self.data.qpos[self.places[k]] += half
+            self.data.qpos[int(joint.qposadr[0])] -= half
+        mujoco.mj_forward(self.model, self.data)
         return self.signals()
 
     def step(self, commands: Any) -> dict[str, float]:
@@ -70,6 +77,8 @@ class Servos:
     def signals(self) -> dict[str, float]:
         """True positions of the joints at their sensors, and of the end effector where the model has one [rad or m]."""
         places = self.data.qpos[self.places] - self.offsets
+        for k, joint in self.behind.items():
+            places[k] += self.data.qpos[int(joint.qposadr[0])]
         found = {f"{name}.joint": float(value) for name, value in zip(self.names, places, strict=True)}
         if self.about["posed"]:
             found |= {f"ee.{axis}": float(value) for axis, value in zip("xyz", self.data.site("ee").xpos, strict=True)}

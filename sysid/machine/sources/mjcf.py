@@ -40,7 +40,15 @@ from sysid.machine.sources.mjcf_chain import (
     joint_equalities,
     named_point,
 )
-from sysid.machine.sources.mjcf_model import actuator_name, joint_name, joints_of, mujoco_library, path_to, read_mjcf
+from sysid.machine.sources.mjcf_model import (
+    actuator_name,
+    backlash_of,
+    joint_name,
+    joints_of,
+    mujoco_library,
+    path_to,
+    read_mjcf,
+)
 from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, why_no_servo
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
@@ -196,6 +204,11 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
         notes.append((f"setpoint limit {controls[0]:.6g} to {controls[1]:.6g} {unit} of", its))
     notes += [("activation limit of actuator", actuator)] if driven and model.actuator_actlimited[drive.actuator] else []
     inertia, effects, law = None, list[KnownEffect](), None
+    if (width := backlash_of(model, joint)) > 0.0:
+        effects.append(KnownEffect("backlash", name, {"width": width}, "drive"))
+        behind = dof + 1
+        if model.dof_damping[behind] or model.dof_frictionloss[behind] or model.dof_armature[behind]:
+            notes.append(("damping, friction and armature behind the backlash of", its))
     armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
     if servo:
         inertia, law = armature or None, servo_law(model, drive)
@@ -351,7 +364,8 @@ def _beside(model: Any, chain: Chain) -> list[Note]:
     """Joints, actuators and tendons that are not part of the axes."""
     own, joints = {joint.actuator for joint in chain.driven}, [joint.joint for joint in chain.joints]
     notes = [("actuators beside the chain:", actuator_name(model, k)) for k in range(model.nactuator) if k not in own]
-    hanging = [j for j in range(model.njnt) if j not in joints and chain.bodies[0] in path_to(model, int(model.jnt_bodyid[j]))]
+    bodies = [body for body in range(1, model.nbody) if chain.bodies[0] in path_to(model, body)]
+    hanging = [joint for body in bodies for joint in joints_of(model, body) if joint not in joints]
     base = [] if chain.base is None else path_to(model, chain.base)
     for joint in hanging:
         if int(model.jnt_bodyid[joint]) not in base:

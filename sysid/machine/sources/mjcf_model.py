@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from sysid.confined import Limits, confined, inside
 from sysid.errors import InputError
 from sysid.foreign import MAX_NAME, shown, visible
@@ -29,6 +31,9 @@ T = TypeVar("T")
 DESCRIPTION_LIMITS = Limits(2**30, 20.0, "a robot description", "leave out of it what is not part of the robot")
 #: Largest length of MuJoCo's message that is repeated.
 _MESSAGE = 300
+
+#: Widest backlash [rad or m].
+WIDEST_BACKLASH = 0.1
 
 #: Words of MuJoCo's message → what to do.
 _REMEDIES = {
@@ -250,9 +255,37 @@ def actuator_name(model: Any, actuator: int) -> str:
 
 
 def joints_of(model: Any, body: int) -> list[int]:
-    """Joints of a body, in the order in which they move it."""
+    """Joints of a body, in the order in which they move it, without those that are the backlash of the one before."""
     first = int(model.body_jntadr[body])
-    return list(range(first, first + int(model.body_jntnum[body])))
+    return [j for j in range(first, first + int(model.body_jntnum[body])) if not is_backlash(model, j)]
+
+
+def backlash_of(model: Any, joint: int) -> float:
+    """Width of the backlash behind a joint [rad or m]; zero where there is none."""
+    return float(np.ptp(model.jnt_range[joint + 1])) if joint + 1 < model.njnt and is_backlash(model, joint + 1) else 0.0
+
+
+def is_backlash(model: Any, joint: int) -> bool:
+    """Whether a joint is the backlash of the one before it: free between two ends, about the same axis, and not driven."""
+    ahead, kinds = joint - 1, mujoco_library().mjtTrn
+    if ahead < 0 or model.jnt_bodyid[ahead] != model.jnt_bodyid[joint] or model.jnt_type[ahead] != model.jnt_type[joint]:
+        return False
+    driven = {int(k) for k in np.flatnonzero(model.actuator_trntype == int(kinds.mjTRN_JOINT))}
+    driven |= {int(k) for k in np.flatnonzero(model.actuator_trntype == int(kinds.mjTRN_JOINTINPARENT))}
+    joints = {int(model.actuator_trnid[k, 0]) for k in driven}
+    low, high = (float(end) for end in model.jnt_range[joint])
+    coupled = model.eq_type == int(mujoco_library().mjtEq.mjEQ_JOINT)
+    return bool(
+        ahead in joints
+        and joint not in joints
+        and model.jnt_limited[joint]
+        and 0.0 < high - low <= WIDEST_BACKLASH
+        and abs(high + low) <= 0.01 * (high - low)
+        and np.allclose(model.jnt_axis[ahead], model.jnt_axis[joint], atol=1e-6)
+        and np.allclose(model.jnt_pos[ahead], model.jnt_pos[joint], atol=1e-6)
+        and not model.jnt_stiffness[joint]
+        and joint not in {*model.eq_obj1id[coupled], *model.eq_obj2id[coupled]}
+    )
 
 
 def path_to(model: Any, body: int) -> list[int]:
