@@ -296,7 +296,8 @@ def test_urdfs_of_the_shipped_machines(name: str, datasets_folder: Path, tmp_pat
 
 
 GEAR = """<mujoco><compiler angle="radian"/><worldbody><body>
-<joint name="elbow" axis="0 1 0" range="-1 1" armature="0.01"/>{joint}<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5"/></body></worldbody>
+<joint name="elbow" axis="0 1 0" range="-1 1" armature="0.01"/>{joint}
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5"/></body></worldbody>
 <actuator><position joint="elbow" kp="20" kv="1"/>{actuator}</actuator></mujoco>"""
 BEHIND = '<joint name="gear" axis="{axis}" range="{range}" limited="true" {more}/>'
 
