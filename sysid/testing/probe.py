@@ -246,9 +246,9 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
                 found.append(EffectPlace(axis.name, side, "drive", command))
             else:
                 found.append(EffectPlace(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
-    if "servo" in effect.actuations and effect.stage in ("command", "force"):
-        names = probe_servo().axis_names
-        found += [EffectPlace(name, None, "drive", (axis_signal(name, "command"),)) for name in names]
+    if "servo" in effect.actuations and (effect.stage in ("command", "force") or effect.sides):
+        names, side = probe_servo().axis_names, effect.sides[0] if effect.sides else None
+        found += [EffectPlace(name, side, "drive", (axis_signal(name, "command"),)) for name in names]
     return tuple(found)
 
 
