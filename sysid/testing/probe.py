@@ -247,8 +247,8 @@ def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
             else:
                 found.append(EffectPlace(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
     if "servo" in effect.actuations and (effect.stage in ("command", "force") or effect.sides):
-        names, side = probe_servo().axis_names, effect.sides[0] if effect.sides else None
-        found += [EffectPlace(name, side, "drive", (axis_signal(name, "command"),)) for name in names]
+        on_drive = next(iter(effect.sides), None)
+        found += [EffectPlace(name, on_drive, "drive", (axis_signal(name, "command"),)) for name in probe_servo().axis_names]
     return tuple(found)
 
 
