@@ -41,6 +41,8 @@ LARGEST_COUNT = 1e15
 Raw = Annotated[float, Field(ge=-LARGEST_COUNT, le=LARGEST_COUNT)]
 #: Samples a second.
 Rate = Annotated[float, Field(ge=1e-3, le=1e6)]
+#: Its magnitude, from that of small bodies to that of giant planets [m/s²].
+Gravity = Annotated[float, Field(ge=1e-3, le=100.0)]
 #: A conversion factor between units, or from raw counts to a unit; of either sign, not zero.
 Factor = Annotated[float, AfterValidator(_not_zero), Field(ge=-1e15, le=1e15)]
 #: Lower end, then upper end.

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]

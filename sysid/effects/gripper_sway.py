@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 
 #: State: bob x, y, its velocity x, y, last pivot x, y, z, last pivot velocity x, y, z.
 MEMORY = 10

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.effects import Effect, effect_named, stiction
 from sysid.effects.base_misalignment import EFFECT as BASE
-from sysid.machine.kinematics import rotation_about
+from sysid.machine.kinematics import GRAVITY, rotation_about
 from sysid.plant import Model, Plant, chain, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH, neutral_vector, signal_place, signals_of, slot_indices
 from sysid.plant.machine_arrays import (
@@ -31,6 +31,7 @@ from sysid.plant.machine_arrays import (
     SHIFT,
     TABLE_LOW,
     TABLE_STEP,
+    WEIGHT,
 )
 
 Array = npt.NDArray[np.float64]
@@ -176,7 +177,7 @@ def _kinematics(model: Model) -> dict[str, Any] | None:
                 "axis_index": int(row[ORDER]),
                 "ratio": float(row[RATIO]),
                 "offset": float(row[OFFSET]),
-                "mass": float(row[MASS]),
+                "mass": float(row[MASS] * row[WEIGHT]) / GRAVITY,  # its weight, at the standard gravity of the loads
                 "centre": row[CENTRE : CENTRE + 3].tolist(),
             }
         )

@@ -18,7 +18,6 @@ from sysid.export.mjcf_drives import HARD
 from sysid.export.names import MachineNames, Names
 from sysid.export.urdf_text import APART, machine_names
 from sysid.machine.kinematics import Joint, Kinematics
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
@@ -59,7 +58,7 @@ def add_bodies(spec: Any, plant: Plant, names: MachineNames, inertias: LinkInert
         return
     turn, place = base_pose(plant)
     root = spec.worldbody.add_body(name=names.links[kinematics.chain[0].parent], pos=place, quat=quaternion(turn))
-    spec.option.gravity = turn @ np.array([0.0, 0.0, -GRAVITY])
+    spec.option.gravity = turn @ np.array([0.0, 0.0, -plant.machine.gravity])
     least = (SMALL_MASS, SMALL_INERTIA) if inertias is None else (TINY_MASS, TINY_INERTIA)
     known = link_inertias(urdf_tree(plant.machine.urdf_text)) if inertias is None else inertias
     _Tree(spec, plant, names, kinematics, known, least).add(root, kinematics.chain[0].parent)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.export.mjcf_bodies import ModelNames
 from sysid.export.mjcf_drives import ARMATURE, DriveEntry, Moved, dry_friction, limit
 from sysid.machine.description import Linkage
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 
 Array = npt.NDArray[np.float64]
 

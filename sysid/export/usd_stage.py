@@ -19,7 +19,6 @@ from sysid.export.link_inertia import SMALL_INERTIA, SMALL_MASS, link_inertias
 from sysid.export.names import MachineNames, Names, identifier
 from sysid.export.urdf_text import END_EFFECTOR, machine_names, urdf_of
 from sysid.machine.kinematics import origin_pose
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +69,7 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
     turn, place = base_pose(plant)
     scene = UsdPhysics.Scene.Define(stage, SCENE)
     scene.CreateGravityDirectionAttr(Gf.Vec3f(*map(float, turn @ np.array([0.0, 0.0, -1.0]))))
-    scene.CreateGravityMagnitudeAttr(GRAVITY)
+    scene.CreateGravityMagnitudeAttr(plant.machine.gravity)
     scene.GetPrim().ApplyAPI("NewtonSceneAPI")
     set_value(scene.GetPrim(), "newton:timeStepsPerSecond", Sdf.ValueTypeNames.Int, steps_per_second)
     root = UsdGeom.Xform.Define(stage, ROOT)

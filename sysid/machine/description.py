@@ -12,11 +12,11 @@ from typing import Any, Literal
 from sysid.config import Strict, inside, parse_settings, settings_text, toml_values
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
-from sysid.machine.kinematics import Kinematics
+from sysid.machine.kinematics import GRAVITY, Kinematics
 from sysid.machine.moved_bodies import has_masses
 from sysid.machine.urdf_tree import indefinite_links
 from sysid.names import check_file_name
-from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
+from sysid.numbers import Finite, Gravity, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
 
 Actuation = Literal["velocity", "position", "force", "servo"]
@@ -145,6 +145,7 @@ class Machine(Strict):
     """A machine description, built by :func:`load_machine`.
 
     Args:
+        gravity: along −z of the URDF's root link [m/s²].
         convention: of all recordings; None: not known, taken as ``read_before_written``.
         left_out: what the description that it was drafted from contains beyond it, such as force limits.
         markers: name → URDF link that carries it, of points measured beside the end effector: signals ``<name>.x`` ….
@@ -158,6 +159,7 @@ class Machine(Strict):
     urdf: str | None = None
     tip: str | None = None
     tool: str | None = None
+    gravity: Gravity = GRAVITY
     markers: dict[str, str] = field(default_factory=dict)
     noise: dict[str, NonNegative] = field(default_factory=dict)
     effects: tuple[KnownEffect, ...] = ()
@@ -222,7 +224,7 @@ class Machine(Strict):
         if self.urdf_text is None or self.tip is None:
             return None
         joints = tuple(axis.joint or "" for axis in self.axes)
-        return Kinematics.from_urdf(self.urdf_text, joints=joints, tip=self.tip, tool=self.tool)
+        return Kinematics.from_urdf(self.urdf_text, joints=joints, tip=self.tip, tool=self.tool, gravity=self.gravity)
 
     def expected_unit(self, signal: str) -> str | None:
         """SI unit of ``signal``; None if it may be rad or m (a joint without a URDF), or the rate of either."""

@@ -21,6 +21,9 @@ from sysid.numbers import Finite, NonNegative, end_stops, number
 
 Array = npt.NDArray[np.float64]
 
+#: Standard gravity (CGPM 1901) [m/s²].
+GRAVITY = 9.80665
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -63,6 +66,7 @@ class Kinematics:
     """The joints from the URDF's root link to ``tip``; ``actuated`` names those of the axes, in their order.
 
     Passive (mimic) joints of the chain follow an axis (:attr:`drives`); an axis may move the tip by a passive joint alone.
+    ``gravity`` [m/s²] acts along −z of the root link.
     """
 
     chain: tuple[Joint, ...]
@@ -71,10 +75,13 @@ class Kinematics:
     joints: dict[str, Joint]
     masses: dict[str, tuple[float, tuple[float, float, float]]]
     tool: str | None = None
+    gravity: float = GRAVITY
 
     @staticmethod
     @functools.lru_cache(maxsize=64)
-    def from_urdf(text: str, joints: tuple[str, ...], tip: str, tool: str | None = None) -> Kinematics:
+    def from_urdf(
+        text: str, joints: tuple[str, ...], tip: str, tool: str | None = None, gravity: float = GRAVITY
+    ) -> Kinematics:
         """Parse a URDF and follow it from ``tip`` to the root.
 
         Raises:
@@ -116,7 +123,7 @@ class Kinematics:
                 via = "" if every[name].mimic is None else f" by the passive joint {name!r}"
                 found = f"joint {follows[name]!r} moves the tip{via} but no axis names it"
                 raise SettingsError("urdf", found, "an axis for each joint")
-        return Kinematics(tuple(chain), joints, tip, every, masses, tool)
+        return Kinematics(tuple(chain), joints, tip, every, masses, tool, gravity)
 
     @functools.cached_property
     def drives(self) -> dict[str, Drive]:

@@ -18,8 +18,6 @@ Array = npt.NDArray[np.float64]
 UNIT_MASS = 1.0
 #: Inertial parameters of a body.
 PARAMETERS = 10
-#: Standard gravity (CGPM 1901) [m/s²], along −z of the URDF's root link.
-GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from sysid.errors import SettingsError
 from sysid.extras import install_remedy
 from sysid.machine.description import Machine
 from sysid.machine.kinematics import Kinematics
-from sysid.machine.moved_bodies import GRAVITY, has_masses
+from sysid.machine.moved_bodies import has_masses
 from sysid.machine.urdf_tree import MOMENTS, urdf_tree
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +69,7 @@ class RigidBody:
         pin = _pinocchio()
         text, links, joints = _bare(urdf)
         self._model = pin.buildModelFromXML(text)
-        self._model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+        self._model.gravity.linear = np.array([0.0, 0.0, -kinematics.gravity])
         self._data = self._model.createData()
         self.names: tuple[str, ...] = tuple(joints[int(name.removeprefix("joint_"))] for name in list(self._model.names)[1:])
         self.body_of = np.array([self.names.index(name) for name in kinematics.actuated])
@@ -123,7 +123,7 @@ def rigid_body(machine: Machine) -> RigidBody | None:
     kinematics = machine.kinematics()
     assert kinematics is not None
     assert machine.urdf_text is not None
-    return _known(kinematics.actuated, kinematics.tip, machine.urdf_text)
+    return _known(kinematics.actuated, kinematics.tip, machine.urdf_text, machine.gravity)
 
 
 def point_mass(mass: float, first_moment: Array) -> Array:
@@ -134,8 +134,8 @@ def point_mass(mass: float, first_moment: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=16)
-def _known(joints: tuple[str, ...], tip: str, urdf: str) -> RigidBody:
-    return RigidBody(Kinematics.from_urdf(urdf, joints, tip), urdf)
+def _known(joints: tuple[str, ...], tip: str, urdf: str, gravity: float) -> RigidBody:
+    return RigidBody(Kinematics.from_urdf(urdf, joints, tip, gravity=gravity), urdf)
 
 
 def _bare(urdf: str) -> tuple[str, list[str], list[str]]:

@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from sysid.machine.kinematics import Kinematics
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY, Kinematics
 from sysid.networks import geometry_parameters as sizes
 from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
 from sysid.networks.folded import FoldedChain, FoldedJoint

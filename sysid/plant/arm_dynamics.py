@@ -12,9 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects.compiled import inlined, kernel, loop
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
-from sysid.plant.machine_arrays import AXIS, OFFSET, ORDER, PASSIVE, PRISMATIC, RATIO, ROTATION, SHIFT, MachineArrays
+from sysid.plant.machine_arrays import (
+    AXIS,
+    OFFSET,
+    ORDER,
+    PASSIVE,
+    PRISMATIC,
+    RATIO,
+    ROTATION,
+    SHIFT,
+    WEIGHT,
+    MachineArrays,
+)
 from sysid.plant.trig import sincos
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +53,8 @@ def dynamics(q, v, links, bodies, kept, mass, bias):
         for j in range(axes):
             mass[i, j] = 0.0
     xx, xy, xz, yx, yy, yz, zx, zy, zz = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0  # columns of the frame's rotation
-    wx, wy, wz, ex, ey, ez, ax, ay, az = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY  # turning, its rate, acceleration
+    wx, wy, wz, ex, ey, ez, ax, ay = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # turning, its rate
+    az = links[0, WEIGHT]  # ax, ay, az: acceleration
     for j in range(count):
         fx, fy, fz = links[j, SHIFT], links[j, SHIFT + 1], links[j, SHIFT + 2]
         rx, ry, rz = xx * fx + yx * fy + zx * fz, xy * fx + yy * fy + zy * fz, xz * fx + yz * fy + zz * fz

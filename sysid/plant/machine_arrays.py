@@ -27,8 +27,8 @@ STIFFNESS, DAMPING, LOWEST, HIGHEST, LEAD, IMPLICIT, GIVE, GIVE_TIME = range(8, 
 # Columns of ``MachineArrays.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the
 # joint before it moves, its axis (3), and so on; the last row leads on to the tip.
 ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH = 0, 9, 12, 15, 16, 17, 18, 19, 20, 23
-RATIO, OFFSET, PASSIVE = 24, 25, 26
-LINK_WIDTH = 27
+RATIO, OFFSET, PASSIVE, WEIGHT = 24, 25, 26, 27
+LINK_WIDTH = 28
 
 
 class MachineArrays(NamedTuple):
@@ -43,10 +43,10 @@ class MachineArrays(NamedTuple):
             of the simulator [s], +1 where that is implicit in the damping, else −1, and how its dry friction gives way: speed a
             force and time [s].
         tables: joint over an even grid of the cylinder, (A, points), NaN without a linkage.
-        links: (J + 1, 27): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
+        links: (J + 1, 28): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
             else 0; whether the frame is turned at all; whether the joint is prismatic; which axis moves it; mass and centre
             of all that moves with it and no further joint; length of the translation; ratio and offset of the joint's value
-            to that of its axis, and whether it is a passive joint that follows it.
+            to that of its axis, and whether it is a passive joint that follows it; gravity [m/s²], the same in each row.
         bodies: (J, 10): inertial parameters of all that moves with each joint and no further one, about the origin of the
             joint and in its frame (:func:`sysid.machine.moved_bodies.moved_inertias`).
         machine, base, tool: indices at which their blocks begin in ``theta``.
@@ -124,7 +124,9 @@ def links_of(kinematics: Kinematics | None) -> Array:
             frame = np.eye(4)
     for row, body in zip(rows, moved_bodies(kinematics), strict=True):
         row[MASS], row[CENTRE : CENTRE + 3] = body.mass, body.centre
-    return np.array([*rows, _row(frame)])
+    found = np.array([*rows, _row(frame)])
+    found[:, WEIGHT] = kinematics.gravity
+    return found
 
 
 def _row(frame: Array) -> Array:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from sysid.effects.compiled import inlined, kernel
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.machine_arrays import (
     ALIGNED,
@@ -23,6 +22,7 @@ from sysid.plant.machine_arrays import (
     ROTATION,
     SHIFT,
     TURNED,
+    WEIGHT,
 )
 from sysid.plant.trig import sincos
 
@@ -121,7 +121,7 @@ def pose(q, p, links, base, scratch, tip, load):
             own = mass * scratch[j, 2]
         else:
             own = scratch[j, 0] * (my - mass * scratch[j, 4]) - scratch[j, 1] * (mx - mass * scratch[j, 3])
-        load[int(links[j, ORDER])] += GRAVITY * own * links[j, RATIO]
+        load[int(links[j, ORDER])] += links[j, WEIGHT] * own * links[j, RATIO]
     b = base + AT.base_misalignment
     u, v, w = p[b + 3], p[b + 4], p[b + 5]
     if u != 0.0 or v != 0.0 or w != 0.0:

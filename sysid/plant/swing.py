@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid.effects import gripper_sway
 from sysid.effects.compiled import inlined, kernel, loop
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 
 #: The start of a swing is estimated from this number of periods, or from this time [s] where that is longer.
 PERIODS, MIN_SECONDS = 2.0, 3.0

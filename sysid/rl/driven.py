@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sysid.control import AxisTuning, CylinderController, response_time
 from sysid.effects import gripper_sway
 from sysid.errors import InputError, SettingsError, nearest
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper

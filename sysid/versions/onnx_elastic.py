@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
 from sysid.versions.onnx_nodes import Nodes
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from sysid.effects import gripper_sway, link_length_error, tip_offset
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
-from sysid.machine.kinematics import Joint
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY, Joint
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 from sysid.world.urdf import (

@@ -16,7 +16,6 @@ import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError, nearest
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.plant import Plant
 from sysid.plant.layout import AT, base_place
 from sysid.plant.plant import LINKAGE
@@ -228,7 +227,7 @@ class World:
         """Load all bodies again, so that runs from the same start are bit-identical."""
         p, client, machine = self._p, self._client, self.plant.machine
         p.resetSimulation(physicsClientId=client)
-        p.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
+        p.setGravity(0.0, 0.0, -machine.gravity, physicsClientId=client)
         p.setPhysicsEngineParameter(
             fixedTimeStep=1.0 / (self.rate_hz * self.substeps), numSolverIterations=50, solverResidualThreshold=0.0,
             deterministicOverlappingPairs=1, physicsClientId=client,

@@ -11,7 +11,6 @@ import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine, machine_from_files
-from sysid.machine.moved_bodies import GRAVITY
 from sysid.machine.sources.mjcf import mjcf_draft
 from sysid.machine.sources.toml_text import machine_text
 from sysid.plant.model import Model
@@ -52,7 +51,7 @@ def arm_text(
         late = f'delay="{delay}" nsample="{round(delay / step) + 2}"' if delay else ""
         actuators += f'<position name="a{k}" joint="j{k}" kp="{kp:.4f}" kv="{kv:.4f}" {limit} {late}/>'
     return (
-        f'<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}" gravity="0 0 {-GRAVITY}"/>'
+        f'<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}"/>'
         f'<worldbody>{bodies}<site name="tip" pos="0 0 0.05"/>{"</body>" * joints}</worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
     )

@@ -84,13 +84,12 @@ def sites(model: mujoco.MjModel) -> list[str]:
 
 @pytest.mark.parametrize("name", ["torque_arm", "odd"])
 def test_the_urdf_of_an_mjcf_has_its_dynamics(name: str, tmp_path: Path) -> None:
-    """Torques of the links without friction and rotors; MuJoCo's gravity is 9.81 m/s², the standard one is 9.80665."""
+    """Torques of the links without friction and rotors, at the gravity of the model."""
     path = sources(tmp_path)[name]
     machine = drafted(tmp_path, path)
     body = rigid_body(machine)
     assert body is not None
     model = mujoco.MjModel.from_xml_path(str(path))
-    model.opt.gravity[2] = -9.80665
     model.dof_damping[:] = model.dof_frictionloss[:] = model.dof_armature[:] = 0.0
     data = mujoco.MjData(model)
     rng = np.random.default_rng(1)

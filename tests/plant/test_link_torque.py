@@ -13,7 +13,7 @@ pytest.importorskip("pinocchio")
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import KnownEffect, machine_from_files
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 from sysid.plant import compile_plant, nominal_plant
 from sysid.plant.link_torque import link_torque
 from sysid.plant.stepper import Stepper

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sysid.machine import KnownEffect
-from sysid.machine.moved_bodies import GRAVITY
+from sysid.machine.kinematics import GRAVITY
 from sysid.plant import nominal_plant
 from sysid.plant.stepper import Stepper
 from sysid.testing.probe import RATE_HZ, probe_machine

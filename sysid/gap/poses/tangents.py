@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import Kinematics
-from sysid.machine.moved_bodies import GRAVITY, moved_bodies
+from sysid.machine.kinematics import GRAVITY
+from sysid.machine.moved_bodies import moved_bodies
 
 Array = npt.NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from sysid.errors import SettingsError
 from sysid.machine.description import RESERVED, Actuation, KnownEffect, ServoLaw
+from sysid.machine.kinematics import GRAVITY
 from sysid.names import listed
 
 #: Rate of the even grid of a drafted machine by actuation [Hz]; the user sets it to about the rate of the fastest log.
@@ -63,6 +64,7 @@ class MachineDraft:
     tool: str | None = None
     left_out: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    gravity: float = GRAVITY
 
     @property
     def rate_hz(self) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 from sysid.errors import SettingsError
 from sysid.foreign import shown
 from sysid.machine.description import Actuation, KnownEffect
+from sysid.machine.kinematics import GRAVITY
 from sysid.machine.sources.draft import (
     RESPONSE,
     AxisDraft,
@@ -66,8 +67,8 @@ _RATIOS, _SLOWEST = (0.03, 4.0), 0.5
 _WEIGHTLESS = 1e-3
 #: Difference of a setpoint limit and an end stop that counts as none [rad or m].
 _SAME = 1e-3
-#: Smallest and largest gravity on the Earth's surface [m/s²], at high mountains of the Equator and at the poles (WGS 84).
-_GRAVITY = (9.76, 9.84)
+#: Smallest and largest gravity that is weight [m/s²]: from that of small bodies to that of giant planets.
+_GRAVITY = (1e-3, 100.0)
 
 
 def mjcf_draft(
@@ -128,9 +129,9 @@ def _draft(
         beyond += missing
     beyond += _beside(model, chain)
     notes = [*_gravity_notes(model, chain, drives, source), *notes, *reasons, *summarised(beyond)]
-    return MachineDraft(
-        source, tuple(axes), urdf, link, hung, tuple(notes), tuple(line for axis in axes for line in axis.assumed)
-    )
+    gravity = -float(model.opt.gravity[2]) if _has_weight(model, chain)[1] else GRAVITY
+    assumed = tuple(line for axis in axes for line in axis.assumed)
+    return MachineDraft(source, tuple(axes), urdf, link, hung, tuple(notes), assumed, gravity)
 
 
 def _servos(model: Any, chain: Chain, drives: Sequence[Drive], by_response: bool) -> tuple[bool, list[str]]:
@@ -346,13 +347,13 @@ def _gravity_notes(model: Any, chain: Chain, drives: list[Drive], source: str) -
         found = f"gravity {gravity.tolist()} m/s²"
         remedy = 'Write <option gravity="0 0 -9.81">, in a model in SI units whose z points up, if the machine has weight.'
     if any(drive.actuation == "force" for drive in drives) and (turning or not down):
-        expected = "Earth's gravity along −z of the world, which the nominal plant has, and no compensation"
+        expected = "gravity along −z of the world, which the nominal plant has, and no compensation"
         raise SettingsError(f"{source}: {shown('option')}", found, expected, remedy)
-    return [f"{found} (the nominal plant has Earth's gravity along −z)"]
+    return [f"{found} (the nominal plant has gravity along −z)"]
 
 
 def _has_weight(model: Any, chain: Chain) -> tuple[bool, bool]:
-    """Whether the bodies have their weight on Earth along −z, and whether gravity alone is that."""
+    """Whether the bodies have their weight along −z, and whether gravity alone is that."""
     gravity = np.asarray(model.opt.gravity, dtype=np.float64)
     down = bool(_GRAVITY[0] <= -gravity[2] <= _GRAVITY[1] and abs(gravity[:2]).max() < _WEIGHTLESS * abs(gravity[2]))
     bodies = [body for body in range(chain.bodies[0], model.nbody) if model.body_mass[body] > 0.0]

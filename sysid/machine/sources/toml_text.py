@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sysid.machine.description import KnownEffect, ServoLaw
+from sysid.machine.kinematics import GRAVITY
 from sysid.machine.sources.draft import AxisDraft, MachineDraft
 from sysid.numbers import LARGEST
 from sysid.quoting import comment, toml_key, toml_value
@@ -28,6 +29,8 @@ def machine_text(draft: MachineDraft, name: str) -> str:
         if draft.tool is not None
         else '# tool = "…"                     # URDF link of a hanging tool, if it is measured'
     )
+    if draft.gravity != GRAVITY:
+        lines.append(_row("gravity", f"{draft.gravity:.9g}", "of the model [m/s²]; of the Earth 9.80665"))
     if draft.left_out:
         lines += ["left_out = [                     # what the description contains beyond this file"]
         lines += [*(f"    {toml_value(line)}," for line in draft.left_out), "]"]
