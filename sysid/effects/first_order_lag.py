@@ -15,7 +15,7 @@ ABSENT = 1e-6
 EFFECT = Effect(
     name="first_order_lag",
     title="First-order lag",
-    titles={"hydraulic": "Valve lag", "position": "Servo lag"},
+    titles={"hydraulic": "Valve lag", "position": "Servo lag", "servo": "Lag of the setpoint"},
     sentences=("The {target} follows its command with a lag of {time_constant}.",),
     part="valve",
     stage="command",
@@ -32,10 +32,21 @@ EFFECT = Effect(
     },
     example={"time_constant": 0.15},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
-    actuations=("velocity", "position"),
+    actuations=("velocity", "position", "servo"),
     memory=lambda dt: 3,
     surrogate_test=0.05,
 )
+
+
+@inlined
+def across(u, p, i, s, j, dt):
+    """x before a step of any length, and its mean over it; ``s[j]`` is x."""
+    if np.isnan(s[j]) or p[i] < ABSENT:
+        s[j] = u
+        return u, u
+    before, decay = s[j], math.exp(-dt / p[i])
+    s[j] = u + (before - u) * decay
+    return before, u + (before - u) * (1.0 - decay) * p[i] / dt
 
 
 @inlined

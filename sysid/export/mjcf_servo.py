@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid.effects import first_order_lag
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
 from sysid.export.link_inertia import LinkInertias
@@ -39,7 +40,7 @@ LONGEST_STEP = 1e-3
 #: Effects that the model can have.
 EFFECTS = frozenset(
     {
-        *("input_delay", "stiffness_error", "damping_error", "force_limit", "armature_error"),
+        *("input_delay", "first_order_lag", "stiffness_error", "damping_error", "force_limit", "armature_error"),
         *(
             "link_mass_error",
             "viscous_friction",
@@ -167,6 +168,9 @@ def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, 
     actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kv]
     if math.isfinite(low) or math.isfinite(high):
         actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+    lag = effect_slots(plant, "first_order_lag", axis.name).get("time_constant", 0.0)
+    if lag >= first_order_lag.ABSENT:
+        actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag
     late = round(effect_slots(plant, "input_delay", axis.name).get("delay", 0.0) / step)
     if late > 0:
         actuator.delay = (late - 1e-3) * step  # a whole number of steps must not become one more by rounding

@@ -59,6 +59,7 @@ from sysid.plant.machine_arrays import (
     STIFFNESS,
     VELOCITY,
 )
+from sysid.plant.servo_law import held
 
 
 @inlined
@@ -170,6 +171,14 @@ def servo_law(p, axes, i):
     low = force_limit.lowest(axes[i, LOWEST], p, b + AT.force_limit)
     high = force_limit.highest(axes[i, HIGHEST], p, b + AT.force_limit)
     return kp, kv, low, high, armature_error.step(axes[i, GAIN], p, b + AT.armature_error)
+
+
+@inlined
+def servo_setpoint(earlier, later, part, k, count, p, b, s, m, h, own):
+    """Setpoint of the controller in step ``k`` of ``count``; ``own``: in a step of the described simulator, at its begin."""
+    u = held(earlier, later, part, k, count)
+    before, mean = first_order_lag.across(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, h)
+    return before if own else mean
 
 
 @inlined

@@ -37,8 +37,9 @@ ON_FLANK = 1e-9
 # Rows of ``work`` after the mass matrix, the matrix of the step and its factor, each (A, A).
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
-    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _JOINT, _SWING, _LOOSE, _OFFSET, _CROSSED, _ROWS,
-) = range(31)  # fmt: skip
+    _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _JOINT, _SWING, _LOOSE, _OFFSET, _CROSSED, _WANTED,
+    _ROWS,
+) = range(32)  # fmt: skip
 
 
 @kernel
@@ -88,6 +89,9 @@ def advance(p, arrays, s, command, dt, work, kept):
             b, m, lead = i * AXIS_WIDTH, i * size, arrays.axes[i, LEAD] if own > 0 else 0.0
             at[_SPEED, i] = s[m + STATE.speed]
             at[_BEGIN, i] = s[m + STATE.position] + lead * at[_SPEED, i]
+            at[_WANTED, i] = chain.servo_setpoint(
+                at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count, p, b, s, m, h, own > 0
+            )
             place, at[_SWING, i] = chain.servo_motion(p, b, s, m)
             at[_JOINT, i] = place + lead * at[_SWING, i]
             at[_PLACE, i] = at[_JOINT, i] + half * h * at[_SWING, i]
@@ -101,8 +105,8 @@ def advance(p, arrays, s, command, dt, work, kept):
             for i in range(axes):
                 at[_SIDE, i] = 0.0
                 at[_MEAN, i] = at[_SPEED, i]
-            _solve(p, arrays.axes, h, k, count, own > 0, work)
-            if not _changes_flank(p, arrays.axes, h, k, count, own > 0, work):
+            _solve(p, arrays.axes, h, own > 0, work)
+            if not _changes_flank(p, arrays.axes, h, own > 0, work):
                 break
         for i in range(axes):
             m, lead, j = i * size, arrays.axes[i, LEAD] if own > 0 else 0.0, i * size + STATE.backlash_drive
@@ -120,7 +124,7 @@ def advance(p, arrays, s, command, dt, work, kept):
 
 
 @inlined
-def _changes_flank(p, about, h, k, count, own, work):
+def _changes_flank(p, about, h, own, work):
     """Whether a joint leaves or reaches a flank of its backlash in the step, against what :func:`_solve` took it for.
 
     Places and speeds after the step of motors that cross their backlash are left in the rows ``_CROSSED`` and ``_PUSH``.
@@ -132,11 +136,10 @@ def _changes_flank(p, about, h, k, count, own, work):
         if half == 0.0:
             continue
         if at[_LOOSE, i] != 0.0:
-            u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
             rotor = servo_law.rotor_alone(at[_ARMATURE, i], at[_KP, i], h)
             at[_CROSSED, i], at[_PUSH, i] = servo_axis.step(
-                at[_BEGIN, i], at[_SPEED, i], at[_SPEED, i], u, rotor, 0.0, 0.0, 0.0, at[_KP, i], at[_KV, i], at[_LOWEST, i],
-                at[_HIGHEST, i], h, p, about, i, own,
+                at[_BEGIN, i], at[_SPEED, i], at[_SPEED, i], at[_WANTED, i], rotor, 0.0, 0.0, 0.0, at[_KP, i], at[_KV, i],
+                at[_LOWEST, i], at[_HIGHEST, i], h, p, about, i, own,
             )  # fmt: skip
             offset = at[_JOINT, i] + h * at[_MEAN, i] - at[_CROSSED, i]
             if abs(offset) > half:
@@ -151,8 +154,8 @@ def _changes_flank(p, about, h, k, count, own, work):
 
 
 @inlined
-def _solve(p, about, h, k, count, own, work):
-    """Speeds after step ``k`` of ``count``, and their means over it; ``own``: whether it is one of the described simulator."""
+def _solve(p, about, h, own, work):
+    """Speeds after a step, and their means over it; ``own``: whether it is one of the described simulator."""
     axes = work.shape[1]
     mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
     for turn in range(PASSES):
@@ -168,9 +171,8 @@ def _solve(p, about, h, k, count, own, work):
             viscous, gradual = chain.servo_friction(w, p, b)
             damping, kv, stiffness, push = viscous + gradual, 0.0, 0.0, -at[_BIAS, i]
             if at[_SIDE, i] == 0.0:
-                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
                 kv, stiffness = at[_KV, i], at[_KP, i]
-                push += at[_KP, i] * (u - at[_BEGIN, i])
+                push += at[_KP, i] * (at[_WANTED, i] - at[_BEGIN, i])
                 if own and about[i, IMPLICIT] < 0.0:
                     push -= kv * at[_SPEED, i]
                 else:
@@ -226,8 +228,7 @@ def _solve(p, about, h, k, count, own, work):
                 settled = False
             at[_MEAN, i] = w
             if at[_SIDE, i] == 0.0:
-                u = servo_law.held(at[_EARLIER, i], at[_LATER, i], at[_PART, i], k, count)
-                force = at[_KP, i] * (u - at[_BEGIN, i]) - at[_KV, i] * at[_SPEED, i]
+                force = at[_KP, i] * (at[_WANTED, i] - at[_BEGIN, i]) - at[_KV, i] * at[_SPEED, i]
                 if not own:
                     force += at[_KV, i] * (at[_SPEED, i] - w) - 0.5 * at[_KP, i] * h * w
                 if force > at[_HIGHEST, i] or force < at[_LOWEST, i]:

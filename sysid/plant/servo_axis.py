@@ -137,7 +137,7 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
             at = fine * (k + (j + middle) / count)
             links, slope, place = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
             place += lead * _between(series, SPEED, at)
-            u = servo_law.held(earlier, later, part, j, count)
+            u = chain.servo_setpoint(earlier, later, part, j, count, p, b, s, m, dt / count, own > 0)
             advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, dt / count, p, arrays.axes, i, own > 0)
             chain.stop(s, m, arrays.axes, i)
 

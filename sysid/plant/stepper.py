@@ -344,6 +344,7 @@ def _hold_command(p, arrays, s, load, command, seconds, dt):
         warm = math.exp(-seconds / p[b + AT.temperature_drift + 1])
         s[m + STATE.temperature_drift] = warm
         if arrays.axes[i, KIND] == SERVO:
+            s[m + STATE.first_order_lag] = command[i]
             input_delay.fill(command[i], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
         elif arrays.axes[i, KIND] != FORCE:
             chain.demand(command[i], p, s, m, size, arrays.axes, i, load[i], dt)

@@ -24,6 +24,7 @@ EFFECTS = (
     KnownEffect("armature_error", "j2", {"ratio": 2.0}),
     KnownEffect("force_limit", "j1", {"limit": 4.0}),
     KnownEffect("input_delay", "j0", {"delay": 0.024}),
+    KnownEffect("first_order_lag", "j2", {"time_constant": 0.03}),
     KnownEffect("coulomb_friction", "j2", {"force": 0.2}),
     KnownEffect("viscous_friction", "j0", {"coefficient": 0.3}),
 )

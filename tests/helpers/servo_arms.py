@@ -23,7 +23,7 @@ STIFF = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001"'
 
 def arm_text(
     joints: int, seed: int = 0, *, step: float = 0.001, integrator: str = "implicitfast", limited: float = 0.0, rubs: str = "",
-    delay: float = 0.0, backlash: float = 0.0,
+    delay: float = 0.0, backlash: float = 0.0, lag: float = 0.0,
 ) -> str:  # fmt: skip
     """An arm of ``joints`` hinges with random directions, masses, gains, damping and armature.
 
@@ -32,6 +32,7 @@ def arm_text(
         limited: force limit of each joint as a share of kp [rad]; 0 for none.
         rubs: attributes of the friction of every second joint; empty for none.
         delay: of every control [s], through MuJoCo's control history.
+        lag: of every control [s], by its filter.
         backlash: of every joint, by a second one with hard ends behind it [rad].
     """
     rng, bodies, actuators = np.random.default_rng(seed), "", ""
@@ -49,7 +50,8 @@ def arm_text(
         kp, kv = rng.uniform(30.0, 50.0) * size**2, rng.uniform(1.0, 2.0) * size**2
         limit = f'forcerange="{-limited * kp:.4f} {limited * kp:.4f}"' if limited else ""
         late = f'delay="{delay}" nsample="{round(delay / step) + 2}"' if delay else ""
-        actuators += f'<position name="a{k}" joint="j{k}" kp="{kp:.4f}" kv="{kv:.4f}" {limit} {late}/>'
+        filtered = f'timeconst="{lag}"' if lag else ""
+        actuators += f'<position name="a{k}" joint="j{k}" kp="{kp:.4f}" kv="{kv:.4f}" {limit} {late} {filtered}/>'
     return (
         f'<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}"/>'
         f'<worldbody>{bodies}<site name="tip" pos="0 0 0.05"/>{"</body>" * joints}</worldbody>'

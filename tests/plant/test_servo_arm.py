@@ -117,6 +117,19 @@ def test_backlash_between_motor_and_joint(tmp_path: Path, joints: int, rubs: str
     assert compare(tmp_path, described, joints, 0.01, 30.0, true)[0].min() > 3.0 * FLANK
 
 
+@pytest.mark.parametrize("kind", ["filterexact", "filter"])
+def test_filter_of_the_control(tmp_path: Path, kind: str) -> None:
+    text = arm_text(3, 2, lag=0.03, limited=0.3)
+    if kind == "filter":
+        text = text.replace("<position", "<general").replace('timeconst="0.03"', 'dyntype="filter" dynprm="0.03"')
+        text = re.sub(r'kp="([^"]*)" kv="([^"]*)"', r'gainprm="\1" biastype="affine" biasprm="0 -\1 -\2"', text)
+    machine = drafted(tmp_path, text)
+    assert sum(e.name == "first_order_lag" for e in machine.effects) == 3
+    whole, single = compare(tmp_path, text, 3)
+    assert whole.max() < PARITY
+    assert single.max() < BESIDE
+
+
 ODD = """<robot name="odd"><link name="base"/>
   <link name="one"><inertial><origin xyz="0.1 0.02 0.3" rpy="0.3 0.1 -0.4"/><mass value="2"/>
     <inertia ixx="0.03" iyy="0.02" izz="0.015" ixy="0.001" ixz="-0.002" iyz="0.003"/></inertial></link>

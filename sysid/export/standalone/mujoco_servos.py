@@ -55,6 +55,8 @@ class Servos:
         held = (places if commands is None else np.asarray(commands)) + self.offsets
         for k, name in enumerate(self.names):
             actuator = self.model.actuator(name).id
+            if self.model.actuator_actnum[actuator] > 0:
+                self.data.act[int(self.model.actuator_actadr[actuator])] = held[k]
             if (count := int(self.model.actuator_history[actuator, 0])) > 0:
                 mujoco.mj_initCtrlHistory(self.model, self.data, actuator, None, np.full((count, 1), held[k]))
         self.data.ctrl[self.controls] = held

@@ -50,7 +50,7 @@ from sysid.machine.sources.mjcf_model import (
     path_to,
     read_mjcf,
 )
-from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, why_no_servo
+from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, setpoint_lag, why_no_servo
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
 from sysid.numbers import end_stops
@@ -215,6 +215,8 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
         inertia, law = armature or None, servo_law(model, drive)
         late = dead_time(model, drive)
         effects += [KnownEffect("input_delay", name, {"delay": late})] if late > 0.0 else []
+        lag = setpoint_lag(model, drive)
+        effects += [KnownEffect("first_order_lag", name, {"time_constant": lag})] if lag > 0.0 else []
         effects += friction_effects(model, drive, name, damping)
     elif drive.actuation == "force":
         inertia = armature or None

@@ -23,7 +23,7 @@ def why_no_servo(model: Any, drive: Drive) -> str:
     if drive.control != "position" or drive.stiffness <= 0.0:
         return f"{its} has no position actuator"
     reasons = {
-        "a filter": drive.filter > 0.0,
+        "a filter that acts early": drive.filter > 0.0 and bool(model.actuator_actearly[drive.actuator]),
         "a limit of its setpoint's rate": drive.rate > 0.0,
         "integral action": drive.integral,
         "a constant force": drive.bias != 0.0,
@@ -65,6 +65,14 @@ def dead_time(model: Any, drive: Drive) -> float:
     """Time after which a control acts [s]: from the first step that is no earlier than the delay of the actuator."""
     step = float(model.opt.timestep)
     return math.ceil(drive.delay / step - 1e-6) * step
+
+
+def setpoint_lag(model: Any, drive: Drive) -> float:
+    """Time constant of a filter of the control [s]; a filter of explicit steps as the exact one that does the same."""
+    step, explicit = float(model.opt.timestep), int(mujoco_library().mjtDyn.mjDYN_FILTER)
+    if int(model.actuator_dyntype[drive.actuator]) != explicit or drive.filter <= 0.0:
+        return drive.filter
+    return -step / math.log1p(-step / drive.filter) if drive.filter > step else 0.0
 
 
 def friction_effects(model: Any, drive: Drive, name: str, damping: float) -> list[KnownEffect]:
