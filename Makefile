@@ -60,7 +60,7 @@ WORKERS ?= 2
 hidden-effects: $(READY)
 	$(BIN)/python pipelines/hidden_effects.py --tier $(TIER) --workers $(WORKERS) --work $(WORKSPACE)/hidden_effects
 
-# Electric arms, servos, drives and static poses with known hidden effects; SEEDS=120:139 are the published ones.
+# Electric arms, servos, drives and static poses with known hidden effects; SEEDS=120:179 are the published ones.
 SEEDS ?= 0:1
 arms: $(READY)
 	$(BIN)/python pipelines/electric_arms.py --seeds $(SEEDS) --workers $(WORKERS) --work $(WORKSPACE)/electric_arms

@@ -6,7 +6,7 @@
 
 Every case is generated from its seed, written as logs with a machine description, and answered from these alone in a process
 of its own; then it is compared with the truth. An interrupted run continues. Seeds 0 to 19 are for development; seeds 120 to
-139 are published, and only the final run of a row uses them, ten of them at least. A row that is published replaces its earlier
+179 are published, and only the final run of a row uses them, ten of them at least. A row that is published replaces its earlier
 cases; all others keep theirs.
 
 ``--measured`` reads the results that pipelines/emps.py, xl330.py, so101.py and ur10e.py left in a workspace, and calibrates
