@@ -69,7 +69,7 @@ def advance(p, arrays, s, load, demands, work, kept, command, dt, nets, t):
     ``demands`` (A,), and ``work`` and ``kept`` of :mod:`sysid.plant.servo_arm`, are used inside.
     """
     if arrays.axes[0, KIND] == SERVO:  # then all of them
-        servo_arm.advance(p, arrays, s, command, dt, work, kept)
+        servo_arm.advance(p, arrays, s, command, dt, work, kept, False)
         return
     size = len(s) // len(arrays.axes)
     demand = 0.0

@@ -38,8 +38,8 @@ ON_FLANK = 1e-9
 (
     _BIAS, _PLACE, _MIDDLE, _RATE, _KP, _KV, _LOWEST, _HIGHEST, _ARMATURE, _LATER, _EARLIER, _PART, _PUSH, _FREE, _AFTER, _MEAN,
     _SIDE, _THETA, _BRAKE, _SPEED, _OWN, _SLIP, _GRIP, _CREEP, _BEGIN, _JOINT, _SWING, _LOOSE, _OFFSET, _CROSSED, _WANTED,
-    _ROWS,
-) = range(32)  # fmt: skip
+    _UNDAMPED, _ROWS,
+) = range(33)  # fmt: skip
 
 
 @kernel
@@ -49,11 +49,12 @@ def workspace(axes, joints):
 
 
 @loop
-def advance(p, arrays, s, command, dt, work, kept):
+def advance(p, arrays, s, command, dt, work, kept, watched):
     """One step of all axes under the ``command`` (A,) held over it; nothing moves while an axis has no position.
 
     Args:
         s: state (A · size,); ``work`` and ``kept`` of :func:`workspace` are used inside.
+        watched: as in :func:`_solve`.
     """
     axes = len(arrays.axes)
     size = len(s) // axes
@@ -105,7 +106,7 @@ def advance(p, arrays, s, command, dt, work, kept):
             for i in range(axes):
                 at[_SIDE, i] = 0.0
                 at[_MEAN, i] = at[_SPEED, i]
-            _solve(p, arrays.axes, h, own > 0, work)
+            _solve(p, arrays.axes, h, own > 0, watched, work)
             if not _changes_flank(p, arrays.axes, h, own > 0, work):
                 break
         for i in range(axes):
@@ -138,8 +139,8 @@ def _changes_flank(p, about, h, own, work):
         if at[_LOOSE, i] != 0.0:
             rotor = servo_law.rotor_alone(at[_ARMATURE, i], at[_KP, i], h)
             at[_CROSSED, i], at[_PUSH, i] = servo_axis.step(
-                at[_BEGIN, i], at[_SPEED, i], at[_SPEED, i], at[_WANTED, i], rotor, 0.0, 0.0, 0.0, at[_KP, i], at[_KV, i],
-                at[_LOWEST, i], at[_HIGHEST, i], h, p, about, i, own,
+                at[_BEGIN, i], at[_SPEED, i], at[_SPEED, i], at[_WANTED, i], rotor, 0.0, 0.0, 0.0, 0.0, at[_KP, i],
+                at[_KV, i], at[_LOWEST, i], at[_HIGHEST, i], h, p, about, i, own,
             )  # fmt: skip
             offset = at[_JOINT, i] + h * at[_MEAN, i] - at[_CROSSED, i]
             if abs(offset) > half:
@@ -154,8 +155,11 @@ def _changes_flank(p, about, h, own, work):
 
 
 @inlined
-def _solve(p, about, h, own, work):
-    """Speeds after a step, and their means over it; ``own``: whether it is one of the described simulator."""
+def _solve(p, about, h, own, watched, work):
+    """Speeds after a step, and their means over it; ``own``: whether it is one of the described simulator.
+
+    ``watched``: leave the speeds without implicit damping in the row ``_UNDAMPED``, where friction gives way as in MuJoCo.
+    """
     axes = work.shape[1]
     mass, matrix, factor, at = work[:axes], work[axes : 2 * axes], work[2 * axes : 3 * axes], work[3 * axes :]
     for turn in range(PASSES):
@@ -202,13 +206,21 @@ def _solve(p, about, h, own, work):
         gives = own
         for i in range(axes):
             gives &= about[i, GIVE] > 0.0
-        if rubs and gives:  # the friction is that of the motion without implicit damping
+        apart = gives and (rubs or watched)
+        if apart:  # the friction is that of the motion without implicit damping
             for i in range(axes):
                 matrix[i, i] -= at[_BRAKE, i]
                 at[_FREE, i] -= at[_BRAKE, i] * at[_SPEED, i]
-        if rubs and not _slide_or_hold(p, about, h, own, matrix, factor, at):
-            _rub(p, about, h, own, matrix, at)
-        if rubs and gives:
+                at[_AFTER, i] = at[_FREE, i]
+        if rubs:
+            if not _slide_or_hold(p, about, h, own, matrix, factor, at):
+                _rub(p, about, h, own, matrix, at)
+        elif apart:
+            at[_GRIP, :] = 0.0
+            _divide(matrix, factor, at[_GRIP], at[_AFTER])
+        if apart:
+            for i in range(axes):
+                at[_UNDAMPED, i] = at[_AFTER, i]
             for i in range(axes):
                 at[_FREE, i] = at[_BRAKE, i] * at[_SPEED, i]
                 for j in range(axes):
@@ -216,7 +228,7 @@ def _solve(p, about, h, own, work):
             for i in range(axes):
                 matrix[i, i] += at[_BRAKE, i]
                 at[_AFTER, i] = at[_FREE, i]
-        if gives or not rubs:
+        if apart or not rubs:
             at[_GRIP, :] = 0.0
             _divide(matrix, factor, at[_GRIP], at[_AFTER])
         for i in range(axes):
@@ -338,11 +350,13 @@ def _rub(p, about, h, own, matrix, at):
 
 
 @kernel
-def run_servos(p, arrays, commands, s, dt, places, speeds):
+def run_servos(p, arrays, commands, s, dt, places, speeds, undamped):
     """Motion of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next.
 
     Args:
         places, speeds: out, (n, A).
+        undamped: out, (n, A): torque more that the other joints exert on each without implicit damping, in one step of the
+            described simulator [N·m or N].
     """
     axes = commands.shape[1]
     size = len(s) // axes
@@ -350,4 +364,10 @@ def run_servos(p, arrays, commands, s, dt, places, speeds):
     for k in range(len(commands)):
         for i in range(axes):
             places[k, i], speeds[k, i] = chain.servo_motion(p, i * AXIS_WIDTH, s, i * size)
-        advance(p, arrays, s, commands[k], dt, work, kept)
+        work[3 * axes + _UNDAMPED, :] = np.nan
+        advance(p, arrays, s, commands[k], dt, work, kept, True)
+        for i in range(axes):
+            undamped[k, i] = 0.0
+            for j in range(axes):
+                if j != i and not np.isnan(work[3 * axes + _UNDAMPED, j]):
+                    undamped[k, i] += work[i, j] * (work[3 * axes + _UNDAMPED, j] - work[3 * axes + _AFTER, j]) / dt

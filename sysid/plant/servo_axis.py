@@ -22,9 +22,9 @@ from sysid.plant.machine_arrays import GIVE, HIGH, IMPLICIT, LEAD, LOW
 
 # Rows of the series of an axis, (SERIES, n · F), F samples of the motion in a step of the command: inertia of the links about
 # it; the sum over the steps before of their mean torques without its own acceleration; the change of the torque by its own
-# position; its position and speed.
-OWN, TORQUE, SLOPE, PLACE, SPEED = range(5)
-SERIES = 5
+# position; its position and speed; the torque more that the other joints exert without implicit damping, which friction feels.
+OWN, TORQUE, SLOPE, PLACE, SPEED, UNDAMPED = range(6)
+SERIES = 6
 
 
 @inlined
@@ -37,12 +37,13 @@ def _between(series, row, at):
 
 
 @inlined
-def step(x, v, before, u, inertia, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
+def step(x, v, before, u, inertia, rest, slope, place, undamped, kp, kv, low, high, h, p, axes, i, own):
     """Position and speed after ``h`` (:mod:`sysid.plant.servo_law`).
 
     Args:
         before: speed of all that moves, before an impact with the motor's speed ``v``.
         inertia: of links and armature; the links' torque is ``rest + slope·(x − place)``.
+        undamped: row of the series.
         own: whether it is a step of the described simulator.
     """
     half, explicit = (0.0, axes[i, IMPLICIT] < 0.0) if own else (0.5, False)
@@ -64,9 +65,9 @@ def step(x, v, before, u, inertia, rest, slope, place, kp, kv, low, high, h, p, 
             resistance, dry = mass / h + theta * brake, chain.dry(free, v, p, b)
             give, time = axes[i, GIVE], chain.give_time(axes, i, own)
             if own and give > 0.0:  # the friction is that of the motion without implicit damping
-                free -= brake * v
-                rubbing = free - mass / h * servo_law.rub(free, mass / h, v, 0.0, h, dry, give, time)
-                after = (free + brake * v - rubbing) / resistance
+                alone = free - brake * v - undamped
+                rubbing = alone - mass / h * servo_law.rub(alone, mass / h, v, 0.0, h, dry, give, time)
+                after = (free - rubbing) / resistance
             else:
                 after = servo_law.rub(free, resistance, v, theta, h, dry, give, time)
             w = (1.0 - theta) * v + theta * after
@@ -82,19 +83,19 @@ def step(x, v, before, u, inertia, rest, slope, place, kp, kv, low, high, h, p, 
 
 
 @inlined
-def advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, h, p, axes, i, own):
+def advance(s, m, u, links, armature, rest, slope, place, undamped, kp, kv, low, high, h, p, axes, i, own):
     """One step of motor and joint, of which the inertia ``links`` moves."""
     b, j, lead = i * AXIS_WIDTH, m + STATE.backlash_drive, axes[i, LEAD] if own else 0.0
     v = s[m + STATE.speed]
     x = s[m + STATE.position] + lead * v
     behind, half, before = chain.has_backlash(p, b), 0.5 * p[b + AT.backlash_drive], v
-    mass, load, rise, offset, y, w = links + armature, rest, slope, 0.0, x, v
+    mass, load, rise, more, offset, y, w = links + armature, rest, slope, undamped, 0.0, x, v
     if behind:
         w = s[j + 1]
         y = s[j] + lead * w
-        mass, load, rise = servo_law.rotor_alone(armature, kp, h), 0.0, 0.0  # the motor by itself at first
+        mass, load, rise, more = servo_law.rotor_alone(armature, kp, h), 0.0, 0.0, 0.0  # the motor by itself at first
     for _ in range(2):
-        far, fast = step(x, v, before, u, mass, load, rise, place - offset, kp, kv, low, high, h, p, axes, i, own)
+        far, fast = step(x, v, before, u, mass, load, rise, place - offset, more, kp, kv, low, high, h, p, axes, i, own)
         if not behind or offset != 0.0:
             y, w = far + offset, fast
             break
@@ -105,7 +106,7 @@ def advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, h, 
         if abs(ahead - far) <= half:
             y, w = ahead, free
             break
-        offset, mass, load, rise = math.copysign(half, ahead - far), links + armature, rest, slope
+        offset, mass, load, rise, more = math.copysign(half, ahead - far), links + armature, rest, slope, undamped
         before = (links * w + armature * v) / mass
     s[m + STATE.position], s[m + STATE.speed] = far - lead * fast, fast
     if behind:
@@ -137,8 +138,12 @@ def run(p, arrays, i, s, command, series, first, last, dt, out):
             at = fine * (k + (j + middle) / count)
             links, slope, place = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
             place += lead * _between(series, SPEED, at)
+            undamped = _between(series, UNDAMPED, at) if own > 0 else 0.0
             u = chain.servo_setpoint(earlier, later, part, j, count, p, b, s, m, dt / count, own > 0)
-            advance(s, m, u, links, armature, rest, slope, place, kp, kv, low, high, dt / count, p, arrays.axes, i, own > 0)
+            advance(
+                s, m, u, links, armature, rest, slope, place, undamped, kp, kv, low, high, dt / count, p, arrays.axes, i,
+                own > 0,
+            )  # fmt: skip
             chain.stop(s, m, arrays.axes, i)
 
 

@@ -19,7 +19,7 @@ from sysid.plant.arm_dynamics import link_series, mass_ratios
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD, MachineArrays
 from sysid.plant.servo_arm import LONGEST, run_servos
-from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, starts_of
+from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, UNDAMPED, starts_of
 from sysid.plant.smooth_motion import POSITION_HZ, second_difference, smooth_motion
 from sysid.plant.stretches import Segments, common_stretches, held_for
 from sysid.signals import axis_signal
@@ -84,7 +84,7 @@ class LinkSeries:
         self.arrays, self._links, self._lock = arrays, dict[int | None, Array](), threading.Lock()
         names, rate = machine.axis_names, recording.rate_hz
         lead, (fine, own) = arrays.axes[:, LEAD], _steps(arrays, recording)
-        (places, speeds), runs = _simulated(machine, arrays, theta, recording, fine)
+        (places, speeds, self._undamped), runs = _simulated(machine, arrays, theta, recording, fine)
         alone = places[::fine].copy(), speeds[::fine].copy()
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in names], axis=1)
         read = places + lead * speeds
@@ -106,6 +106,7 @@ class LinkSeries:
         """Series of an axis for the parameters ``theta`` of a plant, (SERIES, n · F)."""
         found = np.empty((SERIES, len(self._motion[0])))
         found[LINKS], found[PLACE], found[SPEED] = self._of_body(None)[axis], *(part[:, axis] for part in self._motion)
+        found[UNDAMPED] = self._undamped[:, axis]
         ratios = mass_ratios(self.arrays, theta)
         for j in np.flatnonzero(ratios != 1.0):
             found[LINKS] += (ratios[j] - 1.0) * self._of_body(int(j))[axis]
@@ -165,16 +166,16 @@ def _commands(machine: Machine, recording: Recording) -> tuple[Array, Segments]:
 def _simulated(
     machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording, fine: int
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Places and speeds of the free run of all axes, (2, n · fine, A), and the samples (n,) in which it runs."""
+    """Places, speeds, undamped torques of the free run of all axes, (3, n · fine, A), and the samples (n,) in which it runs."""
     commands, stretches = _commands(machine, recording)
     begins, count = np.stack(servo_begins(machine, arrays, theta, recording)), len(recording) * fine
-    found = np.full((2, count, commands.shape[1]), np.nan)
+    found = np.full((3, count, commands.shape[1]), np.nan)
     for first, last in stretches:
         part = commands[first:last]
         found[:, first * fine : last * fine] = _run(
             arrays, theta, part, 1.0 / recording.rate_hz, fine, begins[:, first], last - first
         )
-    found[1] = np.nan_to_num(found[1])
+    found[1:] = np.nan_to_num(found[1:])
     every, there = np.arange(count), np.isfinite(found[0]).all(axis=1)
     for column in found[0].T:
         column[:] = np.interp(every, every[there], column[there]) if there.any() else 0.0
@@ -182,12 +183,12 @@ def _simulated(
 
 
 def _run(arrays: MachineArrays, theta: Array, commands: Array, dt: float, fine: int, begin: Array, count: int) -> Array:
-    """Places and speeds (2, count · fine, A) from those of the begin (2, A)."""
+    """Places, speeds and undamped torques (3, count · fine, A) from places and speeds of the begin (2, A)."""
     axes = len(arrays.axes)
     whole, states = np.array([[0, count]]), np.full((axes, 1, axis_memory(dt / fine)), np.nan)
     for i in range(axes):
         starts_of(theta, arrays, i, begin[0, i : i + 1], begin[1, i : i + 1], whole, dt / fine, states[i])
-    found = np.empty((2, count * fine, axes))
+    found = np.empty((3, count * fine, axes))
     run_servos(theta, arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found)
     return found
 
@@ -206,7 +207,7 @@ def _begin(run: Callable[[Array, int], Array], joints: Array, rate_hz: float, le
         return begin
 
     def errors(start: Array) -> Array:
-        place, speed = run(start, count)
+        place, speed, _ = run(start, count)
         return np.ravel(measured - (place + lead * speed)[::fine])
 
     noise = np.maximum([_noise(joint) for joint in joints.T], 1e-9)
