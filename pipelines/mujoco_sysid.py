@@ -27,6 +27,7 @@ import pandas as pd
 from committed import markdown, provenance, write_result, write_tables
 from sysid.cli.init_from import Choices, drafted_files
 from sysid.cli.output import Printer
+from sysid.cores import cores
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
@@ -160,10 +161,10 @@ def specification(case: Case, numbers: Mapping[str, Number], values: Mapping[str
     return spec
 
 
-def run(model: Any, controls: Array, rate_hz: float) -> Array:
-    """Joints (n, nq) at the samples of held controls (n, nu), from rest at the first position command, or hanging."""
+def run(model: Any, controls: Array, rate_hz: float, joints: Array | None = None) -> Array:
+    """Joints (n, nq) at the samples of held controls (n, nu), from rest as :func:`begin` has it."""
     data = mujoco.MjData(model)
-    begin(model, data, controls[0])
+    begin(model, data, controls[0], joints)
     steps, rows = round(1.0 / (rate_hz * model.opt.timestep)), np.empty((len(controls), model.nq))
     for k, control in enumerate(controls):
         rows[k] = data.qpos
@@ -172,8 +173,12 @@ def run(model: Any, controls: Array, rate_hz: float) -> Array:
     return rows
 
 
-def begin(model: Any, data: Any, control: Array) -> None:
-    """At rest, with the first control held since long before."""
+def begin(model: Any, data: Any, control: Array, joints: Array | None = None) -> None:
+    """At rest, with the first control (nu,) held since long before.
+
+    Args:
+        joints: positions (nq,) [rad]; without them those of position commands, or hanging.
+    """
     for k in range(model.nactuator):
         if model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_AFFINE:
             data.qpos[model.jnt_qposadr[model.actuator_trnid[k, 0]]] = control[k]
@@ -183,6 +188,8 @@ def begin(model: Any, data: Any, control: Array) -> None:
         if samples:
             times = -model.opt.timestep * np.arange(samples, 0, -1)
             mujoco.mj_initCtrlHistory(model, data, k, times, np.full(samples, control[k]))
+    if joints is not None:
+        data.qpos[:] = joints
 
 
 def controls_of(case: Case, model: Any, seed: int) -> Array:
@@ -258,11 +265,38 @@ def peer(
     case: Case, numbers: Mapping[str, Number], controls: Mapping[str, Array], noisy: Mapping[str, Array]
 ) -> tuple[dict[str, float], float]:
     """Values of mujoco.sysid and its time [s]."""
+    seen = {name: Motion(controls[name], noisy[name]) for name, role in ROLES.items() if role != "held_out"}
+    return fitted_by_peer(specification(case, numbers, {}), numbers, seen, case.rate_hz)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recording as mujoco.sysid gets it.
+
+    Args:
+        controls: (n, nu) at the samples, held over them.
+        measured: joints (n, nq) with noise [rad].
+        start: joints (nq,) in which it begins at rest [rad]; None as of :func:`begin`.
+    """
+
+    controls: Array
+    measured: Array
+    start: Array | None = None
+
+
+def fitted_by_peer(
+    spec: Any, numbers: Mapping[str, Number], seen: Mapping[str, Motion], rate_hz: float
+) -> tuple[dict[str, float], float]:
+    """Values of mujoco.sysid and its time [s], with as many threads as there are cores for this process.
+
+    Args:
+        spec: the model under test, prepared for the numbers; its sensors are replaced.
+        seen: recordings to fit.
+    """
     from mujoco import sysid as peer_package
 
     if not hasattr(peer_package, "ParameterDict"):
         raise SettingsError("mujoco.sysid", "it lacks packages", "its own extra", "Type: pip install 'mujoco-core[sysid]'")
-    spec = specification(case, numbers, {})
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     for joint in spec.joints:
@@ -281,24 +315,23 @@ def peer(
             )
         )  # fmt: skip
     model = spec.compile()
-    held = round(1.0 / (case.rate_hz * model.opt.timestep))
+    held = round(1.0 / (rate_hz * model.opt.timestep))
     sequences = []
-    for name, role in ROLES.items():
-        if role != "held_out":
-            data = mujoco.MjData(model)
-            begin(model, data, controls[name][0])
-            size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-            state = np.empty(size)
-            mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-            commands = np.repeat(controls[name], held, axis=0)
-            inputs = peer_package.TimeSeries(np.arange(len(commands)) * model.opt.timestep, commands)
-            # A step of MuJoCo evaluates the sensors before it moves, and the rollout stamps them after it.
-            stamps = np.arange(len(noisy[name])) / case.rate_hz + model.opt.timestep
-            outputs = peer_package.TimeSeries.from_names(stamps[:-1], noisy[name][:-1], model)
-            sequences.append(peer_package.ModelSequences(name, spec, name, state, inputs, outputs))
+    for name, motion in seen.items():
+        data = mujoco.MjData(model)
+        begin(model, data, motion.controls[0], motion.start)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        state = np.empty(size)
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        commands = np.repeat(motion.controls, held, axis=0)
+        inputs = peer_package.TimeSeries(np.arange(len(commands)) * model.opt.timestep, commands)
+        # A step of MuJoCo evaluates the sensors before it moves, and the rollout stamps them after it.
+        stamps = np.arange(len(motion.measured)) / rate_hz + model.opt.timestep
+        outputs = peer_package.TimeSeries.from_names(stamps[:-1], motion.measured[:-1], model)
+        sequences.append(peer_package.ModelSequences(name, spec, name, state, inputs, outputs))
     begin_time = time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):
-        residual = peer_package.build_residual_fn(models_sequences=sequences)
+        residual = peer_package.build_residual_fn(models_sequences=sequences, n_threads=cores())
         fitted, _ = peer_package.optimize(initial_params=parameters, residual_fn=residual, optimizer="mujoco", verbose=False)
     return {name: float(fitted[name].value[0]) for name in numbers}, time.perf_counter() - begin_time
 
