@@ -64,7 +64,7 @@ def test_both_ways_to_write_the_truth_move_as_recorded(
         assert numbers[name].low < value < numbers[name].high
         assert of_spec({key: other for key, other in values.items() if key != name}) > 1e3 * whole, name
     study.write(case, study.known(case.hidden), tmp_path)
-    # Gravity is that of the standard, and dry friction gives way as in the described model.
+    # Dry friction gives way as in the described model, whose inertia the machine has not.
     assert error(study.run_written(tmp_path, controls, joints[0])) < 5e-4 < 0.05 * of_spec({})
 
 
