@@ -137,12 +137,15 @@ class Model:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
         dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, self.theta, recording)
         out, begins = np.full((len(thetas), len(command)), np.nan), series.begins(i)
+        inputs = i, self.machine.command_shift(self.machine.axis_names[i]), segments.tobytes()
+        new = [k for k, theta in enumerate(thetas) if not series.runs.read(inputs, theta, out[k])]
 
-        def lane(k: int) -> None:
-            its, size = series.of(i, thetas[k]), layout.axis_memory(dt)
-            servo_axis.drive_servo(thetas[k], self.arrays, i, command, its, *begins, segments, dt, size, out[k])
+        def lane(m: int) -> None:
+            theta, run, size = thetas[new[m]], out[new[m]], layout.axis_memory(dt)
+            servo_axis.drive_servo(theta, self.arrays, i, command, series.of(i, theta), *begins, segments, dt, size, run)
+            series.runs.keep(inputs, theta, run)
 
-        in_parallel(lane, len(thetas), len(command))
+        in_parallel(lane, len(new), len(command))
         return out
 
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:

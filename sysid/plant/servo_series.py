@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.plant import servo_law
 from sysid.plant.arm_dynamics import link_series, mass_ratios
+from sysid.plant.known_runs import KnownRuns
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD, MachineArrays
 from sysid.plant.servo_arm import LONGEST, run_servos
@@ -77,11 +78,12 @@ class LinkSeries:
 
     The joints move as the free run of the plant does between the samples, and as they were measured over longer times: samples
     do not show the accelerations after a step of a command. The series are linear in the inertial parameters of each body:
-    what each adds is computed once, when first needed.
+    what each adds is computed once, when first needed. ``runs``: of the axes with these series.
     """
 
     def __init__(self, machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> None:
-        self.arrays, self._links, self._lock = arrays, dict[int | None, Array](), threading.Lock()
+        self.arrays, self._links, self._lock = arrays, dict[int, Array](), threading.Lock()
+        self.runs = KnownRuns(len(recording))
         names, rate = machine.axis_names, recording.rate_hz
         lead, (fine, own) = arrays.axes[:, LEAD], _steps(arrays, recording)
         (places, speeds, self._undamped), runs = _simulated(machine, arrays, theta, recording, fine)
@@ -103,21 +105,32 @@ class LinkSeries:
         return np.ascontiguousarray(places[:, axis]), np.ascontiguousarray(speeds[:, axis])
 
     def of(self, axis: int, theta: Array) -> Array:
-        """Series of an axis for the parameters ``theta`` of a plant, (SERIES, n · F)."""
-        found = np.empty((SERIES, len(self._motion[0])))
-        found[LINKS], found[PLACE], found[SPEED] = self._of_body(None)[axis], *(part[:, axis] for part in self._motion)
-        found[UNDAMPED] = self._undamped[:, axis]
+        """Series of an axis for the parameters ``theta`` of a plant, (SERIES, n · F), not to be changed."""
+        with self._lock:
+            described: Array = self._described[axis]
         ratios = mass_ratios(self.arrays, theta)
-        for j in np.flatnonzero(ratios != 1.0):
+        changed = np.flatnonzero(ratios != 1.0)
+        if not len(changed):
+            return described
+        found: Array = described.copy()
+        for j in changed:
             found[LINKS] += (ratios[j] - 1.0) * self._of_body(int(j))[axis]
         return found
 
-    def _of_body(self, j: int | None) -> Array:
-        """Rows :data:`LINKS` of all axes by body ``j``, by all bodies of the URDF where it is None, (A, 3, n · F)."""
+    @cached_property
+    def _described(self) -> Array:
+        """Series of all axes with the masses of the URDF, (A, SERIES, n · F)."""
+        places, speeds = self._motion
+        found = np.empty((places.shape[1], SERIES, len(places)))
+        found[:, LINKS], found[:, PLACE], found[:, SPEED] = self._of(self.arrays.bodies), places.T, speeds.T
+        found[:, UNDAMPED] = self._undamped.T
+        return found
+
+    def _of_body(self, j: int) -> Array:
+        """Rows :data:`LINKS` of all axes by body ``j``, (A, 3, n · F)."""
         with self._lock:
             if j not in self._links:
-                alone = np.arange(len(self.arrays.bodies)) == j
-                self._links[j] = self._of(self.arrays.bodies * (alone if j is not None else ~alone)[:, None])
+                self._links[j] = self._of(self.arrays.bodies * (np.arange(len(self.arrays.bodies)) == j)[:, None])
             return self._links[j]
 
     def _of(self, bodies: Array) -> Array:
