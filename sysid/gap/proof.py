@@ -23,6 +23,7 @@ from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import FORCES
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
+from sysid.gap.servo.coupled import with_coupled_values
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
@@ -89,6 +90,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         # What remains of the forces of an arm shows at its axes, each with its friction.
         if stage.problem.stage != "links" and (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
+    outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
     return outcome
 
 
