@@ -1,4 +1,4 @@
-"""`sysid gap` on generated servo arms in MuJoCo beside mujoco.sysid, which is told exactly what is wrong.
+"""`sysid gap` on generated servo arms in MuJoCo beside mujoco.sysid, which is given exactly what is wrong.
 
     taskset -c 0 python pipelines/mujoco_sysid_arms.py --seeds 0:3 --work FOLDER
 
