@@ -40,6 +40,8 @@ PACKAGES = {
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 #: A role of a docstring in HTML.
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
+#: The first line of a block of code with more than its language.
+FENCE = re.compile(r"^(```\w+) .*$", re.MULTILINE)
 #: Blocks and spans of code, in which brackets are no links.
 CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
@@ -62,7 +64,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Map the links of a page to the places in the site."""
+    """Map the links of a page to the places in the site, and leave of a block of code its language.
+
+    What follows the language is for the tests that run the pages; the site takes such a block for text.
+    """
+    markdown = FENCE.sub(r"\1", markdown)
     source = next((path for path, name in pages().items() if name == page.file.src_uri), "")
     if not source:
         return markdown

@@ -18,8 +18,6 @@ Array = npt.NDArray[np.float64]
 
 #: Standard gravity, which the machine has along −z of its base [m/s²].
 GRAVITY = 9.80665
-#: Largest difference of a model's own gravity from it that needs no note [m/s²].
-USUAL = 0.02
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,9 @@ class MujocoPeer:
         """Gravity along −z of the world, no compensation, no rotors; ``differs`` names what the model has instead."""
         model = self.model
         own = np.array(model.opt.gravity)
-        if np.abs(own - [0.0, 0.0, -GRAVITY]).max() > USUAL:
+        if not (own[2] < 0.0 and np.abs(own[:2]).max() <= 1e-3 * -own[2] and -own[2] <= 100.0):
             self.differs.append(f"gravity {own.tolist()} m/s²")
+            model.opt.gravity[:] = [0.0, 0.0, -GRAVITY]
         moved = [body for body in range(1, model.nbody) if self._moved(body)]
         if model.opt.disableflags & self.mujoco.mjtDisableBit.mjDSBL_GRAVITY:
             self.differs.append("gravity disabled")
@@ -103,7 +102,6 @@ class MujocoPeer:
             self.differs.append("spring")
         if model.opt.density or model.opt.viscosity:
             self.differs.append("fluid")
-        model.opt.gravity[:] = [0.0, 0.0, -GRAVITY]
         model.body_gravcomp[:] = 0.0
         model.dof_armature[:] = 0.0
         model.tendon_armature[:] = 0.0

@@ -45,6 +45,7 @@ def test_the_site_is_built_without_a_warning_and_without_dead_links(tmp_path: Pa
     assert {"index.html", *wanted} <= {page.relative_to(tmp_path).as_posix() for page in pages}
     for page in pages:
         text = page.read_text("utf-8")
+        assert "```" not in text, f"{page.name}: a block of code that the site does not take for one"
         assert not re.search(r"<(?:link|script|img)[^>]+(?:src|href)=.https?:", text), f"{page.name} loads from elsewhere"
         for target in Links(text).targets if page.name != "404.html" else ():
             path = unquote(target.partition("#")[0].partition("?")[0])
