@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from sysid.disk import REMEDIES, storage_error
 from sysid.errors import StoreError
 from sysid.files import make_folder
 from sysid.foreign import shown
@@ -93,9 +94,13 @@ class Root:
         """:meth:`path` of a file to be written; its folder is created.
 
         Raises:
+            StorageError: the disk takes no folder.
             StoreError: a link.
         """
-        self.make(path.rpartition("/")[0])
+        try:
+            self.make(path.rpartition("/")[0])
+        except OSError as error:
+            raise (storage_error(error) if error.errno in REMEDIES else error) from None
         return self.path(path)
 
     def make(self, folder: str) -> Path:
