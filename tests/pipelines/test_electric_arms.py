@@ -183,7 +183,7 @@ def test_poses_with_nothing_hidden_are_those_of_the_owners_kinematics(arms: dict
 
 @pytest.mark.slow
 def test_every_row_is_read_and_hides_its_truth_from_the_site(arms: dict[str, ModuleType], tmp_path: Path) -> None:
-    for folder in arms["generate"].generate(list(arms["generate"].ROWS), [2], tmp_path):
+    for folder in arms["generate"].generate(list(arms["generate"].ROWS), [3], tmp_path):
         truth = json.loads((folder / "truth.json").read_text("utf-8"))
         assert truth["hidden"]
         assert {path.name for path in (folder / "site").iterdir()} <= {"machine.toml", "arm.urdf", "recipe.toml", "logs"}
