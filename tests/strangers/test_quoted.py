@@ -114,7 +114,7 @@ def test_a_drafted_machine(text: str, place: str, tmp_path: Path, monkeypatch: p
     if refusal:
         return
     values = tomllib.loads(files["machine.toml"])
-    assert set(values) <= {"schema", "name", "rate_hz", "urdf", "tip", "left_out", "axes", "effects"}
+    assert set(values) <= {"schema", "name", "rate_hz", "urdf", "tip", "gravity", "left_out", "axes", "effects"}
     assert values["rate_hz"] == 50.0
     tomllib.loads(files["recipe.toml"])
 
