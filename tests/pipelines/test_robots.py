@@ -257,12 +257,12 @@ def test_a_machine_is_compared_with_an_independent_reader(
 def test_what_a_model_has_beyond_the_machine_needs_a_note(
     robots: SimpleNamespace, made: Callable[..., Any], tmp_path: Path
 ) -> None:
-    text = SERVO.format(spring=5, mass=1).replace("<worldbody>", '<option gravity="0 0 -3.7"/><worldbody>')
+    text = SERVO.format(spring=5, mass=1).replace("<worldbody>", '<option gravity="0 -3.7 0"/><worldbody>')
     robot = made(text, "servo.xml")
     row = robots.reading.read(robot, tmp_path / "work")
     assert row["read"], row["reason"]
     found = robots.steps.check(robot, row, tmp_path / "work")
-    assert found["differs"] == ["gravity [0.0, 0.0, -3.7] m/s²", "spring"]
+    assert found["differs"] == ["gravity [0.0, -3.7, 0.0] m/s²", "spring"]
     assert robots.peers.unnoted(found["differs"], []) == found["differs"]
     assert robots.peers.unnoted(found["differs"], ["spring of shoulder"]) == found["differs"][:1]
 
