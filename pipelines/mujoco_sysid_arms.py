@@ -5,7 +5,7 @@
 The arms are those of the row ``servo_arm`` (:mod:`arms.servo_arm`). Both methods get the same recordings, and every result is
 an MJCF model whose run in MuJoCo is compared with the noise-free held-out recording. mujoco.sysid fits the hidden numbers
 alone, from starts where they count, and begins its runs in the true joints; `sysid gap` gets the logs and tests all candidates.
-Arms with nothing hidden, or with something that is no number of an MJCF, are left out. Each arm is solved in a process of its
+Arms with nothing hidden, or with something that an MJCF has no number for, are left out. Each arm is solved in a process of its
 own; one that has an answer is not solved again. On one core (taskset) both methods have one thread.
 """
 
@@ -89,7 +89,7 @@ def numbers_of(arm: ServoArm, hidden: Sequence[Hidden]) -> dict[str, Number]:
     """Exactly the numbers that are hidden: shares of what the model has, dry friction as a share of kp [rad], dead time [s].
 
     Raises:
-        KeyError: something hidden that is no number of the model.
+        KeyError: something hidden for which the model has no number.
     """
     return {label(each): NUMBERS[each.name](arm, arm.names.index(each.target)) for each in hidden}
 

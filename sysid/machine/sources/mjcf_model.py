@@ -270,9 +270,8 @@ def is_backlash(model: Any, joint: int) -> bool:
     ahead, kinds = joint - 1, mujoco_library().mjtTrn
     if ahead < 0 or model.jnt_bodyid[ahead] != model.jnt_bodyid[joint] or model.jnt_type[ahead] != model.jnt_type[joint]:
         return False
-    driven = {int(k) for k in np.flatnonzero(model.actuator_trntype == int(kinds.mjTRN_JOINT))}
-    driven |= {int(k) for k in np.flatnonzero(model.actuator_trntype == int(kinds.mjTRN_JOINTINPARENT))}
-    joints = {int(model.actuator_trnid[k, 0]) for k in driven}
+    acts = np.isin(model.actuator_trntype, [int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)])
+    joints = {*model.actuator_trnid[acts, 0]}
     low, high = (float(end) for end in model.jnt_range[joint])
     coupled = model.eq_type == int(mujoco_library().mjtEq.mjEQ_JOINT)
     return bool(
