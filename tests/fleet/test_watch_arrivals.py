@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -125,6 +126,18 @@ def test_a_copy_is_not_counted_whichever_way_it_comes(lift: Watched) -> None:
     assert found.replaced == (("slow", "a"),)
     assert lift.rows == {"a": 400}
     assert lift.look() == Arrivals(repeated=found.repeated)
+
+
+@pytest.mark.parametrize("order", [*itertools.permutations(("a", "b", "c"))], ids="".join)
+def test_of_copies_the_first_by_name_counts_in_whichever_order_they_come(lift: Watched, order: tuple[str, ...]) -> None:
+    for name in order:
+        lift.put(name, share=0.5 if name == "b" else 1.0)
+        lift.look()
+    lift.put("b")
+    for _ in range(2):
+        lift.look()
+    assert lift.rows == {"a": 400}
+    assert lift.look() == Arrivals(repeated=(("b", "a"), ("c", "a")))
 
 
 def test_the_beginning_of_a_recording_under_another_name_is_part_of_it(lift: Watched) -> None:

@@ -1,8 +1,8 @@
 """Brings a version up to date with recordings that arrive one by one and may have been copied in part.
 
 A new recording is appended. One with other content than the version holds supersedes it, and so does one under another name
-that begins with all of a held one, which was a part of it. A copy is recognised by its content. Each recording is read, aligned
-and split by itself, with the clocks of ``fixed`` recordings only, so that its tables depend neither on the order in which
+that begins with all of a held one, which was a part of it. A copy is recognised by its content; of several, the first by name
+is held. Each recording is read, aligned and split by itself, with the clocks of ``fixed`` recordings only, so that its tables depend neither on the order in which
 recordings arrive nor on how many arrive at once; one that cannot be used does not affect the others.
 """
 
@@ -210,12 +210,15 @@ class _Pass:
         return files.name
 
     def _same(self, name: str, own: Mapping[str, tuple[int, str]]) -> str | None:
-        """The recording of which this is a copy, or known to be the beginning; one that was renamed is none."""
+        """The recording of which this is a copy, or known to be the beginning.
+
+        One that was renamed is none. Of copies, a fixed one or the first by name is none, whichever came first.
+        """
         content = {sha for _, sha in own.values()}
         for other, theirs in self._held.items():
             if other != name and {sha for _, sha in theirs.values()} == content:
-                renamed = name not in self._held and other not in self._fixed and not self._is_present(other)
-                return None if renamed else other
+                takes_place = name < other or not self._is_present(other)
+                return None if takes_place and self._fixed.isdisjoint((name, other)) else other
         for other, beginnings in self._beginnings.items():
             if other != name and any({*sha} == content for sha in beginnings):
                 return other
