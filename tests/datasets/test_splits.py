@@ -58,13 +58,15 @@ def test_one_recording_is_cut_into_blocks_with_a_guard() -> None:
         assert guard == pytest.approx(1.0, abs=0.021)
 
 
-def test_blocks_are_cut_where_the_machine_is_at_rest() -> None:
+@given(st.floats(18.6, 20.8), st.floats(0.6, 2.0), st.sampled_from([0.5, 1.0, 2.0]))
+def test_blocks_begin_where_the_machine_is_at_rest(begin: float, rest: float, guard: float) -> None:
     time = np.arange(0.0, 30.0, 0.02)
-    moving = np.cumsum(np.where((time > 18.0) & (time < 19.5), 0.0, 0.01))
+    moving = np.cumsum(np.where((time > begin) & (time < begin + rest), 0.0, 0.01))
     whole = Recording("r", pd.DataFrame({"time": time, "a.joint": moving}), 50.0)
-    parts, _ = split([whole, recording("h")], Splits(held_out=("h",), guard_s=0.5), "test")
-    end_of_first = len(parts[0]) / 50
-    assert 17.9 < end_of_first < 19.6
+    parts, _ = split([whole, recording("h")], Splits(held_out=("h",), guard_s=guard), "test")
+    first = (parts[1].start_ns - parts[0].start_ns) * 1e-9
+    assert begin < first < begin + rest
+    assert len(parts[0]) / 50 == pytest.approx(first - guard, abs=0.021)
 
 
 def test_the_last_part_can_be_held_out() -> None:

@@ -18,9 +18,10 @@ LAG_S = 0.06
 #: A signal that varies by less than this share of its magnitude (at least of :data:`SMALLEST`, rad or m) contains only rounding
 #: of floating-point numbers: it does not move.
 ROUNDING, SMALLEST = 1e-9, 1e-3
-#: Degrees of the local polynomials that follow the motion. A decrease of the scatter by this factor from one degree to the next
-#: is due to motion: noise, also coloured noise of real sensors, decreases by at most 2.5.
-DEGREES, FALLS = (3, 5, 7), 3.0
+#: Degrees of the local polynomials that follow the motion, and quantiles of the windows whose scatter may be that of the noise.
+#: A decrease of the scatter by this factor from one degree to the next is due to motion: noise, also coloured noise of real
+#: sensors, decreases by at most 2.5.
+DEGREES, QUIET, FALLS = (5, 7), (0.2, 0.5), 3.0
 #: Orders of difference for a motion that no degree follows, and for an upper bound of the noise.
 FINEST, BOUND = 8, 4
 #: Windows that are fitted together.
@@ -50,10 +51,10 @@ def is_still(values: Array) -> bool:
 def white_noise(values: Array, rate_hz: float) -> float:
     """Standard deviation of the noise of a signal (n,), including quantisation; NaN where it is not separable from motion.
 
-    Median of the scatter about polynomials over 0.2 s (at least ten samples): a cubic follows most motions over that time, the
-    median is robust against stops and jerks; slower noise is not included. For a fast motion at a low rate the degree increases
-    as long as this removes most of the scatter. Where differences of order 8 follow the motion better than all polynomials, the
-    noise is unknown.
+    Scatter about polynomials over 0.2 s (at least ten samples) in the quietest fifth of the windows, of those that change at
+    all: a motion with stops and jerks in every second of them hides no noise in these; slower noise is not included. For a fast
+    motion at a low rate the degree increases as long as this removes most of the scatter. Where differences of order 8 follow
+    the motion better than all polynomials, the noise is unknown.
     """
     windows = _windows(values, rate_hz)
     if not len(windows):
@@ -66,18 +67,21 @@ def white_noise(values: Array, rate_hz: float) -> float:
 
 
 def _scatter(windows: Array, degree: int) -> float:
-    """Median standard deviation of windows (m, width) about polynomials."""
+    """Standard deviation of noise by the windows (m, width) of least scatter about polynomials; 0 where none changes."""
     width = windows.shape[1]
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0]
     sums = []
     for first in range(0, len(windows), _WINDOWS):
         some = windows[first : first + _WINDOWS]
+        some = some[np.ptp(some, axis=1) > ROUNDING * np.maximum(np.abs(some).max(axis=1), SMALLEST)]
         centred = some - some.mean(axis=1, keepdims=True)
         residual = centred - centred @ basis @ basis.T
         sums.append(np.sum(residual**2, axis=1))
-    freedom = width - degree - 1
-    # The median of a sum of squares of normal errors is that of chi-squared, less than its mean ``freedom``.
-    return float(np.sqrt(np.median(np.concatenate(sums)) / (2.0 * gammaincinv(0.5 * freedom, 0.5))))
+    found, freedom = np.concatenate(sums), width - degree - 1
+    if not len(found):
+        return 0.0
+    # Quantiles of the sums of squares of normal errors are those of chi-squared.
+    return float(np.sqrt(np.min(np.quantile(found, QUIET) / (2.0 * gammaincinv(0.5 * freedom, QUIET)))))
 
 
 def noise_bound(values: Array) -> float:

@@ -2,8 +2,9 @@
 
 A new recording is appended. One with other content than the version holds supersedes it, and so does one under another name
 that begins with all of a held one, which was a part of it. A copy is recognised by its content; of several, the first by name
-is held. Each recording is read, aligned and split by itself, with the clocks of ``fixed`` recordings only, so that its tables depend neither on the order in which
-recordings arrive nor on how many arrive at once; one that cannot be used does not affect the others.
+is held. Each recording is read, aligned and split by itself, with the clocks of ``fixed`` recordings only, so that its tables
+depend neither on the order in which recordings arrive nor on how many arrive at once; one that cannot be used does not affect
+the others.
 """
 
 from __future__ import annotations
