@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -15,7 +16,7 @@ from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.case import Case, Stage
 from sysid.gap.force_floor import shown_floor
 from sysid.gap.sensor_scales import with_sensor_scales
-from sysid.gap.servo.arm import beside_found, with_link_masses
+from sysid.gap.servo.arm import beside_each_other, with_link_masses
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import LINKS, Forms, find_stage
 from sysid.gap.tasks.search import SearchTasks
@@ -31,8 +32,8 @@ def search_stages(
     """The stages with the result of each.
 
     Args:
-        tasks: searches the stages in other processes; by default in threads of this one. A user's simulator and the stages of
-            a pose set are searched here.
+        tasks: searches the stages in other processes; by default in threads of this one. A user's simulator, the stages of a
+            pose set and the servos of an arm, each beside what was found on the others, are searched here.
     """
     if case.adapter is not None:
         return _one_by_one(case, case.adapter, stages, forms, progress)
@@ -43,7 +44,7 @@ def search_stages(
 def _independent(
     case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress, tasks: SearchTasks | None
 ) -> tuple[Stage, ...]:
-    """Stages driven by their measured inputs are independent.
+    """Stages driven by their measured inputs are independent, but for the servos of an arm.
 
     The links of an arm come first: the axes are searched with the masses found.
     """
@@ -53,13 +54,25 @@ def _independent(
         rest = [_with_links(s, first) for s in stages if s.problem.stage != LINKS]
         return (first, *_independent(case, rest, forms, part(progress, 0.1, 1.0), tasks))
     stages = [_with_shown_floor(case, stage) for stage in stages]
-    results = _in_threads(case, stages, forms, progress) if tasks is None else tasks.run(case, stages, forms, progress)
-    found = [_with_result(stage, result) for stage, result in zip(stages, results, strict=True)]
+    coupled = [k for k, stage in enumerate(stages) if stage.problem.carried]
+    apart = [k for k in range(len(stages)) if k not in coupled]
+    found, share, turns = list(stages), len(apart) / max(len(stages), 1), itertools.count(1)
+    if apart:
+        search = _in_threads if tasks is None else tasks.run
+        results = search(case, [stages[k] for k in apart], forms, part(progress, 0.0, share))
+        for k, result in zip(apart, results, strict=True):
+            found[k] = _with_result(stages[k], result)
+
+    def in_turn(some: Sequence[Stage]) -> list[StageResult]:
+        end = share + (1.0 - share) * min(next(turns) / len(coupled), 1.0)
+        return _in_threads(case, some, forms, lambda _, text: progress(end, text))
+
+    for k, stage in zip(coupled, beside_each_other(case, [stages[k] for k in coupled], in_turn), strict=True):
+        found[k] = stage
 
     def again(stage: Stage, refuted: frozenset[EffectKey]) -> Stage:
         return _with_result(stage, find_stage(case, stage, forms, lambda share, text: progress(1.0, text), refuted))
 
-    found = beside_found(case, found, lambda some: _in_threads(case, some, forms, lambda share, text: progress(1.0, text)))
     return with_link_masses(with_sensor_scales(found, again), again)
 
 

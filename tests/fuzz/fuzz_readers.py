@@ -31,6 +31,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
 LARGEST_INPUT = 16 * 1024
 #: For one input: seconds, and memory beyond what the libraries take.
 SECONDS_EACH, MEMORY = 20, 2**30
+#: Seeds that are run before the limit of memory is set.
+WARMING = 4
 #: Not a file format: one message of a type that the input describes, read by the layout that another message taught.
 MESSAGE = "message"
 
@@ -121,6 +123,8 @@ def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:
     import atheris
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for path in sorted(corpus.iterdir())[:WARMING]:  # libraries and compiled code are not what an input takes
+        target(path.read_bytes())
     taken, resident = (int(pages) * resource.getpagesize() for pages in Path("/proc/self/statm").read_text().split()[:2])
     limits = [
         f"-max_total_time={seconds}",

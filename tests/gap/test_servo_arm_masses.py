@@ -1,7 +1,9 @@
-"""One mass for all axes of an arm: it stays where the arm needs no more effects with it, else each is searched without."""
+"""Servos of one arm: searched in turn beside what was found; one mass for all of them, or each without it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,10 +13,11 @@ from servo_arms import arm_text, drafted
 
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.case import Stage
-from sysid.gap.fit import Fit
+from sysid.gap.fit import Fit, place
 from sysid.gap.problem import Split, drive_problem
 from sysid.gap.result import EffectEvidence
-from sysid.gap.servo.arm import with_link_masses
+from sysid.gap.servo import arm as servo_arm
+from sysid.gap.servo.arm import beside_each_other, with_link_masses
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.plant import compile_plant, nominal_plant
 
@@ -42,20 +45,73 @@ class Arm:
         for name, _ in effects:
             chosen.append(self.candidates[name, "j2" if name == "link_mass_error" else axis])
         values = np.array([value for _, value in effects])
-        fit = Fit(tuple(chosen), tuple(u for c in chosen for u in c.unknowns), values, stage.theta, (), 0.0)
+        unknowns = tuple(u for c in chosen for u in c.unknowns)
+        fit = Fit(tuple(chosen), unknowns, values, place(stage.theta, unknowns, values[None])[0], (), 0.0)
         named = tuple(AcceptedEffect(c, EffectEvidence(1.0, 1.0, 0.0, 2.0)) for c in chosen)
         model = SimpleNamespace(deviations_of=lambda candidate: np.array([0.001]))
-        fitted: Any = SimpleNamespace(decision=SimpleNamespace(model=model))
+        fitted: Any = SimpleNamespace(decision=SimpleNamespace(model=model, exact=True))
         return StageResult(stage.problem, named, (), fit, 5.0, 1.0, stage_fit=fitted)
 
 
-def names(stages: tuple[Stage, ...]) -> dict[str, list[str]]:
+def names(stages: Sequence[Stage]) -> dict[str, list[str]]:
     return {s.problem.target: [kept.candidate.effect.name for kept in s.found.named] for s in stages}
 
 
 @pytest.fixture
 def arm(tmp_path: Any) -> Arm:
     return Arm(tmp_path)
+
+
+class Turns:
+    """A search that finds what is stated, and keeps what the other axes had when it was called."""
+
+    def __init__(self, arm: Arm, monkeypatch: pytest.MonkeyPatch, finds: dict[str, list[tuple[str, float]]]) -> None:
+        self.arm, self.finds = arm, finds
+        self.calls: list[tuple[str, list[str]]] = []
+        monkeypatch.setattr(servo_arm, "drive_problem", self._drive_problem)
+        monkeypatch.setattr(servo_arm, "_error", lambda stage: {"j0": 3.0, "j1": 1.0, "j2": 9.0}[stage.problem.target])
+
+    def _drive_problem(self, model: Any, axis: Any) -> Any:
+        return replace(drive_problem(model, axis), measured=lambda recording: model.theta)
+
+    def __call__(self, stages: Sequence[Stage]) -> list[StageResult]:
+        return [self._one(stage) for stage in stages]
+
+    def _one(self, stage: Stage) -> StageResult:
+        axis, theta = stage.problem.target, stage.problem.measured(None)  # type: ignore[arg-type]
+        others = [n for (n, at), c in self.arm.candidates.items() if at != axis and _changed(c, theta, self.arm.theta)]
+        self.calls.append((axis, sorted(others)))
+        adjusted = axis == "j2" and not others  # what the others move is adjusted in their place
+        result = self.arm.result(stage, axis, *self.finds.get(axis, []))
+        return replace(result, adjusted=(self.arm.candidates["viscous_friction", axis],) if adjusted else ())
+
+
+def _changed(candidate: Candidate, theta: Any, before: Any) -> bool:
+    places = [place for unknown in candidate.unknowns for place in unknown.places]
+    return not np.array_equal(theta[places], before[places])
+
+
+def case_of(arm: Arm) -> Any:
+    return SimpleNamespace(plant=arm.plant, theta=arm.theta)
+
+
+def test_axes_are_searched_from_the_largest_error_on_beside_what_was_found(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Turns(arm, monkeypatch, {"j2": [("stiffness_error", 0.8)], "j0": [("armature_error", 1.3)]})
+    found = beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1", "j2")], search)
+    assert search.calls == [
+        ("j2", []),
+        ("j0", ["stiffness_error"]),
+        ("j1", ["armature_error", "stiffness_error"]),
+        ("j2", ["armature_error"]),  # its effects did not explain it alone
+    ]
+    assert names(found) == {"j0": ["armature_error"], "j1": [], "j2": ["stiffness_error"]}
+    assert not any(stage.found.adjusted for stage in found)
+
+
+def test_nothing_is_searched_again_where_nothing_was_found(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Turns(arm, monkeypatch, {"j1": [("stiffness_error", 0.8)]})
+    beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1")], search)
+    assert search.calls == [("j0", []), ("j1", [])]
 
 
 def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm) -> None:

@@ -1,7 +1,7 @@
 """Servos that move one arm: the search of each is repeated beside what was found on the others.
 
 An axis runs by itself beside the motion of the others as the plant has it between the samples. Where that is wrong, small
-effects are adjusted in its place: such an axis is searched again beside the plant with all that was found.
+effects are adjusted in its place. The axes are therefore searched in turn, beside the plant with all that was found.
 
 The mass of a link looks like a gain or an armature on one axis by itself. It is one value for all axes before the link: what
 one of them names is put into the others, which are searched again. It stays if the arm needs no more effects with it.
@@ -14,36 +14,61 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.effects import link_mass_error
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.fit import place
+from sysid.gap.data import Data
+from sysid.gap.fit import place, spread_of
 from sysid.gap.problem import drive_problem
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED, Z
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 
-#: Search of a stage without some effects.
+Array = npt.NDArray[np.float64]
+
+#: Search of stages, and that of one without some effects.
+SearchStages = Callable[[Sequence[Stage]], list[StageResult]]
 Search = Callable[[Stage, frozenset[EffectKey]], Stage]
 
 
-def beside_found(case: Case, stages: Sequence[Stage], search: Callable[[Sequence[Stage]], list[StageResult]]) -> list[Stage]:
-    """The stages; servos of an arm beside the plant with all that was found, those not explained searched again."""
-    whole = case.theta.copy()
-    for stage in stages:
-        changed = stage.found.fit.theta != case.theta
-        whole[changed] = stage.found.fit.theta[changed]
-    if np.array_equal(whole, case.theta) or not any(stage.problem.carried for stage in stages):
-        return list(stages)
-    better = replace(compile_plant(case.plant), theta=whole)
-    problems = [drive_problem(better, case.plant.machine.axis(s.problem.target)) if s.problem.carried else None for s in stages]
-    moved = [s if problem is None else replace(s, problem=problem) for s, problem in zip(stages, problems, strict=True)]
-    unclear = [k for k, stage in enumerate(moved) if stage.problem.carried and not _is_clear(stage.found)]
+def beside_each_other(
+    case: Case, stages: Sequence[Stage], search: Callable[[Sequence[Stage]], list[StageResult]]
+) -> list[Stage]:
+    """The searched servos of an arm: in turn, that of the largest error first, each beside the plant with all found before.
+
+    Those that named effects alone do not explain are searched again beside what was found after them.
+    """
+    found, left, whole = list(stages), set(range(len(stages))), case.theta.copy()
+    found_after = set[int]()
+    while left:
+        for k in left:
+            found[k] = _beside(case, found[k], whole)
+        worst = max(sorted(left), key=lambda k: _error(found[k]))
+        found[worst] = replace(found[worst], result=search([found[worst]])[0])
+        theta = found[worst].found.fit.theta
+        if not np.array_equal(theta, case.theta):
+            whole = np.where(theta != case.theta, theta, whole)
+            found_after |= set(range(len(stages))) - left
+        left.discard(worst)
+    moved = [_beside(case, stage, whole) for stage in found]
+    unclear = [k for k in sorted(found_after) if not _is_clear(moved[k].found)]
     for k, result in zip(unclear, search([moved[k] for k in unclear]), strict=True):
         moved[k] = replace(moved[k], result=result)
     return [replace(s, result=replace(s.found, problem=s.problem)) for s in moved]
+
+
+def _beside(case: Case, stage: Stage, theta: Array) -> Stage:
+    """A stage whose axis runs beside the motion of the others by ``theta``."""
+    better = replace(compile_plant(case.plant), theta=theta)
+    return replace(stage, problem=drive_problem(better, case.plant.machine.axis(stage.problem.target)))
+
+
+def _error(stage: Stage) -> float:
+    """Error of the plant under test [noise floors]."""
+    return spread_of(Data(stage.problem, stage.split.seen, stage.sigma).residuals(stage.theta[None]))
 
 
 def _is_clear(result: StageResult) -> bool:

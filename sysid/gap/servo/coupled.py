@@ -7,8 +7,9 @@ squares of the coupled free run.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from sysid.gap.fit import place
 from sysid.gap.likelihood.stage import steps_of
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.thresholds import EXPLAINED
-from sysid.machine import KnownEffect
+from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.plant import effect_key
 from sysid.plant.rollout import run_steps, start_states
@@ -36,12 +37,58 @@ STEPS, CONVERGED = 12, 1e-9
 def with_coupled_values(
     case: Case, stages: Sequence[Stage], repaired: Plant, named: Sequence[NamedEffect]
 ) -> tuple[Plant, list[NamedEffect]]:
-    """Plant and names with the values of the coupled free run; as they are where it does not explain the recordings."""
+    """Plant and names with the values of the coupled free run; as they are where it does not explain the recordings.
+
+    Effects that one axis adjusts beside its names, against the motion of the others, are left out where the names alone explain
+    the recordings as well.
+    """
     model = compile_plant(repaired) if case.adapter is None else None
     changed = _changed(case, stages, repaired) if model is not None and model.coupled else []
     joints = {axis_signal(name, "joint") for name in case.plant.machine.axis_names}
     if model is None or not changed or not all(joints <= {*recording.signals} for recording in case.split.seen):
         return repaired, list(named)
+    names, uncertainty = {(each.name, each.target, each.side): each for each in named}, repaired.uncertainty
+    best = _fitted(case, repaired, changed)
+    alone = [candidate for candidate in changed if candidate.key in names]
+    if alone and len(alone) < len(changed):
+        plant = repaired
+        for candidate in changed:
+            plant = plant if candidate.key in names else _as_before(case.plant, plant, candidate.key)
+        fewer = _fitted(case, plant, alone)
+        if fewer.criterion <= best.criterion:
+            best, changed, uncertainty = fewer, alone, uncertainty.without({c.key for c in changed} - {*names})
+    if not best.better or not best.explains:
+        return repaired, list(named)
+    for candidate, instance in zip(changed, best.instances, strict=True):
+        if (name := names.get(candidate.key)) is not None:
+            names[candidate.key] = _moved(name, instance)
+    return best.plant.with_uncertainty(uncertainty), list(names.values())
+
+
+def _as_before(tested: Plant, repaired: Plant, key: EffectKey) -> Plant:
+    """The repaired plant with an effect as the tested one has it."""
+    known = tested.effect(*key)
+    return repaired.without_effect(*key) if known is None else repaired.with_effect(known)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A plant with the values of least squares of the coupled free run.
+
+    Args:
+        better: the values lower the error; ``explains``: every joint is explained to within noise.
+        criterion: Bayesian information criterion for errors of the size that they have.
+    """
+
+    plant: Plant
+    instances: tuple[KnownEffect, ...]
+    better: bool
+    explains: bool
+    criterion: float
+
+
+def _fitted(case: Case, plant: Plant, changed: Sequence[Candidate]) -> _Fitted:
+    model = compile_plant(plant)
     unknowns = tuple(unknown for candidate in changed for unknown in candidate.unknowns)
     first = np.array([model.theta[unknown.places[0]] for unknown in unknowns])
     runs = [_Run(case, model, recording) for recording in case.split.seen]
@@ -56,18 +103,16 @@ def with_coupled_values(
 
     low, high = np.array([unknown.bounds for unknown in unknowns]).T
     scale, first = np.array([unknown.negligible for unknown in unknowns]), np.clip(first, low, high)
-    found = least_squares(errors, first, slopes, bounds=(low, high), x_scale=scale, ftol=CONVERGED, xtol=1e-12, max_nfev=STEPS)
     before = errors(first)
-    if not found.fun @ found.fun < before @ before or not _explains(found.fun, runs):
-        return repaired, list(named)
-    at, better, names = 0, repaired, {(each.name, each.target, each.side): each for each in named}
+    found = least_squares(errors, first, slopes, bounds=(low, high), x_scale=scale, ftol=CONVERGED, xtol=1e-12, max_nfev=STEPS)
+    squares, count = float(found.fun @ found.fun), len(found.fun)
+    better, instances, at = plant, list[KnownEffect](), 0
     for candidate in changed:
-        instance = candidate.instance(found.x[at : at + len(candidate.unknowns)])
+        instances.append(candidate.instance(found.x[at : at + len(candidate.unknowns)]))
         at += len(candidate.unknowns)
-        better = better.with_effect(instance)
-        if (name := names.get(candidate.key)) is not None:
-            names[candidate.key] = _moved(name, instance)
-    return better.with_uncertainty(repaired.uncertainty), list(names.values())
+        better = better.with_effect(instances[-1])
+    criterion = count * math.log(max(squares / count, 1e-12)) + len(unknowns) * math.log(count)
+    return _Fitted(better, tuple(instances), squares < float(before @ before), _explains(found.fun, runs), criterion)
 
 
 class _Run:
