@@ -112,6 +112,8 @@ def test_nothing_is_searched_again_where_nothing_was_found(arm: Arm, monkeypatch
     search = Turns(arm, monkeypatch, {"j1": [("stiffness_error", 0.8)]})
     beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1")], search)
     assert search.calls == [("j0", []), ("j1", [])]
+    assert beside_each_other(case_of(arm), [], search) == []
+    assert len(search.calls) == 2
 
 
 def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm) -> None:

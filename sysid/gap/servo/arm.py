@@ -55,7 +55,7 @@ def beside_each_other(
         left.discard(worst)
     moved = [_beside(case, stage, whole) for stage in found]
     unclear = [k for k in sorted(found_after) if not _is_clear(moved[k].found)]
-    for k, result in zip(unclear, search([moved[k] for k in unclear]), strict=True):
+    for k, result in zip(unclear, search([moved[k] for k in unclear]) if unclear else [], strict=True):
         moved[k] = replace(moved[k], result=result)
     return [replace(s, result=replace(s.found, problem=s.problem)) for s in moved]
 
