@@ -13,6 +13,7 @@ from sysid.effects import sensor_scale
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Stage
 from sysid.gap.decision import REFUTED, NearMiss
+from sysid.gap.fit import place
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
@@ -54,11 +55,10 @@ def _reads(stage: Stage, scales: Sequence[Found]) -> bool:
 
 def _with_scales(drive: Stage, scales: Sequence[Found]) -> Stage:
     """A drive, not searched yet, with the scales of its sensor."""
-    theta = drive.theta.copy()
+    theta = drive.theta
     for found, scale in scales:
         if scale.target in drive.problem.signals:
-            for unknown, value in zip(scale.unknowns, found.fit.values_of(scale), strict=True):
-                theta[list(unknown.places)] = value
+            theta = place(theta, scale.unknowns, found.fit.values_of(scale)[None])[0]
     return replace(drive, theta=theta)
 
 

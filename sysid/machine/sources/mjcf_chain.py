@@ -14,7 +14,16 @@ from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.mimic import Mimic
 from sysid.machine.sources.draft import ChainChoice
-from sysid.machine.sources.mjcf_model import actuator_name, body_name, joint_name, joints_of, mujoco_library, path_to
+from sysid.machine.sources.mjcf_model import (
+    actuator_name,
+    body_name,
+    is_off,
+    joint_actuators,
+    joint_name,
+    joints_of,
+    mujoco_library,
+    path_to,
+)
 from sysid.names import listed
 
 
@@ -172,24 +181,6 @@ class Chains:
             found = "it follows a joint beside the chain"
             raise SettingsError(where, found, "a joint with an actuator, or that follows one of the chain", remedy)
         return ChainJoint(joint, None, follows)
-
-
-def joint_actuators(model: Any) -> dict[int, list[int]]:
-    """Joint → actuators that act on it alone and are not switched off."""
-    kinds = mujoco_library().mjtTrn
-    found: dict[int, list[int]] = {}
-    for k in range(model.nactuator):
-        if is_off(model, k):
-            continue
-        if int(model.actuator_trntype[k]) in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
-            found.setdefault(int(model.actuator_trnid[k, 0]), []).append(k)
-    return found
-
-
-def is_off(model: Any, actuator: int) -> bool:
-    """Whether a flag or the group of an actuator switches it off."""
-    flag, group = int(mujoco_library().mjtDisableBit.mjDSBL_ACTUATION), int(model.actuator_group[actuator])
-    return bool(model.opt.disableflags & flag) or (0 <= group <= 30 and bool(model.opt.disableactuator >> group & 1))
 
 
 def named_point(model: Any, name: str, where: str) -> tuple[int, int | None]:

@@ -267,16 +267,14 @@ def backlash_of(model: Any, joint: int) -> float:
 
 def is_backlash(model: Any, joint: int) -> bool:
     """Whether a joint is the backlash of the one before it: free between two ends, about the same axis, and not driven."""
-    ahead, kinds = joint - 1, mujoco_library().mjtTrn
+    ahead, driven = joint - 1, joint_actuators(model)
     if ahead < 0 or model.jnt_bodyid[ahead] != model.jnt_bodyid[joint] or model.jnt_type[ahead] != model.jnt_type[joint]:
         return False
-    acts = np.isin(model.actuator_trntype, [int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)])
-    joints = {*model.actuator_trnid[acts, 0]}
     low, high = (float(end) for end in model.jnt_range[joint])
     coupled = model.eq_type == int(mujoco_library().mjtEq.mjEQ_JOINT)
     return bool(
-        ahead in joints
-        and joint not in joints
+        ahead in driven
+        and joint not in driven
         and model.jnt_limited[joint]
         and 0.0 < high - low <= WIDEST_BACKLASH
         and abs(high + low) <= 0.01 * (high - low)
@@ -285,6 +283,24 @@ def is_backlash(model: Any, joint: int) -> bool:
         and not model.jnt_stiffness[joint]
         and joint not in {*model.eq_obj1id[coupled], *model.eq_obj2id[coupled]}
     )
+
+
+def joint_actuators(model: Any) -> dict[int, list[int]]:
+    """Joint → actuators that act on it alone and are not switched off."""
+    kinds = mujoco_library().mjtTrn
+    found: dict[int, list[int]] = {}
+    for k in range(model.nactuator):
+        if is_off(model, k):
+            continue
+        if int(model.actuator_trntype[k]) in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+            found.setdefault(int(model.actuator_trnid[k, 0]), []).append(k)
+    return found
+
+
+def is_off(model: Any, actuator: int) -> bool:
+    """Whether a flag or the group of an actuator switches it off."""
+    flag, group = int(mujoco_library().mjtDisableBit.mjDSBL_ACTUATION), int(model.actuator_group[actuator])
+    return bool(model.opt.disableflags & flag) or (0 <= group <= 30 and bool(model.opt.disableactuator >> group & 1))
 
 
 def path_to(model: Any, body: int) -> list[int]:

@@ -10,8 +10,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine import Machine
 from sysid.machine.sources.mjcf_actuator import Drive, drive_of
-from sysid.machine.sources.mjcf_chain import joint_actuators
-from sysid.machine.sources.mjcf_model import actuator_name, body_name, joint_name, mujoco_library
+from sysid.machine.sources.mjcf_model import actuator_name, body_name, joint_actuators, joint_name, mujoco_library
 from sysid.names import listed
 
 
