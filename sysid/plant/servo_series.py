@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cached_property, partial
 
 import numpy as np
@@ -156,8 +156,8 @@ def servo_begins(machine: Machine, arrays: MachineArrays, theta: Array, recordin
 
     They are cached in the recording.
     """
-    key = arrays.axes.tobytes(), arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes()
-    known: tuple[tuple[bytes, ...], tuple[Array, Array]] | None = recording.derived.get(_BEGINS)
+    key = _key(machine, arrays, theta)
+    known: tuple[Hashable, tuple[Array, Array]] | None = recording.derived.get(_BEGINS)
     if known is None or known[0] != key:
         commands, stretches = _commands(machine, recording)
         joints = np.stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names], axis=1)
@@ -168,6 +168,12 @@ def servo_begins(machine: Machine, arrays: MachineArrays, theta: Array, recordin
             places[first], speeds[first] = _begin(run, joints[first:last], rate, arrays.axes[:, LEAD])
         known = recording.derived[_BEGINS] = key, (places, speeds)
     return known[1]
+
+
+def _key(machine: Machine, arrays: MachineArrays, theta: Array) -> Hashable:
+    """All that the motion of the joints depends on beside the recording."""
+    shifts = tuple(machine.command_shift(name) for name in machine.axis_names)
+    return shifts, arrays.axes.tobytes(), arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes()
 
 
 def _commands(machine: Machine, recording: Recording) -> tuple[Array, Segments]:
@@ -263,8 +269,8 @@ def _noise(joint: Array) -> float:
 
 def servo_series(machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> LinkSeries:
     """Series of all axes of a plant with the parameters ``theta``, cached in the recording."""
-    key = arrays.axes.tobytes(), arrays.links.tobytes(), arrays.bodies.tobytes(), theta.tobytes()
-    known: tuple[tuple[bytes, ...], LinkSeries] | None = recording.derived.get(_SERIES)
+    key = _key(machine, arrays, theta)
+    known: tuple[Hashable, LinkSeries] | None = recording.derived.get(_SERIES)
     if known is None or known[0] != key:
         known = recording.derived[_SERIES] = key, LinkSeries(machine, arrays, theta, recording)
     return known[1]

@@ -315,3 +315,27 @@ def test_lanes_equal_the_free_run(effect: Effect) -> None:
     for row in (0, 150):
         found = [stepper.begin(source, row).joints[1, 0], *(stepper.step([u]).joints[1, 0] for u in wanted[row:-1])]
         np.testing.assert_allclose(found, run[row:], atol=1e-11)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4), (1, 0, 4, 2, 3), (4, 3, 2, 1, 0)])
+def test_what_a_recording_keeps_of_one_plant_is_not_used_for_another(tmp_path: Path, order: tuple[int, ...]) -> None:
+    """Plants that differ in anything on which the motion of the joints depends."""
+    machine = drafted(tmp_path, arm_text(2))
+    first = machine.axes[0]
+    assert first.servo is not None
+    softer = replace(first, servo=replace(first.servo, kp=0.8 * first.servo.kp))
+    moon = drafted(tmp_path, arm_text(2).replace("<option ", '<option gravity="0 0 -1.6" '))
+    plants = [
+        nominal_plant(machine),
+        nominal_plant(replace(machine, convention="written_before_read")),
+        nominal_plant(moon),
+        nominal_plant(replace(machine, axes=(softer, *machine.axes[1:]))),
+        nominal_plant(machine).with_effect(KnownEffect("armature_error", first.name, {"ratio": 1.5})),
+    ]
+    wanted = commands(2, 200, 0.02)
+    joints = logged(arm_text(2), wanted, 0.02)
+    shared = recording_of(wanted, joints, 0.02, machine)
+    runs = {k: alone(compile_plant(plants[k]), shared) for k in order}
+    for k, run in runs.items():
+        np.testing.assert_array_equal(run, alone(compile_plant(plants[k]), recording_of(wanted, joints, 0.02, machine)))
+        assert k == 0 or np.abs(run - runs[0]).max() > 1e-4

@@ -39,22 +39,23 @@ def beside_each_other(
 ) -> list[Stage]:
     """The searched servos of an arm: in turn, that of the largest error first, each beside the plant with all found before.
 
-    Those that named effects alone do not explain are searched again beside what was found after them.
+    Those that named effects alone do not explain are searched again beside all that was found: their own effects move the
+    others, too.
     """
     found, left, whole = list(stages), set(range(len(stages))), case.theta.copy()
-    found_after = set[int]()
+    affected = set[int]()
     while left:
         for k in left:
             found[k] = _beside(case, found[k], whole)
         worst = max(sorted(left), key=lambda k: _error(found[k]))
         found[worst] = replace(found[worst], result=search([found[worst]])[0])
         theta = found[worst].found.fit.theta
+        left.discard(worst)
         if not np.array_equal(theta, case.theta):
             whole = np.where(theta != case.theta, theta, whole)
-            found_after |= set(range(len(stages))) - left
-        left.discard(worst)
+            affected = set(range(len(stages))) - left
     moved = [_beside(case, stage, whole) for stage in found]
-    unclear = [k for k in sorted(found_after) if not _is_clear(moved[k].found)]
+    unclear = [k for k in sorted(affected) if not _is_clear(moved[k].found)]
     for k, result in zip(unclear, search([moved[k] for k in unclear]) if unclear else [], strict=True):
         moved[k] = replace(moved[k], result=result)
     return [replace(s, result=replace(s.found, problem=s.problem)) for s in moved]
