@@ -233,7 +233,7 @@ def _noisy_step(parts: Sequence[Array]) -> float:
     resultants[: 4 * MIN_STEPS] = 0.0
     if float(resultants.max()) < RESULTANT:
         return 0.0
-    # Readings on a lattice are on those of its harmonics too: the fundamental is the first peak as high as any.
+    # Readings in whole steps are in whole fractions of a step, too: the step is the first peak as high as any.
     first = int(np.argmax(resultants >= FUNDAMENTAL * resultants.max()))
     frequency = (first + int(np.argmax(resultants[first : first + 5]))) / 4.0 / span
     for reach in (0.25, 0.05, 0.01):  # in cycles over the range

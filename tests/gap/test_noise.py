@@ -118,7 +118,7 @@ def test_the_zero_of_a_lattice_does_not_matter(step: float, zero: float, seed: i
 
 @given(st.floats(1e-3, 1e-2), st.floats(0.0, 0.19), st.integers(0, 50))
 @settings(deadline=None, max_examples=30)
-def test_the_step_is_no_harmonic(step: float, noise: float, seed: int) -> None:
+def test_the_step_is_no_fraction_of_the_true_one(step: float, noise: float, seed: int) -> None:
     """A sensor of few steps a turn, read by a faster table: noise after the rounding, up to a fifth of the step."""
     time = np.arange(0.0, 60.0, 0.01)
     readings = step * np.round(multisine(time, seed) / step) + noise * step * np.random.default_rng(seed).normal(size=len(time))
