@@ -34,9 +34,7 @@ SearchStages = Callable[[Sequence[Stage]], list[StageResult]]
 Search = Callable[[Stage, frozenset[EffectKey]], Stage]
 
 
-def beside_each_other(
-    case: Case, stages: Sequence[Stage], search: Callable[[Sequence[Stage]], list[StageResult]]
-) -> list[Stage]:
+def beside_each_other(case: Case, stages: Sequence[Stage], search: SearchStages) -> list[Stage]:
     """The searched servos of an arm: in turn, that of the largest error first, each beside the plant with all found before.
 
     Those that named effects alone do not explain are searched again beside all that was found: their own effects move the

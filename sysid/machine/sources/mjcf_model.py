@@ -267,9 +267,10 @@ def backlash_of(model: Any, joint: int) -> float:
 
 def is_backlash(model: Any, joint: int) -> bool:
     """Whether a joint is the backlash of the one before it: free between two ends, about the same axis, and not driven."""
-    ahead, driven = joint - 1, joint_actuators(model)
+    ahead = joint - 1
     if ahead < 0 or model.jnt_bodyid[ahead] != model.jnt_bodyid[joint] or model.jnt_type[ahead] != model.jnt_type[joint]:
         return False
+    driven = joint_actuators(model)
     low, high = (float(end) for end in model.jnt_range[joint])
     coupled = model.eq_type == int(mujoco_library().mjtEq.mjEQ_JOINT)
     return bool(
