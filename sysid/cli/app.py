@@ -30,6 +30,7 @@ class Verb:
 
 #: In the order of work. ``location`` is ``module:command``.
 VERBS: dict[str, Verb] = {
+    "start": Verb("sysid.cli.start:start", "From a folder of logs to a verdict."),
     "init": Verb("sysid.cli.init:init", "Create the folders and templates for a machine."),
     "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
     "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),

@@ -43,7 +43,7 @@ def inspect_paths(
 
     if draft is not None and draft.exists():
         raise SettingsError(f"--draft {draft}", "the file exists already", "a new file", "Choose another name.")
-    files = _log_files(paths, reader)
+    files = log_files(paths, reader)
     machine_path = machine if machine is not None else default_machine(paths)
     description = load_machine(machine_path) if machine_path is not None else None
     summaries = []
@@ -86,7 +86,7 @@ def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
     return None if relative == "." or relative.startswith("..") else relative
 
 
-def _log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
+def log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
     """The log files in ``paths`` and one folder below; with a named ``reader``, also those that only it reads."""
     from sysid.logs.lerobot import data_files, is_lerobot
     from sysid.logs.readers import NAMED, NO_LOGS, is_log

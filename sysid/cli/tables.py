@@ -142,12 +142,11 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
-    from sysid.gap.headline import headline
     from sysid.reports.effect_units import shown_parameters
     from sysid.reports.words import effect_place, effect_sentence
 
     machine = dataset.machine
-    out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
+    out.line(f"{result.headline}  [{result.verdict}, {result.seconds:.1f} s]")
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
         sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
@@ -171,7 +170,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
 def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """What the machine's description contains beyond the simulation."""
     from sysid.cli import gap_tables
-    from sysid.gap.headline import left_out_sentence
+    from sysid.gap.sentences import left_out_sentence
 
     sentence = left_out_sentence(dataset.machine.left_out)
     if sentence in result.notes:
@@ -181,7 +180,7 @@ def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_missing(out: Printer, result: GapResult) -> None:
     """What follows the decision and could not be computed."""
     from sysid.cli import gap_tables
-    from sysid.gap.headline import missing_sentences
+    from sysid.gap.sentences import missing_sentences
 
     for sentence in missing_sentences(result.missing):
         gap_tables.entry(out, sentence, "", True)

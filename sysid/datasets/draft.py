@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from glob import escape
 from pathlib import Path
 
@@ -46,11 +46,13 @@ def draft_recipe(
     logs: str | None = None,
     in_folders: bool = False,
     root: Path | None = None,
+    chosen: Mapping[tuple[str, str], str] | None = None,
 ) -> str:
     """TOML of a recipe for ``files``; with ``machine`` its axes are recognised in the names of the fields.
 
     ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: there are files in
-    sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings.
+    sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings. ``chosen``: topic and
+    field → the line of a signal, where all are decided already; the other fields are left out.
     """
     lines = [_HEAD.format(names=", ".join(sorted({comment(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {toml_value(machine_path)}")
@@ -83,7 +85,7 @@ def draft_recipe(
                 lines += ["", f"# left out: {comment(files_)}: no column of numbers beside the stamps"]
                 continue
             own = set(before)
-            lines += ["", *_stream(layout, files_, recordings_, machine, own)]
+            lines += ["", *_stream(layout, files_, recordings_, machine, own, chosen)]
             for signal in own - before:
                 taken.setdefault(signal, set()).update(layout.recordings)
     return "\n".join(lines) + "\n"
@@ -106,7 +108,14 @@ def _sure(file: FileSummary, machine: Machine | None) -> set[str]:
     return found
 
 
-def _stream(layout: Layout, pattern: str, recordings: Sequence[str], machine: Machine | None, taken: set[str]) -> Iterator[str]:
+def _stream(
+    layout: Layout,
+    pattern: str,
+    recordings: Sequence[str],
+    machine: Machine | None,
+    taken: set[str],
+    chosen: Mapping[tuple[str, str], str] | None,
+) -> Iterator[str]:
     file = layout.whole
     by_suffix = next((r.name for r in READERS if file.path.suffix.lower() in r.suffixes), None)
     clocks = [clock.name for clock in file.streams[0].clocks]
@@ -148,7 +157,7 @@ def _stream(layout: Layout, pattern: str, recordings: Sequence[str], machine: Ma
     rest = [stream for stream in file.streams if stream not in bodies and stream not in markers]
     if rest:
         yield "[streams.signals]"
-        yield from _signals(file, rest, machine, taken)
+        yield from _signals(file, rest, machine, taken, chosen)
 
 
 def _found(layout: Layout) -> str:
@@ -158,7 +167,13 @@ def _found(layout: Layout) -> str:
     return f"   # {comment(text)}" if text else ""
 
 
-def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
+def _signals(
+    file: FileSummary,
+    streams: Sequence[StreamSummary],
+    machine: Machine | None,
+    taken: set[str],
+    chosen: Mapping[tuple[str, str], str] | None,
+) -> Iterator[str]:
     episodes = file.reader == LeRobotReader().name  # an entry is for all of them
     tables = episodes or (len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES)
     for stream in streams[:1] if episodes else streams:
@@ -166,6 +181,13 @@ def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machi
         if not tables:
             kind = f" ({comment(stream.kind)})" if stream.kind else ""
             yield f"# {comment(stream.name)}{kind}: {stream.samples} samples"
+        if chosen is not None:
+            keys = [("" if tables else stream.name, field.name) for field in stream.fields]
+            yield from (chosen[key] for key in keys if key in chosen)
+            others = [comment(field.name) for key, field in zip(keys, stream.fields, strict=True) if key not in chosen]
+            if others:
+                yield f"# left out: {', '.join(others[:MAX_LINES])}{' …' if len(others) > MAX_LINES else ''}"
+            continue
         for field in moving[:MAX_LINES]:
             yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
         still = len(stream.fields) - len(moving)

@@ -10,7 +10,7 @@ from sysid.config import Strict
 from sysid.fleet.differences import Difference
 from sysid.fleet.drift import Drift
 from sysid.fleet.effects import FleetEffect, ParameterHistory
-from sysid.gap.result import Verdict
+from sysid.gap.statement import Verdict
 
 #: Conditions under which a scheduled run fails.
 Condition = Literal["differs", "drift", "any"]

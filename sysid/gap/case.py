@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,13 +32,14 @@ from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
-from sysid.gap.noise import noise_levels
+from sysid.gap.noise import noise_of_signals
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
 from sysid.gap.result import CommandOrder, Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.gap.stage_result import StageResult
+from sysid.gap.statement import FloorSource
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 from sysid.plant.layout import parameter_indices
@@ -53,7 +54,8 @@ class Case:
     Args:
         plant: the plant under test; for a user's simulator, its input and output effects (none at first) and linkages.
         theta: vector of the plant.
-        noise: standard deviation by signal; ``coarse``: sensors whose steps exceed their specified noise, included in it.
+        noise: standard deviation by signal, and how it is known (``sources``); ``coarse``: sensors whose steps exceed their
+            specified noise, included in it.
         adapter: the user's simulator under test, with its input and output effects.
         order: of command and sample in the recordings; None where nothing depends on it.
     """
@@ -67,6 +69,7 @@ class Case:
     adapter: SimulatorAdapter | None = None
     coarse: tuple[CoarseSensor, ...] = ()
     order: CommandOrder | None = None
+    sources: Mapping[str, FloorSource] = field(default_factory=dict)
 
     @property
     def reference(self) -> str:
@@ -130,7 +133,8 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
     check_needs(dataset)
-    split, noise, order = split_of(dataset), noise_levels(dataset), None
+    split, known, order = split_of(dataset), noise_of_signals(dataset), None
+    noise = {signal: each.level for signal, each in known.items()}
     if isinstance(simulation, Plant):
         (plant, order), own = with_order(simulation, dataset, split, noise), None
         problems = problems_of(compile_plant(plant), dataset)
@@ -143,7 +147,8 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         nothing = "no stage is measured at both its ends", "commands and the motion they cause"
         raise next(lacking, ExcitationError(dataset.reference, *nothing))
     coarse = coarse_sensors(plant, split.seen, noise)
-    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse, order)
+    sources = {signal: each.source for signal, each in known.items()}
+    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse, order, sources)
     return case, [_stage(case, problem) for problem in problems]
 
 

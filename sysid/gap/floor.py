@@ -39,20 +39,39 @@ def problem_floor(
     return np.asarray(np.sqrt(totals / max(count, 1)))
 
 
-def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int) -> dict[str, float]:
-    """The noise floor of every signal of a whole run (free or stage by stage)."""
-    totals: dict[str, float] = {}
-    counts: dict[str, int] = {}
-    for recording in recordings:
-        clean = predict(recording)
+def run_floors(
+    predict: Predict,
+    runs: Sequence[tuple[Recording, pd.DataFrame]],
+    noise: Mapping[str, float],
+    seed: int,
+    forces: Sequence[str] = (),
+) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """The noise floor of every signal of whole runs (free or stage by stage): of all together, and of each.
+
+    Args:
+        runs: recordings with what ``predict`` makes of them.
+        forces: commands of force axes. A log does not say when within a row they acted, and a free run integrates them twice:
+            the floor contains the error of half a row.
+    """
+    sums = []
+    for recording, clean in runs:
+        own: dict[str, tuple[float, int]] = {}
         for draw in range(DRAWS):
-            noisy = predict(with_noise(recording, noise, np.random.default_rng([seed, draw])))
-            for signal in clean.columns:
+            noisy = predict(_half_a_row_later(with_noise(recording, noise, np.random.default_rng([seed, draw])), forces))
+            for signal in clean.columns.drop("time", errors="ignore"):
                 difference = noisy[signal].to_numpy() - clean[signal].to_numpy()
                 difference = difference[~np.isnan(difference)]
-                totals[signal] = totals.get(signal, 0.0) + float(np.sum(difference**2))
-                counts[signal] = counts.get(signal, 0) + len(difference)
-    return {s: float(np.sqrt(noise.get(s, 0.0) ** 2 + totals[s] / max(counts[s], 1))) for s in totals if s != "time"}
+                total, count = own.get(signal, (0.0, 0))
+                own[signal] = total + float(np.sum(difference**2)), count + len(difference)
+        sums.append(own)
+
+    def floor(signal: str, parts: Sequence[tuple[float, int]]) -> float:
+        total, count = (sum(column) for column in zip(*parts, strict=True))
+        return float(np.sqrt(noise.get(signal, 0.0) ** 2 + total / max(count, 1)))
+
+    signals = dict.fromkeys(signal for own in sums for signal in own)
+    whole = {signal: floor(signal, [own[signal] for own in sums if signal in own]) for signal in signals}
+    return whole, [{signal: floor(signal, [part]) for signal, part in own.items()} for own in sums]
 
 
 def floor_spread(
@@ -76,6 +95,15 @@ def floor_spread(
                 totals.setdefault(signal, np.zeros(draws))[draw] += float(np.sum(error**2))
                 counts[signal] = counts.get(signal, 0) + (len(error) if draw == 0 else 0)
     return {s: float(np.std(np.sqrt(totals[s] / max(counts[s], 1)), ddof=1)) for s in totals}
+
+
+def _half_a_row_later(recording: Recording, signals: Sequence[str]) -> Recording:
+    """A copy in which some signals are halfway to the row before."""
+    late = {signal: recording.values(signal) for signal in signals if signal in recording.signals}
+    if not late:
+        return recording
+    halfway = {signal: 0.5 * (values + np.concatenate([values[:1], values[:-1]])) for signal, values in late.items()}
+    return replace(recording, table=recording.table.assign(**halfway))
 
 
 def with_noise(recording: Recording, noise: Mapping[str, float], generator: np.random.Generator) -> Recording:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,14 @@ from sysid.errors import ExcitationError, SysidError
 from sysid.gap import steps
 from sysid.gap.experiment import Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
-from sysid.gap.result import Excitation, GapResult, Missing
+from sysid.gap.result import Excitation, GapResult, Missing, Unnamed
 from sysid.gap.shares import shares_of
+from sysid.gap.statement import Agreement, Verdict, verdict_of
 from sysid.gap.written import axis_delays, with_units, written_effects
 from sysid.plant import compile_plant
 from sysid.progress import Progress, part
 from sysid.registry import Registry
+from sysid.signals import split_signal
 
 #: Values of fields of a :class:`~sysid.gap.result.GapResult`.
 Fields = Mapping[str, Any]
@@ -83,7 +85,8 @@ class Following:
 
     Args:
         proof: of the decision; its errors are empty until they are measured.
-        shown: excitation of every candidate.
+        shown: excitation of every candidate; ``lacking``: it is not sufficient at a stage above its noise floor.
+        above: whether a stage that was only localised is above its noise floor.
         notes: of the decision; those of the parts are added.
         version: of the stored repair; empty without one.
     """
@@ -91,6 +94,8 @@ class Following:
     study: steps.Study
     proof: steps.Proof
     shown: Sequence[Excitation]
+    lacking: bool
+    above: bool
     notes: tuple[str, ...]
     report: Progress
     version: str = field(default="", init=False)
@@ -106,7 +111,18 @@ class Following:
         """Errors on held-out recordings before and after the repair."""
         self.report(0.8, "proving on held-out recordings")
         self.proof = steps.measure(self.study, self.proof.outcome)
-        return {"gap": self.proof.gap, "stage_gap": self.proof.stage_gap, "traces": self.proof.traces}
+        proof, verdict = self.proof, self.verdict
+        fields = {"gap": proof.gap, "stage_gap": proof.stage_gap, "traces": proof.traces, "agreement": proof.agreement}
+        known = {split_signal(item.target)[0] or item.target for item in proof.outcome.unnamed}
+        runs = _unnamed_runs(proof.agreement, known) if verdict == "unnamed" and not self.above else ()
+        return {**fields, "verdict": verdict, "unnamed": (*proof.outcome.unnamed, *runs)}
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict, by what is decided and measured until now."""
+        outcome = self.proof.outcome
+        unnamed = bool(outcome.unnamed) or self.above
+        return verdict_of(bool(outcome.named), bool(outcome.ties), unnamed, self.lacking, self.proof.agreement)
 
     def world(self) -> Fields:
         """The same in the PyBullet world."""
@@ -160,7 +176,9 @@ class Following:
         return {"experiments": proposal.experiments, **self._noted(proposal.notes)}
 
     def next_recordings(self) -> Fields:
-        """Recordings that would separate ties and excite effects, in words."""
+        """Recordings that would separate ties and excite effects, in words; none where simulation and machine agree."""
+        if self.verdict == "no_gap":
+            return {}
         return {"next_experiment": steps.next_experiment(self.study, self.proof, self.shown)}
 
     def shares(self) -> Fields:
@@ -184,3 +202,14 @@ class Following:
         """Raises ExcitationError: the errors on held-out recordings are missing."""
         if not self.proof.gap.before:
             raise ExcitationError(self.study.case.dataset.reference, "no errors on held-out recordings", "those of the repair")
+
+
+def _unnamed_runs(agreement: Sequence[Agreement], known: Collection[str]) -> Iterator[Unnamed]:
+    """The errors of free runs of which no stage has one: the largest of each axis and point that is not ``known``."""
+    worst: dict[str, Agreement] = {}
+    for item in sorted((item for item in agreement if item.differs), key=lambda item: -item.floors):
+        worst.setdefault(split_signal(item.signal)[0], item)
+    for owner, item in worst.items():
+        if owner not in known:
+            form = "each stage agrees at its measured input; what is left of their errors adds up in the run from the commands"
+            yield Unnamed("free_run", item.signal, item.after, "nothing that was measured", form)

@@ -1,19 +1,23 @@
-"""RMSE of every stage driven by its measured input, on held-out recordings."""
+"""Errors on held-out recordings: of every stage driven by its measured input, and of every signal where it is the largest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.gap.case import Case, Stage
+from sysid.gap.excitation import axis_of, identifiable_targets
 from sysid.gap.floor import problem_floor
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
-from sysid.gap.result import Gap
+from sysid.gap.result import Gap, Traces
+from sysid.gap.statement import Agreement
 from sysid.plant import compile_plant
+from sysid.signals import POINTS, split_signal
 
 Array = npt.NDArray[np.float64]
 
@@ -47,3 +51,53 @@ def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence
             if measured:
                 found.append((problem, measured))
     return found
+
+
+def agreement(
+    case: Case, gap: Gap, held_out: Sequence[Recording], free_runs: Sequence[tuple[Recording, Traces, Mapping[str, float]]]
+) -> tuple[Agreement, ...]:
+    """How every signal of ``gap`` agrees with the machine, in that held-out recording in which it agrees least.
+
+    Args:
+        free_runs: recordings, their runs, and the noise floors of these by signal; none for static poses.
+    """
+    machine, found = case.plant.machine, []
+    moving = identifiable_targets(list(gap.before), case.dataset.recordings, machine)
+    for signal in gap.before:
+        together = "", gap.before[signal], gap.after[signal], gap.noise_floor[signal]
+        runs = [
+            (recording.name, _rmse(recording, trace.before, signal), _rmse(recording, trace.after, signal), floor[signal])
+            for recording, trace, floor in free_runs
+            if {signal} <= {*recording.signals} & {*trace.before.columns} & {*trace.after.columns}
+        ]
+        worst = max((run for run in runs if not np.isnan(run[2])), key=_floors, default=together)
+        unit = case.dataset.units.get(signal) or machine.expected_unit(signal) or "1"
+        axis = axis_of(signal, machine)
+        of_motion = case.sources.get(machine.axis(axis).driven) if axis is not None else None  # a force follows from it
+        source = case.sources.get(signal) or of_motion or "unknown"
+        found.append(Agreement(signal, *worst, source, _motion(signal, gap, held_out), signal in moving, unit))
+    return tuple(found)
+
+
+def _floors(run: tuple[str, float, float, float]) -> float:
+    return run[2] / run[3] if run[3] > 0.0 else np.inf
+
+
+def _rmse(recording: Recording, run: pd.DataFrame, signal: str) -> float:
+    """RMSE of a signal of a run; infinite where a value is not finite, NaN where nothing is measured."""
+    error = recording.values(signal) - run[signal].to_numpy(dtype=np.float64)
+    error = error[~np.isnan(error)]
+    return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
+
+
+def _motion(signal: str, gap: Gap, recordings: Sequence[Recording]) -> float:
+    """Standard deviation of a signal over the recordings; of a point, of its coordinates together."""
+    owner = split_signal(signal)[0]
+    together = [other for other in gap.before if split_signal(other)[0] == owner] if owner in POINTS else [signal]
+    total = 0.0
+    for each in together:
+        values = [r.values(each) for r in recordings if each in r.signals]
+        known = np.concatenate([*values, np.empty(0)])
+        known = known[np.isfinite(known)]
+        total += float(np.var(known)) if len(known) else 0.0
+    return float(np.sqrt(total))

@@ -8,6 +8,7 @@ fast for the rate, or only static poses contain the signal, the best bound is us
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.sensor_resolution import reading_step, rounding
+from sysid.gap.statement import FloorSource
 from sysid.machine import Machine
 from sysid.signals import axis_signal, split_signal
 
@@ -33,18 +35,31 @@ OF_POSES, OF_NO_SCATTER = 1e-3, 1e-6
 SAME_POSE, REPEATS = 1e-3, 5
 
 
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation of the noise of a signal [SI], and how it is known."""
+
+    level: float
+    source: FloorSource
+
+
 def noise_levels(dataset: Dataset) -> dict[str, float]:
-    """Signal → standard deviation, for every measured signal; a command has none unless the data sheet says so (a force).
+    """Signal → standard deviation of its noise, see :func:`noise_of_signals`."""
+    return {signal: noise.level for signal, noise in noise_of_signals(dataset).items()}
+
+
+def noise_of_signals(dataset: Dataset) -> dict[str, Noise]:
+    """The noise of every measured signal; a command has none unless the data sheet says so (a force).
 
     Without a data sheet: what ingest found in the sensor's own samples, else in the recordings' tables.
     """
     sheet = dataset.machine.noise
     signals = sorted({s for r in dataset.recordings for s in r.signals})
     measured = [s for s in signals if s in sheet or split_signal(s)[1] != "command"]
-    return {s: sheet[s] if s in sheet else _from_data(dataset, s) for s in measured}
+    return {s: Noise(sheet[s], "stated") if s in sheet else _from_data(dataset, s) for s in measured}
 
 
-def _from_data(dataset: Dataset, signal: str) -> float:
+def _from_data(dataset: Dataset, signal: str) -> Noise:
     recordings = [r for r in dataset.recordings if signal in r.signals]
     moving = [r for r in recordings if r.kind == "motion"]
     span = max((_range(r.values(signal)) for r in recordings), default=0.0)
@@ -55,29 +70,31 @@ def _from_data(dataset: Dataset, signal: str) -> float:
     if found is None:
         resting = is_pose_set(dataset) and split_signal(signal)[1] == "joint"
         found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span, resting)
-    step = reading_step([r.values(signal) for r in moving])
-    return max(found, rounding(step), OF_NO_SCATTER * max(span, limits), 1e-12)
+    step = rounding(reading_step([r.values(signal) for r in moving]))
+    if found.level < step:
+        found = Noise(step, "above_bandwidth")
+    return replace(found, level=max(found.level, OF_NO_SCATTER * max(span, limits), 1e-12))
 
 
-def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most: float) -> float | None:
+def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most: float) -> Noise | None:
     """Plausible estimates by ingest from the samples of the sensor; median of the recordings."""
     quality = dataset.quality.get("recordings", {})
     found = [quality.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in recordings]
     levels = [v for v in found if v is not None and math.isfinite(v) and 0.0 < v <= most]
-    return float(np.median(levels)) if levels else None
+    return Noise(float(np.median(levels)), "above_bandwidth") if levels else None
 
 
-def _of_tables(moving: list[Recording], signal: str, most: float) -> float:
+def _of_tables(moving: list[Recording], signal: str, most: float) -> Noise:
     """White noise in tables of motion, else its bound, at most a plausible share of the range."""
     parts = [(r.values(signal), r.rate_hz) for r in moving if not is_still(r.values(signal))]
     levels = [level for values, rate in parts if math.isfinite(level := white_noise(values, rate)) and level <= most]
     if levels:
-        return float(np.median(levels))
+        return Noise(float(np.median(levels)), "above_bandwidth")
     bounds = [bound for values, _ in parts if math.isfinite(bound := noise_bound(values))]
-    return min(float(np.median(bounds)), most) if bounds else 0.0
+    return Noise(min(float(np.median(bounds)), most) if bounds else 0.0, "unknown")
 
 
-def _of_poses(recordings: list[Recording], signal: str, span: float, resting: bool) -> float:
+def _of_poses(recordings: list[Recording], signal: str, span: float, resting: bool) -> Noise:
     """Scatter among static poses that are repeats in all other signals; without repeats an assumed share of the range.
 
     ``resting``: a joint of which only poses are known; the scatter of its sensor at rest is left to that of the tip, as an
@@ -96,7 +113,9 @@ def _of_poses(recordings: list[Recording], signal: str, span: float, resting: bo
         differences.append((values[first] - values[second])[same])
     found = np.concatenate([*differences, np.empty(0)])
     found = found[~np.isnan(found)]
-    return float(np.sqrt(np.mean(found**2) / 2.0)) if len(found) >= REPEATS else (0.0 if resting else OF_POSES * span)
+    if len(found) >= REPEATS:
+        return Noise(float(np.sqrt(np.mean(found**2) / 2.0)), "rest")
+    return Noise(0.0 if resting else OF_POSES * span, "unknown")
 
 
 def _range(values: Array) -> float:

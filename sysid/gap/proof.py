@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import flexible_drive
+from sysid.effects import flexible_drive, gain_error, inertia_error
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.comparison import clearly_worse
@@ -27,7 +27,7 @@ from sysid.gap.servo.coupled import with_coupled_values
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
+from sysid.gap.thresholds import AGREES, EXPLAINED, LEAST, SHARE, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
 from sysid.gap.unnamed.position_instead import without_names_of_position
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual
@@ -37,6 +37,9 @@ from sysid.plant import Plant, PlantNumber, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
+#: Effects that correct a value of the description, by its key in machine.toml; and why one has no name.
+DESCRIBED = {gain_error.EFFECT.name: "gain", inertia_error.EFFECT.name: "inertia"}
+BETTER_ESTIMATE = "the description only estimates this value: it is a better one"
 #: Sensor steps are named if they account for this share of the error of the stage above its noise.
 MIN_SHARE_OF_STEPS = 0.5
 #: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
@@ -91,6 +94,17 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         if stage.problem.stage != "links" and (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
+    return _without_estimates(case, outcome)
+
+
+def _without_estimates(case: Case, outcome: ProofOutcome) -> ProofOutcome:
+    """The outcome without names for better values of what the description only estimates; the repair has them."""
+    machine = case.plant.machine
+    estimated = {(name, axis.name) for name, key in DESCRIBED.items() for axis in machine.axes if key in axis.estimated}
+    for effect in outcome.named:
+        if (effect.name, effect.target) in estimated:
+            outcome.refused[effect.name, effect.target, effect.side] = BETTER_ESTIMATE
+    outcome.named = [effect for effect in outcome.named if (effect.name, effect.target) not in estimated]
     return outcome
 
 
@@ -135,7 +149,7 @@ def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome:
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
-    """Describe the remaining error of a stage: a systematic residual, or a random disturbance, which is no gap."""
+    """Describe the remaining error of a stage: a systematic residual, or a random disturbance."""
     result = stage.found
     assert result.stage_fit is not None
     remainder = result.stage_fit.remainder
@@ -145,10 +159,14 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
             if found := describe_period(stage.problem, theta, stage.split.seen, case.plant.machine):
                 outcome.unnamed += found
                 return
-            outcome.notes.append(
-                f"{stage.label}: the remaining error ({remainder.before:.2g} noise floors) is a random disturbance: "
-                f"no smooth function of the measured signals explains a tenth of it"
-            )
+            size = f"{remainder.before:.2g} noise floors"
+            form = f"a random disturbance ({size}): no smooth function of the measured signals explains a tenth of it"
+            here = stage.problem.stage, stage.problem.target
+            if remainder.before <= AGREES or any((item.stage, item.target) == here for item in outcome.unnamed):
+                outcome.notes.append(f"{stage.label}: the remaining error is {form}")
+                return
+            error = float(stage_rmse(stage.problem, theta, stage.split.held_out)[0])
+            outcome.unnamed.append(Unnamed(*here, error, "nothing that was measured", form))
             return
     else:
         theta = stage.theta

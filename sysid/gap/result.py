@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
+from sysid.gap.statement import Agreement, Verdict, headline
+from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import Convention
 from sysid.registry.decision import Check as Check
 from sysid.registry.decision import Promotion as Promotion
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 #: Folder of the planned recordings, beside the result.
 EXPERIMENTS = "experiments"
 
-Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
 Value = float | tuple[float, ...]
 
 
@@ -431,6 +432,7 @@ class GapResult:
     named ones first; ``near_misses`` those that lack one condition for a name.
     ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
     ``missing`` are parts that could not be computed; their fields are empty. ``order`` is None where nothing depends on it.
+    ``agreement`` has every signal on held-out recordings; verdict and ``headline`` follow from it.
     """
 
     dataset: str
@@ -464,6 +466,13 @@ class GapResult:
     forces: tuple[ForceComparison, ...] = ()
     missing: tuple[Missing, ...] = ()
     order: CommandOrder | None = None
+    agreement: tuple[Agreement, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """The verdict in words, with the largest error that remains."""
+        above = any(item.stage_rmse > EXPLAINED * item.noise_floor for item in self.localised)
+        return headline(self.verdict, len(self.effects), self.agreement, disagrees=above or bool(self.unnamed))
 
     @property
     def repaired(self) -> bool:
@@ -485,12 +494,15 @@ class GapResult:
             "dataset": self.dataset,
             "plant": {"before": self.plant_before, "after": self.plant_after},
             "verdict": self.verdict,
+            "headline": self.headline,
             "effects": [_effect_json(effect) for effect in self.effects],
             "unnamed": [asdict(item) for item in self.unnamed],
             "ambiguous": [[{"name": name, "target": target} for name, target in tie] for tie in self.ambiguous],
             "next_experiment": list(self.next_experiment),
             "gap": asdict(self.gap),
             "stage_gap": asdict(self.stage_gap),
+            "agreement": [asdict(item) for item in self.agreement],
+            "floor_source": {item.signal: item.floor_source for item in self.agreement},
             "excitation": [asdict(item) for item in self.excitation],
             "held_out_recordings": list(self.held_out_recordings),
             "seconds": self.seconds,

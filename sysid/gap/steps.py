@@ -22,10 +22,10 @@ from sysid.files import plain
 from sysid.gap import localise as disagreement
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.adapters.simulator import Simulator
-from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
+from sysid.gap.case import Case, Stage, excitation, held_out_of, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
-from sysid.gap.floor import floor_spread, run_floor
-from sysid.gap.gap_by_stage import stage_gap
+from sysid.gap.floor import floor_spread, run_floors
+from sysid.gap.gap_by_stage import agreement, stage_gap
 from sysid.gap.held_out import held_out_error
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
@@ -34,6 +34,7 @@ from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces
 from sysid.gap.servo.advice import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
+from sysid.gap.statement import Agreement
 from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.world_proof import world_gap
 from sysid.names import model_name
@@ -41,6 +42,7 @@ from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
 from sysid.progress import Progress, silent
 from sysid.registry import decide
+from sysid.signals import axis_signal
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
@@ -80,6 +82,7 @@ class Proof:
         gap: RMSE of free runs by signal, before and after, and the noise floor.
         stage_gap: the same with each stage driven by its measured input.
         traces: measured, before and after for each held-out recording.
+        agreement: of every signal, where it is the least.
         world: the gap in the PyBullet world, if requested.
     """
 
@@ -87,6 +90,7 @@ class Proof:
     gap: Gap
     stage_gap: Gap
     traces: tuple[Traces, ...]
+    agreement: tuple[Agreement, ...] = ()
     world: WorldGap | None = None
 
 
@@ -187,14 +191,18 @@ def measure(study: Study, outcome: ProofOutcome) -> Proof:
     before = [nominal(r) for r in held_out]
     after = [better(r) for r in held_out]
     scores = [disagreement.run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
-    scores.append(run_floor(better, held_out, case.noise, case.seed))
+    forces = [axis_signal(axis.name, "command") for axis in case.plant.machine.axes if axis.actuation == "force"]
+    whole, floors = run_floors(better, list(zip(held_out, after, strict=True)), case.noise, case.seed, forces)
+    scores.append(whole)
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
     by_stage = with_carried(stage_gap(case, study.stages, outcome.repaired.vector()), outcome)
     free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
-    traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
+    traces = tuple(Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
     if is_pose_set(case.dataset):  # nothing is commanded: the run of a pose set is its end-effector stage
         free = by_stage
-    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces))
+    free = _with_forces(free, by_stage)
+    runs = zip(held_out, traces, floors, strict=True) if free is not by_stage else ()
+    return Proof(outcome, free, by_stage, traces, agreement(case, free, held_out_of(case), tuple(runs)))
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:

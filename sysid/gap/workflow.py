@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,13 +12,12 @@ from sysid.compiled import is_compiled
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import Case, excitation, force_comparisons, held_out_of, untested_forces
-from sysid.gap.excitation import identifiable_targets
+from sysid.gap.case import excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.experiment import Planning
 from sysid.gap.following import Fields, Following, completed
-from sysid.gap.headline import left_out_sentence
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.result import NOT_MEASURED, Excitation, GapResult, StageGap, Verdict
+from sysid.gap.result import NOT_MEASURED, GapResult
+from sysid.gap.sentences import left_out_sentence
 from sysid.gap.stage_search import Forms
 from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.thresholds import EXPLAINED
@@ -105,11 +104,21 @@ def find_gap(
         *filter(None, [left_out_sentence(case.plant.machine.left_out) if case.adapter is None else ""]),
         *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
     )
+    above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
+    following = Following(
+        study,
+        steps.Proof(outcome, NOT_MEASURED, NOT_MEASURED, ()),
+        shown,
+        any(item.target in above and not item.sufficient for item in shown),
+        localise_only and bool(above),
+        notes,
+        report,
+    )
     answer = GapResult(
         dataset=dataset.reference,
         plant_before=reference,
         plant_after="",
-        verdict=_verdict(case, outcome, located, shown, localise_only),
+        verdict=following.verdict,
         effects=tuple(with_units(outcome.named, dataset)),
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
@@ -127,7 +136,6 @@ def find_gap(
         notes=notes,
         settings={"seed": seed, "forms": forms, "carry": carry, "noise": dict(case.noise), "localise_only": localise_only},
     )
-    following = Following(study, steps.Proof(outcome, NOT_MEASURED, NOT_MEASURED, ()), shown, notes, report)
     parts: dict[str, Callable[[], Fields]] = {}
     if carry:
         parts["residual networks"] = following.carry
@@ -138,8 +146,7 @@ def find_gap(
     if add and stored is not None and (carry or outcome.repaired is not case.plant):
         parts["stored repair"] = partial(following.store, stored)
         parts["promotion"] = partial(following.promote, stored)
-    if answer.verdict != "no_gap":
-        parts["next recordings"] = following.next_recordings
+    parts["next recordings"] = following.next_recordings
     if case.adapter is None:
         parts["shares of the stages"] = following.shares
     parts["maps of the error"] = following.maps
@@ -162,21 +169,3 @@ def _check_simulator(plant: Plant | Simulator, add: bool, carry: bool, localise_
     if add:
         raise SettingsError(where, "cannot be stored", "a plant", "Get the repaired simulator from sysid.gap.steps.add.")
     raise SettingsError(where, "cannot hold a residual network", "a plant")
-
-
-def _verdict(
-    case: Case, outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool
-) -> Verdict:
-    if outcome.named:
-        return "named"
-    if outcome.ties:
-        return "ambiguous"
-    above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
-    if outcome.unnamed or (localise_only and above):
-        return "unnamed"
-    targets = [item.target for item in located]
-    # An axis at rest agrees with any simulation.
-    tested = identifiable_targets(targets, case.dataset.recordings, case.plant.machine)
-    if not tested or any(e.target in above and not e.sufficient for e in shown):
-        return "insufficient_excitation"
-    return "no_gap"

@@ -95,6 +95,7 @@ class Axis(Strict):
         joint_type: as in a URDF; without both, units of the logs or the recipe decide.
         inertia: of what a force axis moves, or of the rotor of a servo axis (armature) [kg or kg·m²].
         servo: the controller of a servo axis.
+        estimated: keys whose values are from logs, not from knowledge: a better value is no missing effect.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Axis(Strict):
     limits: Interval | None = None
     linkage: Linkage | None = None
     servo: ServoLaw | None = None
+    estimated: tuple[Literal["gain", "inertia"], ...] = ()
 
     @property
     def follows_positions(self) -> bool:

@@ -39,6 +39,8 @@ def shown_parameters(
 
 def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str, str]) -> str:
     """Unit of the unnamed error of a stage: that of the signal that the stage predicts."""
+    if stage == "free_run":
+        return units.get(target) or machine.expected_unit(target) or "1"
     if target not in machine.axis_names:
         return units.get(f"{target}.x", "m")
     if stage == "force":

@@ -12,7 +12,14 @@ from sysid.reports import words
 from sysid.signals import split_signal
 
 #: Stage → part at its end, for unnamed errors.
-_OF_STAGE = {"command": "valve", "force": "cylinder", "joint": "joint", "end_effector": "link", "tool": "tool"}
+_OF_STAGE = {
+    "command": "valve",
+    "force": "cylinder",
+    "joint": "joint",
+    "end_effector": "link",
+    "tool": "tool",
+    "free_run": "sensor",
+}
 
 
 @dataclass(frozen=True)

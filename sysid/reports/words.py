@@ -75,7 +75,5 @@ def stage_name(stage: str) -> str:
 
 def localised(places: list[str]) -> str:
     """The places of the stages with errors, as a sentence."""
-    if not places:
-        return "At every stage the simulation agrees with the machine to within sensor noise."
     listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")
     return f"Simulation and machine disagree at: {listed}."

@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid.display import interval, quantity
 from sysid.errors import StoreError
-from sysid.gap.headline import headline
+from sysid.gap.statement import headline
 from sysid.parse import parse_json
 from sysid.reports.archive import RESULT
 from sysid.reports.words import effect_title, signal_name
@@ -42,7 +42,7 @@ def gap_items(root: Root, units: Mapping[str, Mapping[str, str]]) -> Iterator[It
 def _item(values: dict[str, Any], reference: str, content: bytes, changed: float, units: Mapping[str, str]) -> Item:
     before, after = values["plant"]["before"], values["plant"]["after"]
     effects = [f"{effect_title(item['name'], item['target'])} ({item['target']})" for item in values["effects"]]
-    found = headline(values["verdict"], len(effects)).rstrip(".")
+    found = (values.get("headline") or headline(values["verdict"], len(effects))).rstrip(".")
     return Item(
         "gap",
         reference,

@@ -13,7 +13,6 @@ from sysid.display import interval, quantity
 from sysid.effects import BY_NAME
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
-from sysid.gap.headline import headline
 from sysid.gap.result import GapResult, NamedEffect
 from sysid.gap.worst_row import worst_row
 from sysid.machine import Machine
@@ -67,7 +66,7 @@ def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapp
 
 
 def _lines(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Iterator[str]:
-    yield f"## {headline(gap.verdict, len(gap.effects))}\n"
+    yield f"## {gap.headline}\n"
     for effect in gap.effects:
         values = ", ".join(_value(effect, name, machine) for name in effect.parameters)
         title = title_of(BY_NAME[effect.name], effect.target, machine) if effect.name in BY_NAME else effect.name

@@ -22,7 +22,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("logs", "machine"),
     ("effects",),
     ("datasets",),
-    ("networks",),
+    ("networks", "start"),
     ("plant",),
     ("registry", "validate", "testing", "world", "control"),
     ("gap", "versions"),

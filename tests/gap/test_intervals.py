@@ -12,7 +12,7 @@ from sysid.datasets import Dataset
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, place
-from sysid.gap.floor import problem_floor, run_floor, with_noise
+from sysid.gap.floor import problem_floor, run_floors, with_noise
 from sysid.gap.intervals import Known, known_of
 from sysid.gap.intervals.shared import FRAMES
 from sysid.gap.localise import run_rmse
@@ -175,7 +175,7 @@ def test_floor_is_what_the_true_model_scores() -> None:
         left = [problem.measured(r) - problem.predict(model.theta[None], r)[0] for r in split.fit]
         score = np.sqrt(np.nanmean(np.concatenate(left) ** 2, axis=0))
         assert np.allclose(score, floor, rtol=0.5), problem.signals
-    floors = run_floor(lambda r: free_run(truth, r), split.fit, noise, 0)
+    floors, _ = run_floors(lambda r: free_run(truth, r), [(r, free_run(truth, r)) for r in split.fit], noise, 0)
     scores = run_rmse([(r, free_run(truth, r)) for r in split.fit])
     assert floors.keys() == scores.keys()
     for signal, score in scores.items():

@@ -12,7 +12,7 @@ from start_data import BEGUN, NOISE, Begun, started
 
 from sysid.datasets.recording import Recording
 from sysid.effects import gripper_sway
-from sysid.gap.floor import run_floor
+from sysid.gap.floor import run_floors
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant, free_run
 from sysid.plant.rollout import true_run
@@ -29,7 +29,8 @@ def rms(values: Array) -> float:
 
 def ratios(model: Model, recording: Recording, noise: dict[str, float]) -> dict[str, float]:
     """Error of the free run over its noise floor, by signal."""
-    run, floor = free_run(model, recording), run_floor(lambda r: free_run(model, r), [recording], noise, 0)
+    run = free_run(model, recording)
+    floor, _ = run_floors(lambda r: free_run(model, r), [(recording, run)], noise, 0)
     return {signal: rms(recording.values(signal) - run[signal].to_numpy()) / floor[signal] for signal in noise}
 
 

@@ -10,8 +10,9 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from sysid import display
-from sysid.gap.headline import headline, left_out_sentence, missing_sentences, order_sentence
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
+from sysid.gap.sentences import left_out_sentence, missing_sentences, order_sentence
+from sysid.gap.thresholds import AGREES
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
@@ -63,7 +64,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
-        "headline": words.localised([_place(item) for item in found]) if only else headline(gap.verdict, len(gap.effects)),
+        "headline": words.localised([_place(item) for item in found]) if found else gap.headline,
         "advice": f"To name causes: sysid gap {inputs.dataset.reference}" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "sentences": _sentences(gap, lines),
@@ -153,7 +154,9 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
         size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
-        text = f"An error at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
+        place = f"at the {place_text(mark.part, mark.target)}"
+        place = f"of {words.signal_name(item.target)} in the free run" if item.stage == "free_run" else place
+        text = f"An error {place} is not explained by any known effect ({size} RMS)."
         known = (
             f"It depends on {over_name(item.depends_on)}."
             if not item.depends_on.startswith("nothing")
@@ -195,14 +198,13 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, 
 
 
 def _still_open(gap: GapResult) -> list[str]:
-    """The largest remaining error in noise floors, as a sentence."""
-    left = {s: a / gap.gap.noise_floor[s] for s, a in gap.gap.after.items() if gap.gap.noise_floor.get(s, 0.0) > 0.0}
-    if not gap.effects or not left:
+    """Whether the repair leaves no error; what remains is in the headline. Signals that say nothing are listed."""
+    if not gap.agreement:
         return []
-    worst = max(left, key=lambda signal: left[signal])
-    if left[worst] < 1.5:
-        return ["With the repair every signal is within 1.5 times its noise floor."]
-    return [f"Largest remaining error: {words.signal_name(worst)}, {display.ratio(left[worst])} its noise floor."]
+    closed = bool(gap.effects) and not any(item.differs for item in gap.agreement)
+    text = f"With the repair every signal is within {AGREES} times its noise floor in every held-out recording."
+    open_ = [f"Not tested by these recordings: {item.open}." for item in gap.agreement if item.open and not item.differs]
+    return [*([text] if closed else []), *open_]
 
 
 def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The verdict of the gap workflow as a sentence, the same in console, report, pages and Rerun recording."""
+"""Sentences about a gap result, the same in console, report, pages and Rerun recording."""
 
 from __future__ import annotations
 
@@ -9,14 +9,6 @@ from sysid.display import quantity
 
 if TYPE_CHECKING:
     from sysid.gap.result import CommandOrder, Missing
-
-HEADLINES = {
-    "no_gap": "The simulation agrees with the machine to within sensor noise.",
-    "unnamed": "The simulation has an error that none of the known effects explains.",
-    "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
-    "insufficient_excitation": "The excitation is not sufficient to identify what the simulation lacks, if anything.",
-}
-_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 def left_out_sentence(left_out: Sequence[str]) -> str:
@@ -49,15 +41,3 @@ def order_sentence(order: CommandOrder | None) -> str:
         "named one may be one row longer. If you know the order, state it in machine.toml: "
         f'convention = "{order.convention}".'
     )
-
-
-def headline(verdict: str, effects: int) -> str:
-    """The sentence.
-
-    Args:
-        effects: number of named effects.
-    """
-    if verdict != "named":
-        return HEADLINES.get(verdict, verdict)
-    count = _COUNTS[effects] if effects < len(_COUNTS) else str(effects)
-    return f"{count} effect{' is' if effects == 1 else 's are'} missing from the simulation."

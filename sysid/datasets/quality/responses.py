@@ -1,0 +1,209 @@
+"""What recordings show of each axis without any model: its delay, and its speed over the command, by direction.
+
+These are the plots that an engineer makes first. They need no description of the machine beyond which signal is which.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_filter
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.machine import Axis
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Longest delay that is tried [s]; length of the blocks whose scatter gives the interval of a delay [s]; least number of them.
+MAX_DELAY, BLOCK_S, BLOCKS = 1.5, 10.0, 4
+#: Least correlation of command and speed for a delay.
+LEAST_CORRELATION = 0.2
+#: Window of the derivative of a position [s], and least number of its samples.
+WINDOW_S, WINDOW = 0.15, 5
+#: Bins of the command in each direction, as a share of the largest; least number of samples in one.
+BINS, LEAST = 10, 5
+#: The command changed by at most this share of its largest value within this time [s] before a sample that counts.
+STEADY, STEADY_S = 0.1, 0.2
+#: An axis moves above this share of its speed at full command; samples nearer to the ends of its range do not count (a share).
+MOVES, ENDS = 0.05, 0.02
+#: Standard deviations of the noise of a speed above which an axis moves.
+NOISES = 3.0
+#: 97.5 % quantile of the normal distribution.
+Z = 1.959964
+
+
+@dataclass(frozen=True)
+class SpeedBin:
+    """Median speed of an axis at commands about ``command``, over ``count`` samples with a steady command."""
+
+    command: float
+    speed: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One direction of the command of a valve axis.
+
+    Args:
+        bins: by size of the command.
+        begins: between which commands (absolute values) motion begins; (0, first) where the smallest ones move it, NaN where
+            none does or the recordings have no such commands.
+        full: median speed at the largest commands (absolute value); NaN without any.
+    """
+
+    bins: tuple[SpeedBin, ...]
+    begins: tuple[float, float]
+    full: float
+
+
+@dataclass(frozen=True)
+class AxisResponse:
+    """What the recordings show of one axis.
+
+    Args:
+        delay, delay95: between command and motion, by cross-correlation, with its 95 % interval [s]; NaN where they do not
+            correlate, or where a force is commanded.
+        correlation: of both at that delay.
+        positive, negative: directions of the command of a valve axis; else None.
+        unit: SI unit of what the command drives.
+    """
+
+    axis: str
+    delay: float
+    delay95: tuple[float, float]
+    correlation: float
+    positive: Direction | None
+    negative: Direction | None
+    unit: str
+
+
+def responses_of(dataset: Dataset) -> tuple[AxisResponse, ...]:
+    """One response for every axis with a measured motion."""
+    machine, found = dataset.machine, []
+    for axis in machine.axes:
+        command = axis_signal(axis.name, "command")
+        recordings = [r for r in dataset.of_kind("motion") if {command, axis.driven} <= {*r.signals}]
+        if not recordings:
+            continue
+        delay, interval, correlation = _delay(recordings, axis)
+        unit = dataset.units.get(axis.driven) or machine.expected_unit(axis.driven) or "1"
+        positive = negative = None
+        if axis.actuation == "velocity" and math.isfinite(delay):
+            positive, negative = _directions(recordings, axis, delay)
+        found.append(AxisResponse(axis.name, delay, interval, correlation, positive, negative, unit))
+    return tuple(found)
+
+
+def speed(values: Array, rate_hz: float) -> Array:
+    """Derivative (n,) of a position by local quadratics; NaN beside missing values."""
+    width = max(WINDOW, 2 * round(0.5 * WINDOW_S * rate_hz) + 1)
+    if len(values) < width:
+        return np.full(len(values), np.nan)
+    missing = np.isnan(values)
+    filled = np.where(missing, 0.0, values)
+    found = np.asarray(savgol_filter(filled, width, 2, deriv=1, delta=1.0 / rate_hz), dtype=np.float64)
+    near = np.convolve(missing, np.ones(width), "same") > 0.5
+    return np.where(near, np.nan, found)
+
+
+def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, tuple[float, float], float]:
+    """Delay of the largest correlation of motion and command [s], its 95 % interval from blocks, and the correlation."""
+    unknown = math.nan, (math.nan, math.nan), math.nan
+    rate = max(r.rate_hz for r in recordings)
+    if axis.actuation == "force":
+        return unknown
+    sums = [block for r in recordings for block in _correlation_sums(r, axis, rate)]
+    if not sums:
+        return unknown
+    stacked = np.array(sums)  # (blocks, lags, 6)
+    delay, correlation = _peak(stacked.sum(axis=0), rate)
+    if not correlation >= LEAST_CORRELATION:
+        return unknown
+    half = 0.5 / rate
+    if len(stacked) >= BLOCKS:
+        without = np.array([_peak(stacked.sum(axis=0) - block, rate)[0] for block in stacked])
+        count = len(without)
+        half = max(half, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
+    return delay, (max(0.0, delay - half), delay + half), correlation
+
+
+def _correlation_sums(recording: Recording, axis: Axis, rate: float) -> list[Array]:
+    """Sums of both series, their squares and products at every lag, for each block: (lags, 6)."""
+    command, moved = recording.values(axis_signal(axis.name, "command")), speed(recording.values(axis.driven), rate)
+    if axis.actuation != "velocity":
+        command = speed(command, rate)
+    lags, length, found = round(MAX_DELAY * rate) + 1, max(round(BLOCK_S * rate), 1), []
+    for first in range(0, max(len(moved) - length // 2, 1), length):
+        rows = np.zeros((lags, 6))
+        for lag in range(lags):
+            begin, end = max(first, lag), min(first + length, len(moved))
+            u, v = command[begin - lag : end - lag], moved[begin:end]
+            there = ~np.isnan(u) & ~np.isnan(v)
+            u, v = u[there], v[there]
+            rows[lag] = len(u), u.sum(), v.sum(), u @ u, v @ v, u @ v
+        found.append(rows)
+    return found
+
+
+def _peak(sums: Array, rate: float) -> tuple[float, float]:
+    """Lag of the largest correlation [s], between samples by a parabola, and the correlation."""
+    count, u, v, uu, vv, uv = sums.T
+    count = np.maximum(count, 1.0)
+    scale = np.sqrt(np.maximum((uu - u * u / count) * (vv - v * v / count), 0.0))
+    r = np.divide(uv - u * v / count, scale, out=np.zeros(len(scale)), where=scale > 0.0)
+    best = int(np.argmax(np.abs(r)))
+    at, sizes = float(best), np.abs(r)
+    if 0 < best < len(r) - 1:
+        below, top, above = sizes[best - 1 : best + 2]
+        bend = below - 2.0 * top + above
+        at += float(0.5 * (below - above) / bend) if bend < 0.0 else 0.0
+    return at / rate, float(sizes[best])
+
+
+def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tuple[Direction, Direction]:
+    """Both directions of the command of a valve axis."""
+    commands, speeds = [np.empty(0)], [np.empty(0)]
+    place = np.concatenate([r.values(axis.driven) for r in recordings])
+    low, high = np.nanmin(place), np.nanmax(place)
+    most = max(float(np.nanmax(np.abs(r.values(axis_signal(axis.name, "command"))), initial=0.0)) for r in recordings)
+    for recording in recordings:
+        lag, before = round(delay * recording.rate_hz), max(round(STEADY_S * recording.rate_hz), 1)
+        command, values = recording.values(axis_signal(axis.name, "command")), recording.values(axis.driven)
+        late = np.concatenate([np.full(lag, np.nan), command[: len(command) - lag]])
+        steady = np.zeros(len(late), dtype=bool)
+        steady[before:] = np.abs(late[before:] - late[:-before]) <= STEADY * most
+        inside = (values > low + ENDS * (high - low)) & (values < high - ENDS * (high - low))
+        moved = speed(values, recording.rate_hz)
+        counts = steady & inside & ~np.isnan(moved) & ~np.isnan(late)
+        commands.append(late[counts])
+        speeds.append(moved[counts])
+    u, v = np.concatenate(commands), np.concatenate(speeds)
+    resting = v[np.abs(u) < 0.5 / BINS * most]
+    noise = 1.4826 * float(np.median(np.abs(resting - np.median(resting)))) if len(resting) >= LEAST else 0.0
+    return _direction(u, v, most, noise), _direction(-u, -v, most, noise)
+
+
+def _direction(u: Array, v: Array, most: float, noise: float) -> Direction:
+    edges, bins = np.linspace(0.0, most, BINS + 1), []
+    for low, high in itertools.pairwise(edges):
+        inside = (u > low) & (u <= high * (1.0 + 1e-9))
+        if low == 0.0:
+            inside &= u > 0.5 * high  # what is left of neutral is no command
+        if np.count_nonzero(inside) >= LEAST:
+            at, size = float(np.median(u[inside])), float(np.median(v[inside]))
+            bins.append(SpeedBin(at, size, int(np.count_nonzero(inside))))
+    if not bins or bins[-1].command < 0.5 * most:
+        return Direction(tuple(bins), (math.nan, math.nan), math.nan)
+    full = abs(bins[-1].speed)
+    least = max(MOVES * full, NOISES * noise)
+    still = [item.command for item in bins if abs(item.speed) <= least]
+    last = max(still, default=0.0)
+    moving = [item.command for item in bins if item.command > last and abs(item.speed) > least]
+    return Direction(tuple(bins), (last, min(moving, default=math.nan)), full)

@@ -1,0 +1,176 @@
+"""``machine.toml`` and ``recipe.toml`` for a folder of logs, each drafted value with a comment on where it is from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid.datasets.draft import draft_recipe
+from sysid.datasets.layouts import recording_names
+from sysid.errors import InputError
+from sysid.logs.inspection import FileSummary
+from sysid.machine import Machine
+from sysid.quoting import comment, toml_value
+from sysid.start.axes import AxisDraft, axes_of
+from sysid.start.fields import Field, read_fields
+from sysid.start.question import Answers, Question
+
+#: Rates of controllers [Hz]; one is taken if the fastest log is within this share of it.
+RATES, NEAR = (10.0, 20.0, 25.0, 30.0, 50.0, 60.0, 100.0, 125.0, 200.0, 240.0, 250.0, 400.0, 500.0, 1000.0), 0.04
+
+
+@dataclass(frozen=True)
+class Description:
+    """The two files, and what could not be decided.
+
+    Args:
+        axes: names, in the order of the columns.
+        questions: what was not answered; the files have the proposals.
+        left_out: columns and files that are not used, and why, as sentences.
+        motions: file names per recording.
+    """
+
+    machine: str
+    recipe: str
+    axes: tuple[str, ...]
+    questions: tuple[Question, ...]
+    left_out: tuple[str, ...]
+
+
+def describe(
+    files: Sequence[FileSummary],
+    folder: Path,
+    name: str,
+    answers: Answers,
+    kind: str | None = None,
+    robot: tuple[str, Machine] | None = None,
+) -> Description:
+    """Draft the machine and the recipe of a folder of logs.
+
+    Args:
+        files: summaries of the log files in ``folder`` or one folder below.
+        kind: hydraulic, servo or force, of all axes; None: as the data show.
+        robot: text of ``machine.toml`` drafted from a robot's file, and the machine that it describes.
+
+    Raises:
+        InputError: no file with a time, or no axis in the columns.
+        SettingsError: an answer that is no choice.
+    """
+    left = [f"{file.path.name}: {' '.join(file.refusal.split())}" for file in files if file.refusal]
+    used = [file for file in files if not file.refusal and any(stream.clocks for stream in file.streams)]
+    if not used:
+        why = left[0] if left else "no column of times"
+        raise InputError(folder, why, "log files with a time", "Look into one of them with sysid ingest --inspect.")
+    in_folders = any(file.path.parent != folder for file in used)
+    names, _ = recording_names(used, in_folders, [frozenset() for _ in used])
+    fields = read_fields(used, names)
+    axes, others = axes_of(fields, answers, kind)
+    answers.check_used()
+    left += others
+    if robot is not None:
+        axes, others = _of_robot(axes, robot[1])
+        left += others
+    if not axes:
+        seen = "; ".join(left[-4:]) or "no column changes"
+        remedy = "Name the columns in a recipe: sysid ingest --inspect FOLDER --draft recipe.toml."
+        raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
+    rate, why = _rate(used)
+    machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
+    chosen = {key: line for axis in axes for key, line in _lines(axis)}
+    recipe = draft_recipe(used, None, "machine.toml", ".", in_folders, folder, chosen)
+    recipe = recipe.replace("# machine = ", "machine = ", 1).replace(
+        "schema = 1\n", f"schema = 1\nname = {toml_value(name)}\n", 1
+    )
+    return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
+
+
+def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:
+    """The axes with the names of the robot's: by their words, else by their number in the order of the axes."""
+    from dataclasses import replace
+
+    names, found, left = machine.axis_names, dict[str, AxisDraft](), list[str]()
+    for axis in axes:
+        words = axis.command.axis
+        same = [name for name in names if name == axis.name or name.replace("_", "") == words.replace("_", "")]
+        number = next((int(part) for part in words.split("_") if part.isdecimal()), None)
+        first = min((int(p) for a in axes for p in a.command.axis.split("_") if p.isdecimal()), default=1)
+        place = number - first if number is not None else None
+        if not same and place is not None and 0 <= place < len(names):
+            same = [names[place]]
+        if len(same) == 1 and same[0] not in found:
+            found[same[0]] = replace(axis, name=same[0], drives=machine.axis(same[0]).drives)
+        else:
+            left.append(f"{axis.command.label}: no joint of the robot has this name")
+    return [found[name] for name in names if name in found], left
+
+
+def _rate(files: Sequence[FileSummary]) -> tuple[float, str]:
+    """Rate of the fastest log, as a controller would have it, and where it is from."""
+    rates = [stream.clocks[0].rate_hz for file in files for stream in file.streams if stream.clocks]
+    fastest = max((rate for rate in rates if math.isfinite(rate)), default=50.0)
+    near = min(RATES, key=lambda rate: abs(rate - fastest))
+    rate = near if abs(near - fastest) <= NEAR * near else float(f"{fastest:.3g}")
+    return rate, f"even time grid of the dataset [Hz]; the fastest log has {fastest:.4g}"
+
+
+def _with_rate(text: str, rate: float, why: str) -> str:
+    lines = [f"rate_hz = {rate}   # {why}" if line.startswith("rate_hz") else line for line in text.splitlines()]
+    return "\n".join(lines) + "\n"
+
+
+def _machine_text(name: str, axes: Sequence[AxisDraft], rate: float, why: str) -> str:
+    lines = [
+        "# Drafted from logs. SI units (m, rad, s). Every value has a comment on where it is from: correct it here.",
+        "schema = 1",
+        f"name = {toml_value(name)}",
+        f"rate_hz = {rate}   # {why}",
+    ]
+    for axis in axes:
+        lines += ["", "[[axes]]", f"name = {toml_value(axis.name)}"]
+        lines.append(f"actuation = {toml_value(axis.actuation)}{_note(axis, 'actuation')}")
+        lines.append(f"drives = {toml_value(axis.drives)}")
+        if axis.actuation == "velocity":
+            lines.append(f"gain = {axis.gain:.4g}{_note(axis, 'gain')}")
+        if math.isfinite(axis.inertia):
+            lines.append(f"inertia = {axis.inertia:.4g}{_note(axis, 'inertia')}")
+        if axis.actuation != "position":
+            known = "gain" if axis.actuation == "velocity" else "inertia"
+            lines.append(f'estimated = ["{known}"]   # {known} is from these logs: remove this line where you know it')
+        if axis.drives == "joint" and axis.unit in ("m", "mm", "cm"):
+            lines.append('joint_type = "prismatic"')
+        key = "stroke" if axis.drives == "cylinder" else "limits"
+        lines.append(f"{key} = [{axis.ends[0]:.6g}, {axis.ends[1]:.6g}]{_note(axis, 'ends')}")
+    return "\n".join(lines) + "\n"
+
+
+def _note(axis: AxisDraft, key: str) -> str:
+    return f"   # {comment(axis.notes[key])}" if key in axis.notes else ""
+
+
+def _lines(axis: AxisDraft) -> list[tuple[tuple[str, str], str]]:
+    """The lines of command and motion in the recipe, by topic and field."""
+    command = _entry(axis.command)
+    if axis.actuation == "velocity":
+        if (axis.zero, axis.span) != (0.0, 1.0):
+            command += [f"zero = {axis.zero:.9g}", f"span = {axis.span:.9g}"]
+        if axis.sign < 0:
+            command.append("sign = -1")
+    elif axis.command_unit:
+        command.append(f"unit = {toml_value(axis.command_unit)}")
+    motion = [*_entry(axis.motion), f"unit = {toml_value(axis.unit)}"]
+    notes = "; ".join(axis.notes[key] for key in ("zero", "span") if key in axis.notes)
+    signals = ((axis.command, "command", command, notes), (axis.motion, axis.drives, motion, axis.notes.get("unit", "")))
+    return [
+        (
+            (field.topic, field.name),
+            f'"{axis.name}.{what}" = {{ {", ".join(entry)} }}' + (f"   # {comment(note)}" if note else ""),
+        )
+        for field, what, entry, note in signals
+    ]
+
+
+def _entry(field: Field) -> list[str]:
+    topic = [f"topic = {toml_value(field.topic)}"] if field.topic else []
+    return [*topic, f"field = {toml_value(field.name)}"]

@@ -1,0 +1,139 @@
+"""The columns of all logs as series, and what their names say: axis and quantity."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.layouts import TABLES
+from sysid.logs.confined import read_confined
+from sysid.logs.inspection import FileSummary
+from sysid.logs.reader import ReadOptions
+from sysid.logs.readers import reader_named
+from sysid.logs.stream import Stream
+
+Array = npt.NDArray[np.float64]
+
+
+def _set(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+#: What a word in the name of a column says about its quantity. An operator's stick is not the command of the axis.
+WORDS: Mapping[str, frozenset[str]] = {
+    "operator": _set("js joy joystick operator pilot"),
+    "command": _set(
+        "cmd command commands commanded setpoint sp duty pwm reference ref goal target desired des ctrl control action input "
+        "valve demand signal"
+    ),
+    "speed": _set("speed speeds velocity velocities vel qd qdot qvel dq omega rpm"),
+    "force": _set("torque torques effort efforts current tau force forces load pressure press"),
+    "measured": _set(
+        "ms meas measured measurement pos position positions present actual act state angle angles joint joints encoder enc q "
+        "qpos theta sensor feedback fb observation reading"
+    ),
+    "cylinder": _set("cyl cylinder stroke wire wires displacement disp extension length len"),
+}
+#: Words that belong to no axis.
+_UNITS = _set("deg degs degree degrees rad rads mm cm m s sec nm n percent pct counts raw")
+
+
+@dataclass(frozen=True)
+class Series:
+    """The samples of a column in one recording: times [s] and values, (n,) each."""
+
+    recording: str
+    time: Array
+    values: Array
+
+
+@dataclass(frozen=True)
+class Field:
+    """A column over all recordings.
+
+    Args:
+        topic: of a bag; empty for tables.
+        unit: as the files state it.
+        axis: words of its name that are no quantity; empty where there is none.
+        says: quantities that its name says.
+    """
+
+    topic: str
+    name: str
+    unit: str | None
+    series: tuple[Series, ...]
+    axis: str
+    says: frozenset[str]
+
+    @property
+    def label(self) -> str:
+        return f"{self.topic} {self.name}".strip()
+
+    @property
+    def values(self) -> Array:
+        """All finite values."""
+        joined: Array = np.concatenate([np.empty(0), *(series.values for series in self.series)])
+        return joined[np.isfinite(joined)]
+
+
+def words_of(text: str) -> list[str]:
+    """``goalPos_1`` → goal, pos, 1."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)", " ", text)
+    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
+
+
+def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) -> list[Field]:
+    """The columns that change in any file, in the order of the files; stamps are left out.
+
+    Raises:
+        InputError: a file that cannot be read.
+    """
+    found: dict[tuple[str, str], list[Series]] = {}
+    units: dict[tuple[str, str], str | None] = {}
+    for file in files:
+        stated = dict(file.stated)
+        options = ReadOptions(
+            header=file.columns, time=stated.get("time"), time_unit=stated.get("time_unit"),
+            length_unit=stated.get("length_unit"), rotation=stated.get("rotation"),
+        )  # fmt: skip
+        for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
+            topic = "" if file.reader in TABLES else stream.name
+            for name, values in stream.columns.items():
+                found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), values))
+                units.setdefault((topic, name), stream.units.get(name))
+    moving = {key: series for key, series in found.items() if any(_changes(one.values) for one in series)}
+    shared = (
+        frozenset.intersection(*(frozenset(words_of(f"{topic} {name}")) for topic, name in moving)) if moving else frozenset()
+    )
+    return [_field(topic, name, units[topic, name], series, shared) for (topic, name), series in moving.items()]
+
+
+def _field(topic: str, name: str, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
+    words = words_of(re.sub(r"\([^()]*\)|\[[^\[\]\d]*\]", " ", f"{topic} {name}"))
+    says = frozenset(quantity for quantity, known in WORDS.items() if known & {*words})
+    known = frozenset().union(*WORDS.values()) | _UNITS | (shared if len(words) > 1 else frozenset())
+    axis = "_".join(word for word in words if word not in known)
+    return Field(topic, name, unit or _unit_in(name), tuple(series), axis, says)
+
+
+def _unit_in(name: str) -> str | None:
+    """The unit in brackets or at the end of a name: ``Boom (mm)``, ``q1_deg``."""
+    bracket = re.search(r"[(\[]\s*(deg|rad|mm|cm|m|°|Nm|N·m|N|%)\s*[)\]]\s*$", name)
+    ending = re.search(r"_(deg|rad|mm|cm|m|nm|n)$", name, re.IGNORECASE)
+    text = (bracket or ending)[1] if bracket or ending else None  # type: ignore[index]
+    return {"°": "deg", "nm": "N·m", "Nm": "N·m", "n": "N"}.get(text, text.lower() if ending else text) if text else None
+
+
+def _seconds(stream: Stream) -> Array:
+    stamps = next(iter(stream.stamps.values()))
+    return np.asarray(stamps * 1e-9, dtype=np.float64)
+
+
+def _changes(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and float(np.ptp(known)) > 0.0

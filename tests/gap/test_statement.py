@@ -1,0 +1,127 @@
+"""One statement: the verdict, its sentence, and every figure of a result say the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal
+from scipy.signal import lfilter
+
+from sysid.datasets.recording import Dataset
+from sysid.gap import GapResult, find_gap
+from sysid.gap.statement import Agreement, FloorSource, headline, verdict_of
+from sysid.gap.thresholds import AGREES
+from sysid.machine import KnownEffect
+
+SOURCES: tuple[FloorSource, ...] = ("stated", "rest", "two_sensors", "above_bandwidth", "unknown")
+sizes = st.floats(0.0, 1e3) | st.just(math.inf)
+signals = st.builds(
+    Agreement, st.sampled_from(["a.joint", "ee.x"]), st.just("run"), sizes, sizes, st.floats(0.0, 10.0),
+    st.sampled_from(SOURCES), st.floats(0.0, 100.0), st.booleans(), st.sampled_from(["rad", "m"]),
+)  # fmt: skip
+
+
+@given(st.lists(signals, max_size=4), st.booleans(), st.booleans(), st.booleans(), st.booleans())
+def test_no_gap_is_said_of_signals_that_agree_and_that_could_disagree(
+    agreement: list[Agreement], named: bool, tied: bool, unnamed: bool, lacking: bool
+) -> None:
+    verdict = verdict_of(named, tied, unnamed, lacking, agreement)
+    if verdict == "no_gap":
+        assert agreement
+        for item in agreement:
+            assert item.after <= AGREES * item.noise_floor
+            assert item.floor_source != "unknown"
+            assert item.moved
+            assert item.noise_floor <= 0.1 * item.motion
+    differs = any(item.moved and not item.after <= AGREES * item.noise_floor for item in agreement)
+    if differs and not (named or tied or lacking):
+        assert verdict == "unnamed"
+
+
+@given(st.lists(signals, min_size=1, max_size=4), st.booleans())
+def test_the_sentence_states_the_largest_error_and_what_runs_away_comes_first(agreement: list[Agreement], named: bool) -> None:
+    verdict = verdict_of(named, False, False, False, agreement)
+    text = headline(verdict, int(named), agreement)
+    differing = [item for item in agreement if item.differs]
+    if any(item.is_away for item in differing):
+        assert text.startswith("The simulation does not follow the machine: ")
+    assert any(f"{item.signal} is off by" in text for item in differing) == bool(differing)
+
+
+def test_a_disturbance_that_no_effect_explains_is_unnamed() -> None:
+    """Two percent of the speed, at random: no effect is missing, and the free run is far off all the same."""
+    found = wandering(0.02)
+    assert (found.verdict, found.effects) == ("unnamed", ())
+    assert any(item.depends_on == "nothing that was measured" for item in found.unnamed)
+    assert "noise floor" in found.headline
+    consistent(found)
+
+
+def test_without_anything_hidden_there_is_no_gap() -> None:
+    found = wandering(0.0)
+    assert (found.verdict, found.unnamed) == ("no_gap", ())
+    assert {item.floor_source for item in found.agreement} == {"stated"}
+    consistent(found)
+
+
+def test_agreement_within_an_unknown_noise_says_nothing() -> None:
+    """Readings at 5 Hz of a motion that is too fast for them: an upper bound of the noise explains every error."""
+    item = wandering(0.0).agreement[0]
+    unknown = replace(item, floor_source="unknown")
+    assert verdict_of(False, False, False, False, [item, unknown]) == "unnamed"
+    assert headline("unnamed", 0, [item, unknown], disagrees=False).endswith(
+        "is not known: state it under [noise] in machine.toml."
+    )
+    still = replace(item, moved=False)
+    assert verdict_of(False, False, False, False, [item, still]) == "insufficient_excitation"
+    assert headline("insufficient_excitation", 0, [item, still], disagrees=False).endswith("does not move.")
+
+
+def test_a_simulation_of_the_wrong_sign_is_said_first() -> None:
+    true = nominal()
+    data = dataset_of(true, 20.0)
+    turned = [replace(r, table=r.table.assign(**{"slew.joint": -r.values("slew.joint")})) for r in data.recordings]
+    found = find_gap(replace(data, recordings=tuple(turned)), true, localise_only=True)
+    assert found.verdict == "unnamed"
+    assert found.headline.startswith("The simulation does not follow the machine: slew.joint is off by ")
+
+
+@pytest.mark.parametrize("effect", [KnownEffect("input_delay", "slew", {"delay": 0.1})])
+def test_what_remains_after_a_repair_is_said_beside_the_names(effect: KnownEffect) -> None:
+    found = wandering(0.02, effect)
+    assert found.verdict == "named"
+    assert "With the repair, " in found.headline
+    consistent(found)
+
+
+def wandering(share: float, *effects: KnownEffect) -> GapResult:
+    """The gap of a slew and a boom whose speeds wander at random by a share of them, with a machine that lacks ``effects``."""
+    plant, recordings = nominal(*effects), []
+    for k in range(len(ROLES)):
+        recording = measured(plant, arm_inputs(f"run-{k + 1}", 25.0, 30 + k), 30 + k)
+        rng, columns = np.random.default_rng([3, k]), {}
+        for signal, size in (("slew.joint", 0.2), ("boom.cylinder", 0.012)):
+            there = recording.values(signal)
+            moving = np.abs(np.gradient(there)) > 1e-2 * size / 100.0
+            flow = lfilter([0.2], [1.0, -0.98], rng.standard_normal(len(there)))
+            columns[signal] = there + np.cumsum(0.9 * share * size * flow * moving) / 100.0
+        kept = recording.table[["time", "slew.command", "boom.command"]]
+        recordings.append(replace(recording, table=kept.assign(**columns)))
+    splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
+    return find_gap(Dataset.of(plant.machine, recordings, splits), nominal())
+
+
+def consistent(found: GapResult) -> None:
+    """No figure contradicts another: the pooled error of a signal is not above that of its worst recording."""
+    values = found.to_json()
+    assert (values["verdict"], values["headline"]) == (found.verdict, found.headline)
+    for item in found.agreement:
+        assert item.after >= found.gap.after[item.signal] * (1.0 - 1e-9)
+    if found.verdict == "no_gap":
+        for signal, error in found.gap.after.items():
+            assert error <= AGREES * found.gap.noise_floor[signal]

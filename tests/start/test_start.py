@@ -1,0 +1,182 @@
+"""`sysid start`: what the data show is drafted right, the rest is asked, and the result is what ingest and gap read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from command_line import run
+
+from sysid.datasets.layouts import recording_names
+from sysid.datasets.recipe import load_recipe
+from sysid.errors import SettingsError
+from sysid.logs.inspection import inspect_file
+from sysid.machine import load_machine
+from sysid.start import Description, describe
+from sysid.start.question import Answers
+
+Array = npt.NDArray[np.float64]
+
+#: Names of command and motion for an axis, as loggers write them.
+STYLES: dict[str, tuple[Callable[[str, int], str], Callable[[str, int], str]]] = {
+    "words": (lambda name, _: f"{name.title()} Cmd", lambda name, _: f"{name.title()} Position"),
+    "snake": (lambda name, _: f"cmd_{name}", lambda name, _: f"{name}_meas"),
+    "numbers": (lambda _, k: f"goal_pos_{k + 1}", lambda _, k: f"present_pos_{k + 1}"),
+    "arrays": (lambda _, k: f"q_des[{k}]", lambda _, k: f"q[{k}]"),
+    "camel": (lambda name, _: f"{name}Setpoint", lambda name, _: f"{name}Actual"),
+}
+NAMES = ("slew", "boom", "stick", "wrist", "grip")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a generated machine is: by axis the neutral and span of its command, gain, ends of its motion [SI], unit."""
+
+    kind: str
+    neutral: Array
+    span: Array
+    gain: Array
+    ends: Array
+    unit: str
+    rate_hz: float
+    count: int
+
+
+def logs(folder: Path, seed: int) -> Truth:
+    """Three logs of a machine of one to five axes, with columns, units, rate and scale of the commands at random."""
+    rng = np.random.default_rng(seed)
+    kind = ("hydraulic", "servo")[seed % 2]
+    count, rate = int(rng.integers(1, 6)), float(rng.choice([20.0, 50.0, 100.0, 200.0]))
+    command_name, motion_name = STYLES[str(rng.choice([*STYLES]))]
+    unit = str(rng.choice(["mm", "m"] if kind == "hydraulic" else ["rad", "deg"]))
+    factor = {"mm": 1e3, "m": 1.0, "rad": 1.0, "deg": 180.0 / np.pi}[unit]
+    span = rng.choice([1.0, 100.0, 400.0]) * np.ones(count) if kind == "hydraulic" else np.ones(count)
+    neutral = np.where(span == 400.0, 1500.0, 0.0)
+    gain = rng.uniform(0.03, 0.2, count)
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    folder.mkdir()
+    for number in range(3):
+        time = np.arange(round(40.0 * rate)) / rate
+        columns = {"time": time + 1000.0 * rng.uniform()}
+        for k in range(count):
+            if kind == "hydraulic":
+                levels = np.repeat(rng.choice([-1.0, -0.6, 0.0, 0.0, 0.6, 1.0], 40), round(rate))[: len(time)]
+                levels[np.repeat(np.arange(40) % 2 == 1, round(rate))[: len(time)]] = 0.0
+                late = np.concatenate([np.zeros(round(0.1 * rate)), levels[: len(time) - round(0.1 * rate)]])
+                place = 0.4 + np.cumsum(gain[k] * late) / rate
+                command = neutral[k] + span[k] * levels
+            else:
+                command = sum(
+                    a * np.sin(2 * np.pi * f * time + p) for a, f, p in rng.uniform([0.2, 0.05, 0], [0.5, 0.4, 6], (3, 3))
+                )
+                place = np.interp(time - 0.05, time, command)
+                command = command * factor
+            low[k], high[k] = min(low[k], place.min()), max(high[k], place.max())
+            columns[command_name(NAMES[k], k)] = command
+            columns[motion_name(NAMES[k], k)] = factor * (place + rng.normal(0.0, 1e-5, len(time)))
+        pd.DataFrame(columns).to_csv(folder / f"run{number}.csv", index=False)
+    return Truth(kind, neutral, span, gain, np.column_stack([low, high]), unit, rate, count)
+
+
+def described(folder: Path, given: dict[str, str] | None = None, kind: str | None = None) -> Description:
+    files = [inspect_file(path) for path in sorted(folder.glob("*.csv"))]
+    return describe(files, folder, "m", Answers(given or {}), kind)
+
+
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(8, 100))])
+def test_what_is_drafted_is_right_or_asked(tmp_path: Path, seed: int) -> None:
+    folder = tmp_path / "logs"
+    truth = logs(folder, seed)
+    found = described(folder)
+    asked = {question.key for question in found.questions}
+    assert len(asked) <= 5
+    for key, text in (("machine.toml", found.machine), ("recipe.toml", found.recipe)):
+        (folder / key).write_text(text)
+    machine, recipe = load_machine(folder / "machine.toml"), load_recipe(folder / "recipe.toml")
+    assert len(machine.axes) == truth.count, found.left_out
+    assert machine.rate_hz == truth.rate_hz
+    (stream,) = recipe.streams
+    for k, axis in enumerate(machine.axes):
+        command, motion = stream.signals[f"{axis.name}.command"], stream.signals[axis.driven]
+        assert axis.actuation == ("velocity" if truth.kind == "hydraulic" else "position") or f"{axis.name}.actuation" in asked
+        assert motion.unit == truth.unit or "unit" in asked
+        if motion.unit != truth.unit or axis.actuation != "velocity":
+            continue
+        assert command.zero == pytest.approx(truth.neutral[k], abs=0.01 * truth.span[k])
+        assert command.span == pytest.approx(truth.span[k], rel=0.01)
+        assert axis.gain == pytest.approx(truth.gain[k], rel=0.02)
+        width = truth.ends[k, 1] - truth.ends[k, 0]
+        assert axis.range == pytest.approx(tuple(truth.ends[k]), abs=0.01 * width)
+
+
+def test_an_answer_replaces_the_proposal(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    seed = next(seed for seed in range(0, 40, 2) if unit_asked(tmp_path / f"try{seed}", seed))
+    logs(folder, seed)
+    assert 'unit = "cm"' in described(folder, {"unit": "cm"}).recipe
+    with pytest.raises(SettingsError, match="no choice"):
+        described(folder, {"unit": "inch"})
+    with pytest.raises(SettingsError, match="no such question"):
+        described(folder, {"units": "cm"})
+
+
+def unit_asked(folder: Path, seed: int) -> bool:
+    return logs(folder, seed).unit == "mm"
+
+
+def test_a_motion_that_is_computed_from_its_command_is_asked(tmp_path: Path) -> None:
+    """An integrated command has no noise and no delay; a simulation of it would be perfect, and mean nothing."""
+    folder = tmp_path / "logs"
+    logs(folder, 0)
+    for path in folder.glob("*.csv"):
+        table = pd.read_csv(path)
+        command, motion = table.columns[1:3]
+        rate = 1.0 / float(np.median(np.diff(table["time"])))
+        share = (table[command] - table[command].mode()[0]) / 400.0
+        table.assign(**{motion: 300.0 + np.cumsum(share) / rate}).to_csv(path, index=False)
+    found = described(folder)
+    (question,) = [question for question in found.questions if question.key.endswith(".measured")]
+    assert question.proposal == "no"
+    kept = described(folder, {question.key: "yes"})
+    assert len(kept.axes) == len(found.axes) + 1
+
+
+def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    logs(folder, 0)
+    for path in folder.glob("*.csv"):
+        table = pd.read_csv(path)
+        table.assign(battery_level=np.linspace(12.0, 11.0, len(table))).to_csv(path, index=False)
+    assert any(line.startswith("battery_level: no command beside it") for line in described(folder).left_out)
+
+
+def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, workspace, result = tmp_path / "digger", tmp_path / "ws", tmp_path / "start.json"
+    logs(folder, 0)
+    verb = ("--workspace", workspace, "start", folder)
+    assert run(*verb) == 2
+    assert not (folder / "machine.toml").exists()
+    assert run(*verb, "--yes", "--json", result) == 0
+    values = json.loads(result.read_text())
+    verdict = json.loads(result.with_suffix(".gap.json").read_text())
+    for response in values["responses"]:
+        assert response["delay95"][0] <= 0.1 <= response["delay95"][1]
+    assert {effect["name"] for effect in verdict["effects"]} == {"input_delay"}
+    described = {each["target"] for each in verdict["written"] if each["name"] == "gain_error"}
+    assert described, "the gain is only estimated: a better value is no missing effect"
+    capsys.readouterr()
+    assert run(*verb) == 0
+    assert "kept" in capsys.readouterr().out
+
+
+def test_recordings_have_the_names_of_their_files(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    logs(folder, 1)
+    files = [inspect_file(path) for path in sorted(folder.glob("*.csv"))]
+    assert recording_names(files, False, [frozenset()] * 3)[1]
