@@ -51,7 +51,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
             rows.append(("", f"{key.replace('_', ' ')} not determined", "", "", ""))
     count = f"{len(result.written)} effect{'' if len(result.written) == 1 else 's'}"
     if result.plant_after:
-        out.line(f"Written into {result.plant_after}: {count}")
+        out.line(f"Written into plant {result.plant_after}: {count}")
     else:
         out.line(f"A repair (--add) would write {count}:")
     out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))

@@ -113,6 +113,7 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     from sysid.reports.sections.where import above_floor, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
+    out.line(f"{result.headline}  [{result.verdict}]")
     rows = []
     for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
         unit = dataset.units.get(item.signal)
@@ -224,7 +225,7 @@ def show_repair(
         workspace: for the printed commands.
     """
     name = result.plant_after.partition("@")[0]
-    out.line(f"{result.plant_after} = {result.plant_before} repaired. Change of machine.toml (SI units):")
+    out.line(f"Plant {result.plant_after} = plant {result.plant_before} repaired. Change of machine.toml (SI units):")
     out.line()
     for line in result.machine_diff.splitlines():
         out.line(f"  {line}".rstrip())
@@ -244,7 +245,7 @@ def show_repair(
         out.line(f"  {check.status:<8}  {check.name}: {check.text}")
     if found.promoted:
         instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
-        out.line(f"Promoted: `{name}` alone now means {found.version}{instead}.")
+        out.line(f"Promoted: `{name}` alone now means plant {found.version}{instead}.")
         back = found.previous if found.previous != found.version else result.plant_before
         out.line(
             f"Undo it:  {command('models', 'promote', back, workspace=workspace)}   ({back} and machine.toml are unchanged)"

@@ -472,7 +472,8 @@ class GapResult:
     def headline(self) -> str:
         """The verdict in words, with the largest error that remains."""
         above = any(item.stage_rmse > EXPLAINED * item.noise_floor for item in self.localised)
-        return headline(self.verdict, len(self.effects), self.agreement, disagrees=above or bool(self.unnamed))
+        found = "located" if self.verdict == "unnamed" and self.settings.get("localise_only") else self.verdict
+        return headline(found, len(self.effects), self.agreement, disagrees=above or bool(self.unnamed))
 
     @property
     def repaired(self) -> bool:

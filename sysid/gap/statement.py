@@ -26,6 +26,7 @@ AWAY, AWAY_FLOORS = 3.0, 10.0
 HEADLINES = {
     "no_gap": "The simulation agrees with the machine to within sensor noise.",
     "unnamed": "The simulation has an error that none of the known effects explains.",
+    "located": "Simulation and machine disagree.",
     "ambiguous": "These recordings cannot distinguish the remaining candidate effects.",
     "insufficient_excitation": "These recordings are not sufficient to identify what the simulation lacks, if anything.",
 }

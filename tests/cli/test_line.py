@@ -111,7 +111,7 @@ def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pyt
     text = capsys.readouterr().out
     assert "lift@2 = lift@1 repaired" in text, "the same repair is the same version"
     assert '  +[[effects]]\n  +name = "valve_deadband"\n  +target = "boom"\n' in text
-    assert "Promoted: `lift` alone now means lift@2." in text, "it was before this run already"
+    assert "Promoted: `lift` alone now means plant lift@2." in text, "it was before this run already"
     assert re.search(r"passed +stages: command stage of boom \d+ → [01]", text)
     assert re.search(r"Undo it:  sysid --workspace \S+ models promote lift@1 ", text)
     assert "Not run in the PyBullet world" in text

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal
+from plant_data import ROLES, arm_inputs, dataset_of, loaded_arm, measured, nominal, slide
 from scipy.signal import lfilter
 
 from sysid.datasets.recording import Dataset
@@ -17,6 +17,7 @@ from sysid.gap import GapResult, find_gap
 from sysid.gap.statement import Agreement, FloorSource, headline, verdict_of
 from sysid.gap.thresholds import AGREES
 from sysid.machine import KnownEffect
+from sysid.plant import Plant
 
 SOURCES: tuple[FloorSource, ...] = ("stated", "rest", "two_sensors", "above_bandwidth", "unknown")
 sizes = st.floats(0.0, 1e3) | st.just(math.inf)
@@ -97,6 +98,47 @@ def test_what_remains_after_a_repair_is_said_beside_the_names(effect: KnownEffec
     assert found.verdict == "named"
     assert "With the repair, " in found.headline
     consistent(found)
+
+
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 24))])
+def test_sealed_machines_with_and_without_what_no_effect_explains(seed: int) -> None:
+    """Valves, servos and forces; a random, slow, wave-like or creeping error of a thousandth to a tenth of the motion."""
+    plant, data = generated(seed)
+    found = find_gap(data, plant)
+    assert (found.verdict, found.effects) == ("no_gap", ())
+    consistent(found)
+    found = find_gap(disturbed(data, seed), plant)
+    assert found.verdict != "no_gap" or not any(item.differs for item in found.agreement)
+    consistent(found)
+
+
+def generated(seed: int) -> tuple[Plant, Dataset]:
+    plant = (nominal(), nominal(machine=slide()), nominal(machine=loaded_arm()))[seed % 3]
+    return plant, dataset_of(plant, float(np.random.default_rng([seed, 7]).uniform(12.0, 25.0)), seed)
+
+
+def disturbed(data: Dataset, seed: int) -> Dataset:
+    """The dataset with an error on every measured motion."""
+    rng, recordings = np.random.default_rng([seed, 8]), []
+    form, size = rng.choice(["wander", "drift", "wave", "creep"]), float(10.0 ** rng.uniform(-3.0, -1.0))
+    for k, recording in enumerate(data.recordings):
+        own, time, columns = np.random.default_rng([seed, k]), recording.values("time"), {}
+        for signal in (s for s in recording.signals if s.endswith((".joint", ".cylinder")) and s != "boom.joint"):
+            place = recording.values(signal)
+            spread = float(np.std(place))
+            noise = lfilter([0.2], [1.0, -0.98], own.standard_normal(len(place)))
+            columns[signal] = (
+                place
+                + size
+                * {
+                    "wander": np.cumsum(noise * np.abs(np.gradient(place))),
+                    "drift": spread * np.sin(2.0 * np.pi * time / own.uniform(7.0, 10.0) + own.uniform(0.0, 6.0)),
+                    "wave": spread * np.sin(17.0 * place / spread + 1.0) * np.exp(-time / 20.0),
+                    "creep": lfilter([1.0 / 300.0], [1.0, 1.0 / 300.0 - 1.0], place - place[0]),
+                }[form]
+            )
+        recordings.append(replace(recording, table=recording.table.assign(**columns)))
+    return replace(data, recordings=tuple(recordings))
 
 
 def wandering(share: float, *effects: KnownEffect) -> GapResult:
