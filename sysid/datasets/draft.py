@@ -182,7 +182,8 @@ def _signals(
             kind = f" ({comment(stream.kind)})" if stream.kind else ""
             yield f"# {comment(stream.name)}{kind}: {stream.samples} samples"
         if chosen is not None:
-            keys = [("" if tables else stream.name, field.name) for field in stream.fields]
+            of_file = file.path.stem if any(topic == file.path.stem for topic, _ in chosen) else ""
+            keys = [(of_file if tables else stream.name, field.name) for field in stream.fields]
             yield from (chosen[key] for key in keys if key in chosen)
             others = [comment(field.name) for key, field in zip(keys, stream.fields, strict=True) if key not in chosen]
             if others:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
 from sysid.datasets.quality.responses import speed
+from sysid.errors import SettingsError, nearest
 from sysid.machine import Axis
 from sysid.names import listed, slug
 from sysid.start.fields import Field, words_of
@@ -31,6 +32,8 @@ RADIANS, DEGREES = 2.1 * math.pi, 400.0
 #: Largest length that may be in metres, and least that cannot be.
 METRES, MILLIMETRES = 3.0, 20.0
 LENGTHS = ("mm", "cm", "m")
+#: What an answer may assign a column to, and what its name then says.
+ASSIGNED = {"command": "command", "motion": "measured"}
 #: A command within this range is a share of the full one already.
 UNIT_COMMAND = 1.05
 #: Usual full scales of a command; one is taken if the largest command is within this share of it.
@@ -77,7 +80,7 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         kind: hydraulic, servo or force; None: as the data show.
     """
     groups: dict[str, list[Field]] = {}
-    for field in fields:
+    for field in _told(fields, answers):
         groups.setdefault(field.axis, []).append(field)
     pairs, left = dict[str, tuple[Field, Field, str, dict[str, str]]](), list[str]()
     for words, group in groups.items():
@@ -129,6 +132,27 @@ def _integrated(command: Field, motion: Field) -> float:
         return 0.0
     # A neutral that is not zero adds the same to every second.
     return abs(float(np.corrcoef(way[known], meant[known])[0, 1]))
+
+
+def _told(fields: Sequence[Field], answers: Answers) -> list[Field]:
+    """The columns, those that an answer assigns (``boom.command=COLUMN``, ``boom.motion=COLUMN``) with that axis and quantity.
+
+    Raises:
+        SettingsError: no such column.
+    """
+    told = dict[str, Field]()
+    by_label = {label: field for field in fields for label in (field.name, field.label)}
+    for key, label in answers.given.items():
+        axis, _, quantity = key.rpartition(".")
+        if quantity not in ASSIGNED or not axis:
+            continue
+        if label not in by_label:
+            raise SettingsError(f"--set {key}={label}", "no such column that changes", nearest(label, by_label))
+        answers.used.add(key)
+        field = by_label[label]
+        told[field.label] = replace(field, axis=axis, says=frozenset({ASSIGNED[quantity]}) | field.says & {"force", "cylinder"})
+    axes = {field.axis for field in told.values()}
+    return [told.get(field.label, field) for field in fields if field.label in told or field.axis not in axes]
 
 
 def _measured(name: str, command: Field, motion: Field, strength: float) -> Question:

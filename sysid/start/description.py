@@ -12,6 +12,7 @@ from sysid.datasets.layouts import recording_names
 from sysid.errors import InputError
 from sysid.logs.inspection import FileSummary
 from sysid.machine import Machine
+from sysid.names import listed
 from sysid.quoting import comment, toml_value
 from sysid.start.axes import AxisDraft, axes_of
 from sysid.start.fields import Field, read_fields
@@ -74,7 +75,8 @@ def describe(
         left += others
     if not axes:
         seen = "; ".join(left[-4:]) or "no column changes"
-        remedy = "Name the columns in a recipe: sysid ingest --inspect FOLDER --draft recipe.toml."
+        columns = listed([field.label for field in fields], 8)
+        remedy = f"Assign columns: --set AXIS.command=COLUMN --set AXIS.motion=COLUMN, of {columns}."
         raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
     rate, why = _rate(used)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
@@ -172,5 +174,5 @@ def _lines(axis: AxisDraft) -> list[tuple[tuple[str, str], str]]:
 
 
 def _entry(field: Field) -> list[str]:
-    topic = [f"topic = {toml_value(field.topic)}"] if field.topic else []
+    topic = [] if field.table or not field.topic else [f"topic = {toml_value(field.topic)}"]
     return [*topic, f"field = {toml_value(field.name)}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,7 +58,8 @@ class Field:
     """A column over all recordings.
 
     Args:
-        topic: of a bag; empty for tables.
+        topic: of a bag; of a table its file's stem where a recording has several files, else empty.
+        table: whether it is in a file with one table.
         unit: as the files state it.
         axis: words of its name that are no quantity; empty where there is none.
         says: quantities that its name says.
@@ -65,6 +67,7 @@ class Field:
 
     topic: str
     name: str
+    table: bool
     unit: str | None
     series: tuple[Series, ...]
     axis: str
@@ -93,8 +96,8 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
     Raises:
         InputError: a file that cannot be read.
     """
-    found: dict[tuple[str, str], list[Series]] = {}
-    units: dict[tuple[str, str], str | None] = {}
+    files_of, found = Counter(recordings[file.path] for file in files), dict[tuple[str, str], list[Series]]()
+    units, tables = dict[tuple[str, str], str | None](), set[tuple[str, str]]()
     for file in files:
         stated = dict(file.stated)
         options = ReadOptions(
@@ -102,23 +105,25 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
             length_unit=stated.get("length_unit"), rotation=stated.get("rotation"),
         )  # fmt: skip
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
-            topic = "" if file.reader in TABLES else stream.name
+            several = files_of[recordings[file.path]] > 1
+            topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
             for name, values in stream.columns.items():
                 found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), values))
                 units.setdefault((topic, name), stream.units.get(name))
+                tables |= {(topic, name)} if file.reader in TABLES else set()
     moving = {key: series for key, series in found.items() if any(_changes(one.values) for one in series)}
     shared = (
         frozenset.intersection(*(frozenset(words_of(f"{topic} {name}")) for topic, name in moving)) if moving else frozenset()
     )
-    return [_field(topic, name, units[topic, name], series, shared) for (topic, name), series in moving.items()]
+    return [_field(*key, key in tables, units[key], series, shared) for key, series in moving.items()]
 
 
-def _field(topic: str, name: str, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
+def _field(topic: str, name: str, table: bool, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
     words = words_of(re.sub(r"\([^()]*\)|\[[^\[\]\d]*\]", " ", f"{topic} {name}"))
     says = frozenset(quantity for quantity, known in WORDS.items() if known & {*words})
     known = frozenset().union(*WORDS.values()) | _UNITS | (shared if len(words) > 1 else frozenset())
     axis = "_".join(word for word in words if word not in known)
-    return Field(topic, name, unit or _unit_in(name), tuple(series), axis, says)
+    return Field(topic, name, table, unit or _unit_in(name), tuple(series), axis, says)
 
 
 def _unit_in(name: str) -> str | None:

@@ -15,7 +15,7 @@ from command_line import run
 
 from sysid.datasets.layouts import recording_names
 from sysid.datasets.recipe import load_recipe
-from sysid.errors import SettingsError
+from sysid.errors import InputError, SettingsError
 from sysid.logs.inspection import inspect_file
 from sysid.machine import load_machine
 from sysid.start import Description, describe
@@ -145,6 +145,39 @@ def test_a_motion_that_is_computed_from_its_command_is_asked(tmp_path: Path) -> 
     assert question.proposal == "no"
     kept = described(folder, {question.key: "yes"})
     assert len(kept.axes) == len(found.axes) + 1
+
+
+def test_columns_that_say_nothing_are_assigned(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    truth = logs(folder, 0)
+    for path in folder.glob("*.csv"):
+        table = pd.read_csv(path).iloc[:, :3]
+        table.set_axis(["time", "vir", "xm"], axis=1).to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"--set AXIS\.command=COLUMN --set AXIS\.motion=COLUMN, of vir and xm"):
+        described(folder)
+    found = described(folder, {"lift.command": "vir", "lift.motion": "xm"})
+    assert found.axes == ("lift",)
+    assert f"gain = {truth.gain[0]:.2g}"[:10] in found.machine
+    with pytest.raises(SettingsError, match="no such column"):
+        described(folder, {"lift.command": "virr"})
+
+
+def test_tables_of_one_recording_are_kept_apart_by_their_files(tmp_path: Path) -> None:
+    """``control.csv`` and ``state.csv`` with the same column names: the file says which is the command."""
+    folder = tmp_path / "logs"
+    logs(tmp_path / "flat", 1)
+    for path in (tmp_path / "flat").glob("*.csv"):
+        place = folder / path.stem
+        place.mkdir(parents=True)
+        table = pd.read_csv(path)
+        table.iloc[:, [0, 1]].set_axis(["time", "positions[0]"], axis=1).to_csv(place / "control.csv", index=False)
+        table.iloc[:, [0, 2]].set_axis(["time", "positions[0]"], axis=1).to_csv(place / "state.csv", index=False)
+    files = [inspect_file(path) for path in sorted(folder.glob("*/*.csv"))]
+    found = describe(files, folder, "m", Answers({}))
+    (folder / "machine.toml").write_text(found.machine)
+    (folder / "recipe.toml").write_text(found.recipe)
+    streams = {stream.files: [*stream.signals] for stream in load_recipe(folder / "recipe.toml").streams}
+    assert streams == {"control.csv": ["axis.command"], "state.csv": ["axis.joint"]}
 
 
 def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
