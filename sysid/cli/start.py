@@ -16,8 +16,8 @@ from sysid.errors import SettingsError
 from sysid.root import Root
 
 if TYPE_CHECKING:
+    from sysid.datasets.drafting import Description
     from sysid.machine import Machine
-    from sysid.start import Description
 
 
 @click.command()
@@ -128,9 +128,9 @@ def _described(
     out: Printer, folder: Path, name: str, robot: Path | None, kind: str | None, answers: tuple[str, ...], yes: bool
 ) -> Description:
     """The drafted files; questions are answered by ``--set``, at a prompt, or with ``--yes`` by their proposals."""
+    from sysid.datasets.drafting import describe
+    from sysid.datasets.drafting.question import Answers
     from sysid.logs.inspection import inspect_file
-    from sysid.start import describe
-    from sysid.start.question import Answers
 
     given = dict(_pair(text) for text in answers)
     paths, summaries = log_files((folder,), None), []

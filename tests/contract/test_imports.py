@@ -22,7 +22,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("logs", "machine"),
     ("effects",),
     ("datasets",),
-    ("networks", "start"),
+    ("networks",),
     ("plant",),
     ("registry", "validate", "testing", "world", "control"),
     ("gap", "versions"),

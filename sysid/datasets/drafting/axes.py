@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.drafting.fields import Field, words_of
+from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
 from sysid.datasets.quality.responses import speed
 from sysid.errors import SettingsError, nearest
 from sysid.machine import Axis
 from sysid.names import listed, slug
-from sysid.start.fields import Field, words_of
-from sysid.start.question import Answers, Question
 from sysid.units import si_factor
 
 Array = npt.NDArray[np.float64]
@@ -205,8 +205,11 @@ def _axis(name: str, command: Field, motion: Field, actuation: str, drives: str,
         command_unit = command.unit or ("N" if unit in LENGTHS else "N·m")
         inertia = _inertia(u * si_factor(command_unit)[0], factor * x, notes)
     values = motion.values * factor
-    ends = float(values.min()), float(values.max())
     notes["ends"] = "the range that the logs contain: where it is not the end stops, widen it"
+    if actuation == "position":
+        values = np.concatenate([values, command.values * si_factor(command_unit or unit)[0]])
+        notes["ends"] = "the range of commands and motion in the logs: where it is not the end stops, widen it"
+    ends = float(values.min()), float(values.max())
     return AxisDraft(name, command, motion, actuation, drives, zero, span, sign, unit, command_unit, gain, inertia, ends, notes)
 
 

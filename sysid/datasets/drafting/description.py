@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sysid.datasets.draft import draft_recipe
+from sysid.datasets.drafting.axes import AxisDraft, axes_of
+from sysid.datasets.drafting.fields import Field, read_fields
+from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.layouts import recording_names
 from sysid.errors import InputError
 from sysid.logs.inspection import FileSummary
 from sysid.machine import Machine
 from sysid.names import listed
 from sysid.quoting import comment, toml_value
-from sysid.start.axes import AxisDraft, axes_of
-from sysid.start.fields import Field, read_fields
-from sysid.start.question import Answers, Question
 
 #: Rates of controllers [Hz]; one is taken if the fastest log is within this share of it.
 RATES, NEAR = (10.0, 20.0, 25.0, 30.0, 50.0, 60.0, 100.0, 125.0, 200.0, 240.0, 250.0, 400.0, 500.0, 1000.0), 0.04

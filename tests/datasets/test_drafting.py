@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 from command_line import run
 
+from sysid.datasets.drafting import Description, describe
+from sysid.datasets.drafting.question import Answers
 from sysid.datasets.layouts import recording_names
 from sysid.datasets.recipe import load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.logs.inspection import inspect_file
 from sysid.machine import load_machine
-from sysid.start import Description, describe
-from sysid.start.question import Answers
 
 Array = npt.NDArray[np.float64]
 
