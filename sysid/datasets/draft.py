@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
@@ -39,6 +40,19 @@ schema = 1
 """
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """Lines of signals that are decided.
+
+    Args:
+        lines: by what separates files with the same fields, topic (of a table its file's stem, or empty) and field → the line.
+        apart: file → what separates it; files without an entry have the lines of the empty one.
+    """
+
+    lines: Mapping[str, Mapping[tuple[str, str], str]]
+    apart: Mapping[Path, str]
+
+
 def draft_recipe(
     files: Sequence[FileSummary],
     machine: Machine | None = None,
@@ -46,13 +60,13 @@ def draft_recipe(
     logs: str | None = None,
     in_folders: bool = False,
     root: Path | None = None,
-    chosen: Mapping[tuple[str, str], str] | None = None,
+    chosen: Chosen | None = None,
 ) -> str:
     """TOML of a recipe for ``files``; with ``machine`` its axes are recognised in the names of the fields.
 
     ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: there are files in
-    sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings. ``chosen``: topic and
-    field → the line of a signal, where all are decided already; the other fields are left out.
+    sub-folders; else each file in a folder may be a recording. ``root``: the folder of the recordings. ``chosen``: the
+    lines of signals, where all are decided already; the other fields are left out.
     """
     lines = [_HEAD.format(names=", ".join(sorted({comment(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {toml_value(machine_path)}")
@@ -62,7 +76,7 @@ def draft_recipe(
     files = [file for file in files if file not in damaged]
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
     lines += [f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged]
-    layouts = layouts_of(files, names)
+    layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)
     if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
         lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
@@ -114,7 +128,7 @@ def _stream(
     recordings: Sequence[str],
     machine: Machine | None,
     taken: set[str],
-    chosen: Mapping[tuple[str, str], str] | None,
+    chosen: Chosen | None,
 ) -> Iterator[str]:
     file = layout.whole
     by_suffix = next((r.name for r in READERS if file.path.suffix.lower() in r.suffixes), None)
@@ -172,7 +186,7 @@ def _signals(
     streams: Sequence[StreamSummary],
     machine: Machine | None,
     taken: set[str],
-    chosen: Mapping[tuple[str, str], str] | None,
+    chosen: Chosen | None,
 ) -> Iterator[str]:
     episodes = file.reader == LeRobotReader().name  # an entry is for all of them
     tables = episodes or (len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES)
@@ -182,10 +196,11 @@ def _signals(
             kind = f" ({comment(stream.kind)})" if stream.kind else ""
             yield f"# {comment(stream.name)}{kind}: {stream.samples} samples"
         if chosen is not None:
-            of_file = file.path.stem if any(topic == file.path.stem for topic, _ in chosen) else ""
+            lines = chosen.lines[chosen.apart.get(file.path, "")]
+            of_file = file.path.stem if any(topic == file.path.stem for topic, _ in lines) else ""
             keys = [(of_file if tables else stream.name, field.name) for field in stream.fields]
-            yield from (chosen[key] for key in keys if key in chosen)
-            others = [comment(field.name) for key, field in zip(keys, stream.fields, strict=True) if key not in chosen]
+            yield from (lines[key] for key in keys if key in lines)
+            others = [comment(field.name) for key, field in zip(keys, stream.fields, strict=True) if key not in lines]
             if others:
                 yield f"# left out: {', '.join(others[:MAX_LINES])}{' …' if len(others) > MAX_LINES else ''}"
             continue

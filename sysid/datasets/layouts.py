@@ -69,15 +69,23 @@ def recording_names(
     return {file.path: file.path.stem if unique else f"{file.path.parent.name}-{file.path.stem}" for file in files}, True
 
 
-def layouts_of(files: Sequence[FileSummary], recordings: Mapping[Path, str]) -> list[Layout]:
-    """The layouts of all files with streams, in the order of their first files; ``recordings``: file → its recording."""
+def layouts_of(
+    files: Sequence[FileSummary], recordings: Mapping[Path, str], apart: Mapping[Path, str] | None = None
+) -> list[Layout]:
+    """The layouts of all files with streams, in the order of their first files.
+
+    Args:
+        recordings: file → its recording.
+        apart: file → what else separates it from files with the same fields, such as another unit.
+    """
+    others = apart or {}
     groups: dict[object, list[FileSummary]] = {}
     for file in files:
         if file.streams:
             key = layout_key(file)
             beside = [one for one in files if one is not file and one.streams and recordings[one.path] == recordings[file.path]]
             device = any(layout_key(one) == key and overlap(one, file) for one in beside)  # two sensors of one kind
-            groups.setdefault((key, file.path.name if device else ""), []).append(file)
+            groups.setdefault((key, file.path.name if device else "", others.get(file.path, "")), []).append(file)
     places = {file.path: (recordings[file.path], file.path.name) for file in files}
     found = []
     for group in groups.values():

@@ -180,6 +180,28 @@ def test_tables_of_one_recording_are_kept_apart_by_their_files(tmp_path: Path) -
     assert streams == {"control.csv": ["axis.command"], "state.csv": ["axis.joint"]}
 
 
+def test_a_recording_in_another_unit_has_an_entry_of_its_own(tmp_path: Path) -> None:
+    """One log in centimetres, the others in millimetres, under the same names."""
+    folder = tmp_path / "logs"
+    seed = next(seed for seed in range(0, 40, 2) if unit_asked(tmp_path / f"try{seed}", seed))
+    truth = logs(folder, seed)
+    path = folder / "run1.csv"
+    table = pd.read_csv(path)
+    table.assign(**{name: table[name] / 10.0 for name in table.columns[2::2]}).to_csv(path, index=False)
+    found = described(folder)
+    assert [(q.key, q.proposal) for q in found.questions if q.key.startswith("unit.")] == [("unit.run1", "cm")]
+    (folder / "machine.toml").write_text(found.machine)
+    (folder / "recipe.toml").write_text(found.recipe)
+    units = {
+        stream.files: {m.unit for m in stream.signals.values() if m.unit}
+        for stream in load_recipe(folder / "recipe.toml").streams
+    }
+    assert units["run1.csv"] == {"cm"}
+    assert {*units} - {"run1.csv"}
+    for k, axis in enumerate(load_machine(folder / "machine.toml").axes):
+        assert axis.gain == pytest.approx(truth.gain[k], rel=0.02)
+
+
 def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     logs(folder, 0)

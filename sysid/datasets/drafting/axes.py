@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,8 @@ RADIANS, DEGREES = 2.1 * math.pi, 400.0
 #: Largest length that may be in metres, and least that cannot be.
 METRES, MILLIMETRES = 3.0, 20.0
 LENGTHS = ("mm", "cm", "m")
+#: A recording in another unit differs by its ratio, to within this factor.
+APART = 2.5
 #: What an answer may assign a column to, and what its name then says.
 ASSIGNED = {"command": "command", "motion": "measured"}
 #: A command within this range is a share of the full one already.
@@ -55,6 +58,7 @@ class AxisDraft:
         gain: speed at full command [SI], of a valve axis; ``inertia``: of a force axis.
         ends: range of the motion [SI].
         notes: by key of machine.toml or the recipe, from which data it is and how sure.
+        units: of recordings whose motion has another unit.
     """
 
     name: str
@@ -71,6 +75,7 @@ class AxisDraft:
     inertia: float
     ends: tuple[float, float]
     notes: Mapping[str, str]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) -> tuple[list[AxisDraft], list[str]]:
@@ -80,8 +85,8 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         kind: hydraulic, servo or force; None: as the data show.
     """
     groups: dict[str, list[Field]] = {}
-    for field in _told(fields, answers):
-        groups.setdefault(field.axis, []).append(field)
+    for each in _told(fields, answers):
+        groups.setdefault(each.axis, []).append(each)
     pairs, left = dict[str, tuple[Field, Field, str, dict[str, str]]](), list[str]()
     for words, group in groups.items():
         name = f"axis_{words}" if words.isdecimal() else slug(words, "axis").replace("-", "_") if words else "axis"
@@ -111,11 +116,58 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         notes: dict[str, str] = {}
         pairs[name] = command, motion, _actuation(name, command, how, answers, kind, notes), notes
     units = _units({name: (motion, actuation) for name, (_, motion, actuation, _) in pairs.items()}, answers)
+    unstated = {name: pair for name, pair in pairs.items() if pair[1].unit is None and pair[2] == "velocity"}
+    other = _other_units({name: (command, motion) for name, (command, motion, _, _) in unstated.items()}, units, answers)
     found = []
     for name, (command, motion, actuation, notes) in pairs.items():
         drives, unit, notes["unit"] = units[name]
-        found.append(_axis(name, command, motion, actuation, drives, unit, notes))
+        its = other if name in unstated else {}
+        scaled = _in_one_unit(motion, unit, its)
+        found.append(replace(_axis(name, command, scaled, actuation, drives, unit, notes), motion=motion, units=its))
     return found, left
+
+
+def _other_units(
+    pairs: Mapping[str, tuple[Field, Field]], units: Mapping[str, tuple[str, str, str]], answers: Answers
+) -> dict[str, str]:
+    """Recordings whose motions are in a coarser unit of length: most of them are smaller and slower by its ratio."""
+    votes = Counter(vote for name, pair in pairs.items() for vote in _coarser(*pair, units[name][1]))
+    found: dict[str, str] = {}
+    for (recording, coarser, ratio), count in votes.items():
+        if 2 * count > len(pairs):
+            labels = listed([motion.label for _, motion in pairs.values()], 3)
+            why = f"{labels} in {recording}: {ratio:.0f} times smaller and slower than in the others"
+            found[recording] = answers.of(Question(f"unit.{recording}", coarser, why, LENGTHS))
+    return found
+
+
+def _coarser(command: Field, motion: Field, unit: str) -> Iterator[tuple[str, str, float]]:
+    """Recording, unit and ratio where a motion is smaller and slower by the ratio of a coarser unit."""
+    if unit not in LENGTHS:
+        return
+    speeds, places = dict[str, float](), dict[str, float]()
+    for one in motion.series:
+        moved = speed(_together(command, replace(motion, series=(one,)))[1], RATE_HZ)
+        size = float(np.nanquantile(np.abs(moved), 0.95)) if np.isfinite(moved).any() else 0.0
+        if size > 0.0:
+            speeds[one.recording], places[one.recording] = size, abs(float(np.nanmedian(one.values)))
+    if not speeds:
+        return
+    usual, place = float(np.median([*speeds.values()])), float(np.median([*places.values()]))
+    for recording, size in speeds.items():
+        for coarser in LENGTHS[LENGTHS.index(unit) + 1 :]:
+            ratio = si_factor(coarser)[0] / si_factor(unit)[0]
+            both = usual / size, place / places[recording] if places[recording] else math.inf
+            if all(ratio / APART < each < ratio * APART for each in both):
+                yield recording, coarser, ratio
+
+
+def _in_one_unit(motion: Field, unit: str, other: Mapping[str, str]) -> Field:
+    """The motion with all of its recordings in ``unit``."""
+    ratio = {recording: si_factor(its)[0] / si_factor(unit)[0] for recording, its in other.items()}
+    return replace(
+        motion, series=tuple(replace(one, values=one.values * ratio.get(one.recording, 1.0)) for one in motion.series)
+    )
 
 
 def _integrated(command: Field, motion: Field) -> float:
@@ -141,7 +193,7 @@ def _told(fields: Sequence[Field], answers: Answers) -> list[Field]:
         SettingsError: no such column.
     """
     told = dict[str, Field]()
-    by_label = {label: field for field in fields for label in (field.name, field.label)}
+    by_label = {label: each for each in fields for label in (each.name, each.label)}
     for key, label in answers.given.items():
         axis, _, quantity = key.rpartition(".")
         if quantity not in ASSIGNED or not axis:
@@ -149,10 +201,12 @@ def _told(fields: Sequence[Field], answers: Answers) -> list[Field]:
         if label not in by_label:
             raise SettingsError(f"--set {key}={label}", "no such column that changes", nearest(label, by_label))
         answers.used.add(key)
-        field = by_label[label]
-        told[field.label] = replace(field, axis=axis, says=frozenset({ASSIGNED[quantity]}) | field.says & {"force", "cylinder"})
-    axes = {field.axis for field in told.values()}
-    return [told.get(field.label, field) for field in fields if field.label in told or field.axis not in axes]
+        column = by_label[label]
+        told[column.label] = replace(
+            column, axis=axis, says=frozenset({ASSIGNED[quantity]}) | column.says & {"force", "cylinder"}
+        )
+    axes = {column.axis for column in told.values()}
+    return [told.get(column.label, column) for column in fields if column.label in told or column.axis not in axes]
 
 
 def _measured(name: str, command: Field, motion: Field, strength: float) -> Question:

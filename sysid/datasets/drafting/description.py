@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sysid.datasets.draft import draft_recipe
+from sysid.datasets.draft import Chosen, draft_recipe
 from sysid.datasets.drafting.axes import AxisDraft, axes_of
 from sysid.datasets.drafting.fields import Field, read_fields
 from sysid.datasets.drafting.question import Answers, Question
@@ -80,7 +80,7 @@ def describe(
         raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
     rate, why = _rate(used)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
-    chosen = {key: line for axis in axes for key, line in _lines(axis)}
+    chosen = _chosen(axes, names)
     recipe = draft_recipe(used, None, "machine.toml", ".", in_folders, folder, chosen)
     recipe = recipe.replace("# machine = ", "machine = ", 1).replace(
         "schema = 1\n", f"schema = 1\nname = {toml_value(name)}\n", 1
@@ -88,10 +88,18 @@ def describe(
     return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
 
 
+def _chosen(axes: Sequence[AxisDraft], recordings: Mapping[Path, str]) -> Chosen:
+    """The lines of all axes; files of recordings with other units have lines of their own."""
+    others = {recording for axis in axes for recording in axis.units}
+    lines = {"": {key: line for axis in axes for key, line in _lines(axis)}}
+    for other in others:
+        in_its_units = (replace(axis, unit=axis.units.get(other, axis.unit)) for axis in axes)
+        lines[other] = {key: line for axis in in_its_units for key, line in _lines(axis)}
+    return Chosen(lines, {path: recording for path, recording in recordings.items() if recording in others})
+
+
 def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:
     """The axes with the names of the robot's: by their words, else by their number in the order of the axes."""
-    from dataclasses import replace
-
     names, found, left = machine.axis_names, dict[str, AxisDraft](), list[str]()
     for axis in axes:
         words = axis.command.axis

@@ -42,7 +42,7 @@ class Answers:
         value = self.given.get(question.key)
         self.used.add(question.key)
         if value is None:
-            if question not in self.asked:
+            if all(question.key != other.key for other in self.asked):
                 self.asked.append(question)
             return question.proposal
         if question.choices and value not in question.choices:
