@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.drafting.fields import Field, words_of
+from sysid.datasets.drafting.fields import MAX_SECONDS, Field, words_of
 from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
 from sysid.datasets.quality.responses import speed
@@ -33,6 +33,8 @@ RADIANS, DEGREES = 2.1 * math.pi, 400.0
 #: Largest length that may be in metres, and least that cannot be.
 METRES, MILLIMETRES = 3.0, 20.0
 LENGTHS = ("mm", "cm", "m")
+#: A recording drives an axis if its command covers this share of its range.
+DRIVEN = 0.5
 #: A recording in another unit differs by its ratio, to within this factor.
 APART = 2.5
 #: What an answer may assign a column to, and what its name then says.
@@ -146,7 +148,10 @@ def _coarser(command: Field, motion: Field, unit: str) -> Iterator[tuple[str, st
     if unit not in LENGTHS:
         return
     speeds, places = dict[str, float](), dict[str, float]()
-    for one in motion.series:
+    known = {one.recording: one.values[np.isfinite(one.values)] for one in command.series}
+    whole = float(np.ptp(command.values))
+    driven = {recording for recording, values in known.items() if len(values) and np.ptp(values) >= DRIVEN * whole}
+    for one in (one for one in motion.series if one.recording in driven):
         moved = speed(_together(command, replace(motion, series=(one,)))[1], RATE_HZ)
         size = float(np.nanquantile(np.abs(moved), 0.95)) if np.isfinite(moved).any() else 0.0
         if size > 0.0:
@@ -228,7 +233,8 @@ def _together(command: Field, motion: Field, held: bool = True) -> tuple[Array, 
         for other in motion.series:
             if one.recording != other.recording or len(one.time) < 2 or len(other.time) < 2:
                 continue
-            grid = np.arange(max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1]), 1.0 / RATE_HZ)
+            begin = max(one.time[0], other.time[0])
+            grid = np.arange(begin, min(one.time[-1], other.time[-1], begin + MAX_SECONDS), 1.0 / RATE_HZ)
             if not len(grid):
                 continue
             before = one.values[np.clip(np.searchsorted(one.time, grid, "right") - 1, 0, len(one.values) - 1)]

@@ -25,6 +25,8 @@ def _set(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+#: Of longer recordings the first two hours are enough [s].
+MAX_SECONDS = 7200.0
 #: What a word in the name of a column says about its quantity. An operator's stick is not the command of the axis.
 WORDS: Mapping[str, frozenset[str]] = {
     "operator": _set("js joy joystick operator pilot"),
@@ -102,7 +104,7 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
         stated = dict(file.stated)
         options = ReadOptions(
             header=file.columns, time=stated.get("time"), time_unit=stated.get("time_unit"),
-            length_unit=stated.get("length_unit"), rotation=stated.get("rotation"),
+            length_unit=stated.get("length_unit"), rotation=stated.get("rotation"), seconds=MAX_SECONDS,
         )  # fmt: skip
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
             several = files_of[recordings[file.path]] > 1
