@@ -26,26 +26,16 @@ def show_responses(out: Printer, dataset: Dataset) -> list[dict[str, Any]]:
 
 def _rows(response: AxisResponse) -> list[tuple[str, ...]]:
     from sysid.display import NOTHING, interval
+    from sysid.reports.sections.responses import begin_text
 
     delay = interval(*response.delay95, "s") if math.isfinite(response.delay) else NOTHING
     if response.positive is None or response.negative is None:
         return [(response.axis, delay, "", "", "")]
     unit = f"{response.unit}/s"
     return [
-        (response.axis, delay, "positive", _begin(response.positive), _speed(response.positive, unit)),
-        ("", "", "negative", _begin(response.negative), _speed(response.negative, unit)),
+        (response.axis, delay, "positive", begin_text(response.positive), _speed(response.positive, unit)),
+        ("", "", "negative", begin_text(response.negative), _speed(response.negative, unit)),
     ]
-
-
-def _begin(direction: Direction) -> str:
-    from sysid.display import NOTHING, number
-
-    still, moving = direction.begins
-    if math.isnan(still):
-        return NOTHING
-    if math.isnan(moving):
-        return f"none up to {number(still, 2)}"
-    return f"below {number(moving, 2)}" if still == 0.0 else f"{number(still, 2)} … {number(moving, 2)}"
 
 
 def _speed(direction: Direction, unit: str) -> str:

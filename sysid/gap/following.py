@@ -207,7 +207,7 @@ class Following:
 def _unnamed_runs(agreement: Sequence[Agreement], known: Collection[str]) -> Iterator[Unnamed]:
     """The errors of free runs of which no stage has one: the largest of each axis and point that is not ``known``."""
     worst: dict[str, Agreement] = {}
-    for item in sorted((item for item in agreement if item.differs), key=lambda item: -item.floors):
+    for item in sorted((item for item in agreement if item.remains), key=lambda item: -item.floors(item.after)):
         worst.setdefault(split_signal(item.signal)[0], item)
     for owner, item in worst.items():
         if owner not in known:

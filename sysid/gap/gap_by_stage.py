@@ -80,7 +80,9 @@ def agreement(
 
 
 def _floors(run: tuple[str, float, float, float]) -> float:
-    return run[2] / run[3] if run[3] > 0.0 else np.inf
+    """The larger error of a run, in noise floors."""
+    _, before, after, floor = run
+    return max(before, after) / floor if floor > 0.0 else np.inf
 
 
 def _rmse(recording: Recording, run: pd.DataFrame, signal: str) -> float:

@@ -58,21 +58,29 @@ class Agreement:
     unit: str
 
     @property
-    def floors(self) -> float:
-        """The error with the repair in noise floors."""
-        if self.noise_floor > 0.0:
-            return self.after / self.noise_floor
-        return math.inf if self.after > 0.0 else 0.0
+    def worst(self) -> float:
+        """The larger of both errors: a simulation agrees as it is, and with the repair."""
+        return self.after if not self.before > self.after else self.before
 
     @property
     def differs(self) -> bool:
-        """Whether the error exceeds what sensor noise explains, or is not a number."""
-        return not self.floors <= AGREES
+        """Whether an error exceeds what sensor noise explains, or is not a number."""
+        return not self.floors(self.worst) <= AGREES
 
     @property
-    def is_away(self) -> bool:
-        """Whether the simulation does not follow the machine at all."""
-        return not self.after <= max(AWAY * self.motion, AWAY_FLOORS * self.noise_floor)
+    def remains(self) -> bool:
+        """Whether the error with the repair does."""
+        return not self.floors(self.after) <= AGREES
+
+    def floors(self, error: float) -> float:
+        """An error in noise floors."""
+        if self.noise_floor > 0.0:
+            return error / self.noise_floor
+        return math.inf if error > 0.0 else 0.0
+
+    def is_away(self, error: float) -> bool:
+        """Whether a simulation with this error does not follow the machine at all."""
+        return not error <= max(AWAY * self.motion, AWAY_FLOORS * self.noise_floor)
 
     @property
     def open(self) -> str:
@@ -114,18 +122,24 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
     if verdict == "named":
         count = _COUNTS[effects] if effects < len(_COUNTS) else str(effects)
         found = f"{count} effect{' is' if effects == 1 else 's are'} missing from the simulation."
-    worst = max((item for item in agreement if item.differs), key=_size, default=None)
-    if worst is None:
+    repaired = verdict == "named"
+    errors = [(item, item.after if repaired else item.worst) for item in agreement]
+    beyond = [(item, error) for item, error in errors if not item.floors(error) <= AGREES]
+    if not beyond:
         open_ = "" if disagrees else next((item.open for item in agreement if item.open), "")
         return f"What can be compared agrees to within sensor noise, but {open_}." if open_ else found
-    error = quantity(worst.after, worst.unit) if math.isfinite(worst.after) else "without end"
-    if worst.is_away:
-        sizes = f"{error}, and moves by {quantity(worst.motion, worst.unit)} (RMS)"
-        return f"The simulation does not follow the machine: {worst.signal} is off by {sizes}. {found}"
-    with_them = "With the repair, " if verdict == "named" else ""
-    text = f"{with_them}{worst.signal} is off by {error}, {ratio(worst.floors)} its noise floor."
-    return f"{found} {text[0].upper()}{text[1:]}" if with_them else f"{found} {text}"
+    item, error = max(beyond, key=lambda pair: (pair[0].is_away(pair[1]), _sized(pair[0].floors(pair[1]))))
+    size = quantity(error, item.unit) if math.isfinite(error) else "without end"
+    if item.is_away(error):
+        sizes = f"{size}, and moves by {quantity(item.motion, item.unit)} (RMS)"
+        return f"The simulation does not follow the machine: {item.signal} is off by {sizes}. {found}"
+    if verdict == "unnamed" and not any(each.remains for each in agreement):
+        found = "The simulation has an error that values without a name explain."
+    text = (
+        f"{'With the repair, ' if repaired else ''}{item.signal} is off by {size}, {ratio(item.floors(error))} its noise floor."
+    )
+    return f"{found} {text}"
 
 
-def _size(item: Agreement) -> tuple[bool, float]:
-    return item.is_away, item.floors if math.isfinite(item.floors) else math.inf
+def _sized(floors: float) -> float:
+    return floors if math.isfinite(floors) else math.inf

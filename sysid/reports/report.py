@@ -21,6 +21,7 @@ from sysid.reports.sections import (
     parameters,
     proof,
     quality,
+    responses,
     summary,
     traces,
     versions,
@@ -43,6 +44,7 @@ class Section:
 SECTIONS: tuple[Section, ...] = (
     Section("summary", "In short", summary.context),
     Section("where", "Where they disagree", where.context),
+    Section("responses", "Without a model", responses.context),
     Section("traces", "Before and after", traces.context),
     Section("proof", "The proof", proof.context),
     Section("parameters", "What was added", parameters.context),

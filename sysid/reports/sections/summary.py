@@ -201,7 +201,7 @@ def _still_open(gap: GapResult) -> list[str]:
     """Whether the repair leaves no error; what remains is in the headline. Signals that say nothing are listed."""
     if not gap.agreement:
         return []
-    closed = bool(gap.effects) and not any(item.differs for item in gap.agreement)
+    closed = bool(gap.effects) and not any(item.remains for item in gap.agreement)
     text = f"With the repair every signal is within {AGREES} times its noise floor in every held-out recording."
     open_ = [f"Not tested by these recordings: {item.open}." for item in gap.agreement if item.open and not item.differs]
     return [*([text] if closed else []), *open_]
