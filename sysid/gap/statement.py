@@ -130,6 +130,7 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
         return f"What can be compared agrees to within sensor noise, but {open_}." if open_ else found
     item, error = max(beyond, key=lambda pair: (pair[0].is_away(pair[1]), _sized(pair[0].floors(pair[1]))))
     size = quantity(error, item.unit) if math.isfinite(error) else "without end"
+    size += f" in {item.recording}" if item.recording else ""
     if item.is_away(error):
         sizes = f"{size}, and moves by {quantity(item.motion, item.unit)} (RMS)"
         return f"The simulation does not follow the machine: {item.signal} is off by {sizes}. {found}"
