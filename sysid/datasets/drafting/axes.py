@@ -87,7 +87,7 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         kind: hydraulic, servo or force; None: as the data show.
     """
     groups: dict[str, list[Field]] = {}
-    for each in _told(fields, answers):
+    for each in _assigned(fields, answers):
         groups.setdefault(each.axis, []).append(each)
     pairs, left = dict[str, tuple[Field, Field, str, dict[str, str]]](), list[str]()
     for words, group in groups.items():
@@ -191,13 +191,13 @@ def _integrated(command: Field, motion: Field) -> float:
     return abs(float(np.corrcoef(way[known], meant[known])[0, 1]))
 
 
-def _told(fields: Sequence[Field], answers: Answers) -> list[Field]:
+def _assigned(fields: Sequence[Field], answers: Answers) -> list[Field]:
     """The columns, those that an answer assigns (``boom.command=COLUMN``, ``boom.motion=COLUMN``) with that axis and quantity.
 
     Raises:
         SettingsError: no such column.
     """
-    told = dict[str, Field]()
+    assigned = dict[str, Field]()
     by_label = {label: each for each in fields for label in (each.name, each.label)}
     for key, label in answers.given.items():
         axis, _, quantity = key.rpartition(".")
@@ -207,11 +207,11 @@ def _told(fields: Sequence[Field], answers: Answers) -> list[Field]:
             raise SettingsError(f"--set {key}={label}", "no such column that changes", nearest(label, by_label))
         answers.used.add(key)
         column = by_label[label]
-        told[column.label] = replace(
+        assigned[column.label] = replace(
             column, axis=axis, says=frozenset({ASSIGNED[quantity]}) | column.says & {"force", "cylinder"}
         )
-    axes = {column.axis for column in told.values()}
-    return [told.get(column.label, column) for column in fields if column.label in told or column.axis not in axes]
+    axes = {column.axis for column in assigned.values()}
+    return [assigned.get(column.label, column) for column in fields if column.label in assigned or column.axis not in axes]
 
 
 def _measured(name: str, command: Field, motion: Field, strength: float) -> Question:
