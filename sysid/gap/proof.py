@@ -27,7 +27,8 @@ from sysid.gap.servo.coupled import with_coupled_values
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import AGREES, EXPLAINED, LEAST, SHARE, Z
+from sysid.gap.statement import AGREES
+from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
 from sysid.gap.unnamed.periodic_instead import without_periodic_names
 from sysid.gap.unnamed.position_instead import without_names_of_position
 from sysid.gap.unnamed.residual_formula import describe_period, describe_residual

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sysid.display import quantity, ratio
-from sysid.gap.thresholds import AGREES
 
 Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
 #: How a noise floor is known: from the data sheet; from readings at rest that are repeats; from a second sensor; from the
 #: sensor's samples, above the bandwidth of the motion; not from anything but the error itself.
 FloorSource = Literal["stated", "rest", "two_sensors", "above_bandwidth", "unknown"]
 
+#: A signal agrees with the machine if its error is within this multiple of its noise floor in every held-out recording.
+AGREES = 1.5
 #: Largest noise floor, as a share of the motion, at which agreement says something.
 LARGEST_FLOOR = 0.1
 #: A free run that is off by these multiples of the motion and of the noise floor does not follow the machine at all.

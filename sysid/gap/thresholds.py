@@ -12,8 +12,6 @@ BLOCK_NATS = 5.0
 SHARE = 0.01
 #: A stage within this multiple of its noise floor is explained.
 EXPLAINED = 1.1
-#: A signal agrees with the machine if its free run is within this multiple of its noise floor in every held-out recording.
-AGREES = 1.5
 #: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
 PRICE = 1.0 + STANDARD_ERRORS**2
 #: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.

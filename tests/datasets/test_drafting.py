@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +14,16 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from command_line import run
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from sysid.datasets.drafting import Description, describe
+from sysid.datasets.drafting import Description, describe, fields
 from sysid.datasets.drafting.question import Answers
 from sysid.datasets.layouts import recording_names
 from sysid.datasets.recipe import load_recipe
-from sysid.errors import InputError, SettingsError
-from sysid.logs.inspection import inspect_file
+from sysid.errors import InputError, SettingsError, SysidError
+from sysid.logs.csv import CsvReader
+from sysid.logs.inspection import inspect_file, inspect_here
 from sysid.machine import load_machine
 
 Array = npt.NDArray[np.float64]
@@ -209,6 +214,31 @@ def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
         table = pd.read_csv(path)
         table.assign(battery_level=np.linspace(12.0, 11.0, len(table))).to_csv(path, index=False)
     assert any(line.startswith("battery_level: no command beside it") for line in described(folder).left_out)
+
+
+numbers = st.floats(width=64) | st.sampled_from([0.0, 1.0, 1e300, -1e-300, math.nan, math.inf])
+names = st.sampled_from(["boom cmd", "boom pos", "cmd", "pos", "q[0]", "tau_1", "q_1", "valve", "x (mm)", "speed", "JS", "ä"])
+
+
+@given(st.integers(0, 40), st.lists(names, min_size=1, max_size=5, unique=True), st.data())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_the_columns_hold_there_is_a_description_or_a_reason(
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    rows: int,
+    columns: list[str],
+    data: st.DataObject,
+) -> None:
+    folder = tmp_path_factory.mktemp("logs")
+    monkeypatch.setattr(fields, "read_confined", lambda reader, path, options: reader.read(path, options))
+    table = {name: data.draw(st.lists(numbers, min_size=rows, max_size=rows)) for name in columns}
+    pd.DataFrame({"time": np.arange(rows) * 0.5, **table}).to_csv(folder / "a.csv", index=False)
+    with contextlib.suppress(SysidError):
+        found = describe([inspect_here(folder / "a.csv", CsvReader())], folder, "m", Answers({}))
+        (folder / "machine.toml").write_text(found.machine)
+        (folder / "recipe.toml").write_text(found.recipe)
+        assert load_machine(folder / "machine.toml").axis_names == found.axes
+        load_recipe(folder / "recipe.toml")
 
 
 def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

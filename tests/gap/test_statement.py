@@ -14,8 +14,7 @@ from scipy.signal import lfilter
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
-from sysid.gap.statement import Agreement, FloorSource, headline, verdict_of
-from sysid.gap.thresholds import AGREES
+from sysid.gap.statement import AGREES, Agreement, FloorSource, headline, verdict_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

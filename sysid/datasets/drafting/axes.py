@@ -33,6 +33,8 @@ RADIANS, DEGREES = 2.1 * math.pi, 400.0
 #: Largest length that may be in metres, and least that cannot be.
 METRES, MILLIMETRES = 3.0, 20.0
 LENGTHS = ("mm", "cm", "m")
+#: Least gain [m/s or rad/s].
+SMALLEST = 1e-9
 #: A recording drives an axis if its command covers this share of its range.
 DRIVEN = 0.5
 #: A recording in another unit differs by its ratio, to within this factor.
@@ -386,4 +388,4 @@ def _gain(share: Array, moved: Array, notes: dict[str, str]) -> float:
         full = (np.abs(share) >= 0.5 * np.nanmax(np.abs(share))) & np.isfinite(late)
     gain = float(np.median(late[full] / share[full])) if full.any() else float("nan")
     notes["gain"] = f"median speed of {np.count_nonzero(full)} rows at large commands"
-    return gain if gain > 0.0 else float(np.nanmax(np.abs(moved)))
+    return max(gain if gain > 0.0 else float(np.nanmax(np.abs(moved))), SMALLEST)

@@ -64,6 +64,7 @@ def describe(
     if not used:
         why = left[0] if left else "no column of times"
         raise InputError(folder, why, "log files with a time", "Look into one of them with sysid ingest --inspect.")
+    used = [_with_time_unit(file, answers) for file in used]
     in_folders = any(file.path.parent != folder for file in used)
     names, _ = recording_names(used, in_folders, [frozenset() for _ in used])
     fields = read_fields(used, names)
@@ -86,6 +87,16 @@ def describe(
         "schema = 1\n", f"schema = 1\nname = {toml_value(name)}\n", 1
     )
     return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
+
+
+def _with_time_unit(file: FileSummary, answers: Answers) -> FileSummary:
+    """The file with one unit of its time, where several are plausible."""
+    if len(file.time_units) < 2:
+        return file
+    units = tuple(each.unit for each in file.time_units)
+    why = f"The time of {file.path.name} may be in {' or '.join(map(str, file.time_units))}"
+    unit = answers.of(Question("time_unit", units[0], why, units))
+    return replace(file, stated={**file.stated, "time_unit": unit}, time_units=())
 
 
 def _chosen(axes: Sequence[AxisDraft], recordings: Mapping[Path, str]) -> Chosen:

@@ -12,11 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.layouts import TABLES
+from sysid.datasets.quality.noise import is_still
 from sysid.logs.confined import read_confined
 from sysid.logs.inspection import FileSummary
 from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import reader_named
 from sysid.logs.stream import Stream
+from sysid.numbers import LARGEST_COUNT
 
 Array = npt.NDArray[np.float64]
 
@@ -110,10 +112,11 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
             several = files_of[recordings[file.path]] > 1
             topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
             for name, values in stream.columns.items():
-                found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), values))
+                known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # an overflow is no value
+                found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), known))
                 units.setdefault((topic, name), stream.units.get(name))
                 tables |= {(topic, name)} if file.reader in TABLES else set()
-    moving = {key: series for key, series in found.items() if any(_changes(one.values) for one in series)}
+    moving = {key: series for key, series in found.items() if not all(is_still(one.values) for one in series)}
     shared = (
         frozenset.intersection(*(frozenset(words_of(f"{topic} {name}")) for topic, name in moving)) if moving else frozenset()
     )
@@ -139,8 +142,3 @@ def _unit_in(name: str) -> str | None:
 def _seconds(stream: Stream) -> Array:
     stamps = next(iter(stream.stamps.values()))
     return np.asarray(stamps * 1e-9, dtype=np.float64)
-
-
-def _changes(values: Array) -> bool:
-    known = values[np.isfinite(values)]
-    return len(known) > 1 and float(np.ptp(known)) > 0.0

@@ -154,7 +154,7 @@ def _slope(command: Array, answer: Array, delays: int) -> Response | None:
             continue
         u, y = u[there] - u[there].mean(), y[there] - y[there].mean()
         uu, yy, uy = float(u @ u), float(y @ y), float(u @ y)
-        if uu <= 0.0 or yy <= 0.0:
+        if not uu * yy > 0.0:
             continue
         strength = abs(uy) / np.sqrt(uu * yy)
         if best is None or strength > best.strength:
