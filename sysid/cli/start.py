@@ -81,12 +81,12 @@ def start(
     name = name or slug(folder.resolve().name, "machine").replace("-", "_")
     files, described = {key: place / key for key in ("machine.toml", "recipe.toml")}, None
     there = [path for path in files.values() if path.exists()]
-    if len(there) == 1:
-        missing = next(path for path in files.values() if path not in there)
-        raise SettingsError(f"sysid start {folder}", f"{there[0]} without {missing.name}", "both, or neither", "Remove it.")
-    if there:
-        out.line(f"kept  {files['machine.toml']} and {files['recipe.toml']}")
-    else:
+    if there == [files["recipe.toml"]]:
+        remedy = f"Put the machine's description there, or remove {there[0]} to have both drafted."
+        raise SettingsError(f"sysid start {folder}", f"{there[0]} without machine.toml", "both, or neither", remedy)
+    for path in there:
+        out.line(f"kept  {path}")
+    if not there:
         described = _described(out, folder, name, robot, kind, answers, yes)
         beside = _robot_files(robot, name, kind)[1] if robot is not None else {}
         root = Root(place)
@@ -95,9 +95,10 @@ def start(
             root.write(key, text.encode("utf-8"))
             out.line(f"made  {place / key}")
     name = load_machine(files["machine.toml"]).name
+    recipe = files["recipe.toml"] if files["recipe.toml"].exists() else None  # without one the columns have canonical names
     out.line()
     context.invoke(
-        ingest, paths=(folder,), machine=files["machine.toml"], recipe=files["recipe.toml"], name=name, to=None, role=None,
+        ingest, paths=(folder,), machine=files["machine.toml"], recipe=recipe, name=name, to=None, role=None,
         inspect=False, draft=None, reader=None, dbc=None, propose_frame=False, workers=1, cluster=None, trusted_network=False,
         json_file=None,
     )  # fmt: skip

@@ -260,6 +260,26 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "kept" in capsys.readouterr().out
 
 
+def test_a_description_that_is_there_is_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A machine.toml and canonical columns need no recipe; a recipe needs its machine."""
+    folder = tmp_path / "logs"
+    logs(folder, 0)
+    (folder / "recipe.toml").write_text("schema = 1\n")
+    assert run("--workspace", tmp_path / "ws", "start", folder, "--yes") == 2
+    assert "without machine.toml" in capsys.readouterr().err
+    (folder / "recipe.toml").unlink()
+    own = tmp_path / "canonical"
+    own.mkdir()
+    for path in folder.glob("*.csv"):
+        (own / path.stem).mkdir()
+        table = pd.read_csv(path).iloc[:, :3]
+        table.set_axis(["time", "lift.command", "lift.cylinder [mm]"], axis=1).to_csv(own / path.stem / "log.csv", index=False)
+    text = described(folder).machine.split("[[axes]]")
+    (own / "machine.toml").write_text(text[0] + "[[axes]]" + text[1].replace('"axis_1"', '"lift"'))
+    assert run("--workspace", tmp_path / "ws", "start", own, "--yes") == 0
+    assert f"kept  {own / 'machine.toml'}" in capsys.readouterr().out
+
+
 def test_recordings_have_the_names_of_their_files(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     logs(folder, 1)
