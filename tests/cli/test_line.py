@@ -109,7 +109,7 @@ def test_datasets_lists_and_shows(site: Path, capsys: pytest.CaptureFixture[str]
 def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--workspace", answered / "ws", "gap", "lift", "--add") == 0
     text = capsys.readouterr().out
-    assert "lift@2 = lift@1 repaired" in text, "the same repair is the same version"
+    assert "Plant lift@2 = plant lift@1 repaired" in text, "the same repair is the same version"
     assert '  +[[effects]]\n  +name = "valve_deadband"\n  +target = "boom"\n' in text
     assert "Promoted: `lift` alone now means plant lift@2." in text, "it was before this run already"
     assert re.search(r"passed +stages: command stage of boom \d+ → [01]", text)
