@@ -84,10 +84,19 @@ class Agreement:
         return not error <= max(AWAY * self.motion, AWAY_FLOORS * self.noise_floor)
 
     @property
+    def at_rest(self) -> bool:
+        """Whether the machine moves too little here for its noise, which is known apart from the motion."""
+        small = self.noise_floor > LARGEST_FLOOR * self.motion
+        return not self.moved or (small and self.floor_source in ("stated", "rest", "two_sensors"))
+
+    @property
     def open(self) -> str:
         """Why agreement says nothing here; empty if it does."""
         if not self.moved:
             return f"{self.signal} does not move"
+        if self.at_rest:
+            sizes = f"{quantity(self.motion, self.unit)} (RMS), at a noise floor of {quantity(self.noise_floor, self.unit)}"
+            return f"{self.signal} moves by only {sizes}, in the held-out recordings"
         if self.floor_source == "unknown" or self.noise_floor > LARGEST_FLOOR * self.motion:
             return f"the noise of {self.signal} is not known: state it under [noise] in machine.toml"
         return ""
@@ -107,9 +116,9 @@ def verdict_of(named: bool, tied: bool, unnamed: bool, lacking: bool, agreement:
         return "unnamed"
     if lacking:
         return "insufficient_excitation"
-    if any(item.moved and (item.differs or item.open) for item in agreement):
+    if any(item.moved and (item.differs or (item.open and not item.at_rest)) for item in agreement):
         return "unnamed"
-    return "no_gap" if agreement and all(item.moved for item in agreement) else "insufficient_excitation"
+    return "no_gap" if agreement and not any(item.open for item in agreement) else "insufficient_excitation"
 
 
 def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), disagrees: bool = True) -> str:
