@@ -95,7 +95,7 @@ class Axis(Strict):
         joint_type: as in a URDF; without both, units of the logs or the recipe decide.
         inertia: of what a force axis moves, or of the rotor of a servo axis (armature) [kg or kg·m²].
         servo: the controller of a servo axis.
-        estimated: keys whose values are from logs, not from knowledge: a better value is no missing effect.
+        estimated: keys whose values are from logs, not from knowledge: a better value is not reported as a missing effect.
     """
 
     name: str

@@ -254,7 +254,7 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert response["delay95"][0] <= 0.1 <= response["delay95"][1]
     assert {effect["name"] for effect in verdict["effects"]} == {"input_delay"}
     described = {each["target"] for each in verdict["written"] if each["name"] == "gain_error"}
-    assert described, "the gain is only estimated: a better value is no missing effect"
+    assert described, "the gain is only estimated: a better value is not reported as a missing effect"
     capsys.readouterr()
     assert run(*verb) == 0
     assert "kept" in capsys.readouterr().out

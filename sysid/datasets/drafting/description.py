@@ -57,7 +57,7 @@ def describe(
 
     Raises:
         InputError: no file with a time, or no axis in the columns.
-        SettingsError: an answer that is no choice.
+        SettingsError: an answer that is not one of the choices.
     """
     left = [f"{file.path.name}: {' '.join(file.refusal.split())}" for file in files if file.refusal]
     used = [file for file in files if not file.refusal and any(stream.clocks for stream in file.streams)]

@@ -112,7 +112,7 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
             several = files_of[recordings[file.path]] > 1
             topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
             for name, values in stream.columns.items():
-                known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # an overflow is no value
+                known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # overflows
                 found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), known))
                 units.setdefault((topic, name), stream.units.get(name))
                 tables |= {(topic, name)} if file.reader in TABLES else set()

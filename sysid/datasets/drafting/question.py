@@ -37,7 +37,7 @@ class Answers:
         """The answer, or the proposal where there is none yet.
 
         Raises:
-            SettingsError: an answer that is no choice.
+            SettingsError: an answer that is not one of the choices.
         """
         value = self.given.get(question.key)
         self.used.add(question.key)

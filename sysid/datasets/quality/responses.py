@@ -195,7 +195,7 @@ def _direction(u: Array, v: Array, most: float, noise: float) -> Direction:
     for low, high in itertools.pairwise(edges):
         inside = (u > low) & (u <= high * (1.0 + 1e-9))
         if low == 0.0:
-            inside &= u > 0.5 * high  # what is left of neutral is no command
+            inside &= u > 0.5 * high  # the valve is in neutral below
         if np.count_nonzero(inside) >= LEAST:
             at, size = float(np.median(u[inside])), float(np.median(v[inside]))
             bins.append(SpeedBin(at, size, int(np.count_nonzero(inside))))
