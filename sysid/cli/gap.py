@@ -13,8 +13,7 @@ from sysid.cli.gap_mujoco import repaired_path, write_model
 from sysid.cli.gap_tables import entry
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.own_simulator import MUJOCO, open_simulator
-from sysid.cli.responses import show_responses
-from sysid.cli.tables import show_gap, show_localised, show_missing, show_repair, show_world
+from sysid.cli.tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 

@@ -72,7 +72,7 @@ def start(
     """
     from sysid.cli.gap import gap
     from sysid.cli.ingest import ingest
-    from sysid.cli.responses import show_responses
+    from sysid.cli.tables import show_responses
     from sysid.datasets import Store
     from sysid.machine import load_machine
     from sysid.names import slug
@@ -80,19 +80,20 @@ def start(
     out, place = Printer(json_file), out_folder or folder
     name = name or slug(folder.resolve().name, "machine").replace("-", "_")
     files, described = {key: place / key for key in ("machine.toml", "recipe.toml")}, None
-    there = [path for path in files.values() if path.exists()]
+    there, made = [path for path in files.values() if path.exists()], list[Path]()
     if there == [files["recipe.toml"]]:
         remedy = f"Put the machine's description there, or remove {there[0]} to have both drafted."
         raise SettingsError(f"sysid start {folder}", f"{there[0]} without machine.toml", "both, or neither", remedy)
     for path in there:
         out.line(f"kept  {path}")
     if not there:
-        described = _described(out, folder, name, robot, kind, answers, yes)
-        beside = _robot_files(robot, name, kind)[1] if robot is not None else {}
+        drafted, beside = _robot_files(robot, name, kind) if robot is not None else (None, {})
+        described = _described(out, folder, name, drafted, kind, answers, yes)
         root = Root(place)
         root.make("")
         for key, text in {**beside, "recipe.toml": described.recipe, "machine.toml": described.machine}.items():
             root.write(key, text.encode("utf-8"))
+            made.append(place / key)
             out.line(f"made  {place / key}")
     name = load_machine(files["machine.toml"]).name
     recipe = files["recipe.toml"] if files["recipe.toml"].exists() else None  # without one the columns have canonical names
@@ -119,14 +120,20 @@ def start(
     out.line(f"  3. {command('gap', dataset.reference, workspace=context.obj)} --add, to store the repaired simulation.")
     questions = [] if described is None else described.questions
     write_json(json_file, {
-        "schema": 1, "dataset": dataset.reference, "made": [] if there else list(files.values()), "responses": responses,
+        "schema": 1, "dataset": dataset.reference, "made": made, "responses": responses,
         "questions": [{"key": q.key, "proposal": q.proposal, "why": q.why} for q in questions],
         "left_out": [] if described is None else list(described.left_out),
     })  # fmt: skip
 
 
 def _described(
-    out: Printer, folder: Path, name: str, robot: Path | None, kind: str | None, answers: tuple[str, ...], yes: bool
+    out: Printer,
+    folder: Path,
+    name: str,
+    robot: tuple[str, Machine] | None,
+    kind: str | None,
+    answers: tuple[str, ...],
+    yes: bool,
 ) -> Description:
     """The drafted files; questions are answered by ``--set``, at a prompt, or with ``--yes`` by their proposals."""
     from sysid.datasets.drafting import describe
@@ -139,14 +146,13 @@ def _described(
         for number, path in enumerate(paths):
             progress(number / len(paths), path.name)
             summaries.append(inspect_file(path))
-        drafted = _robot_files(robot, name, kind)[0] if robot is not None else None
-        found = describe(summaries, folder, name, Answers(given), kind, drafted)
+        found = describe(summaries, folder, name, Answers(given), kind, robot)
     while found.questions and not yes and sys.stdin.isatty():
         for question in found.questions:
             entry(out, f"{question.why}.", "", True)
             choice = click.Choice(question.choices) if question.choices else None
             given[question.key] = click.prompt(question.key, default=question.proposal, type=choice)
-        found = describe(summaries, folder, name, Answers(given), kind, drafted)
+        found = describe(summaries, folder, name, Answers(given), kind, robot)
     for axis in found.axes:
         out.line(f"axis  {axis}")
     for line in found.left_out:

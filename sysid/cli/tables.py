@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import shlex
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from sysid.cli.output import command
 
@@ -134,6 +136,24 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
         if maps:
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
     _show_left_out(out, result, dataset)
+
+
+def show_responses(out: Printer, dataset: Dataset) -> list[dict[str, Any]]:
+    """What the recordings show of each axis without a model; returns it as values for JSON."""
+    from sysid.datasets.quality.responses import responses_of
+    from sysid.display import NOTHING, interval
+    from sysid.reports.sections.responses import side_texts
+
+    responses, rows = responses_of(dataset), list[tuple[str, ...]]()
+    for response in responses:
+        first = response.axis, interval(*response.delay95, "s") if math.isfinite(response.delay) else NOTHING
+        sides = [("positive", response.positive), ("negative", response.negative)]
+        texts = [tuple(side_texts(name, side, response.unit).values()) for name, side in sides if side is not None]
+        rows += [(*(first if number == 0 else ("", "")), *text) for number, text in enumerate(texts or [("", "", "")])]
+    if rows:
+        header = ("without a model", "delay", "command", "motion begins at", "speed at full")
+        out.table(header, rows, right=(1, 3, 4))
+    return [asdict(response) for response in responses]
 
 
 def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = False) -> None:

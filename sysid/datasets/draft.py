@@ -45,10 +45,12 @@ class Chosen:
     """Lines of signals that are decided.
 
     Args:
+        name: of the dataset.
         lines: by what separates files with the same fields, topic (of a table its file's stem, or empty) and field → the line.
         apart: file → what separates it; files without an entry have the lines of the empty one.
     """
 
+    name: str
     lines: Mapping[str, Mapping[tuple[str, str], str]]
     apart: Mapping[Path, str]
 
@@ -69,7 +71,9 @@ def draft_recipe(
     lines of signals, where all are decided already; the other fields are left out.
     """
     lines = [_HEAD.format(names=", ".join(sorted({comment(file.path.name) for file in files})[:6]) or "nothing")]
-    lines.append(f"{'' if machine is not None else '# '}machine = {toml_value(machine_path)}")
+    lines += [f"name = {toml_value(chosen.name)}"] if chosen is not None else []
+    known = machine is not None or chosen is not None
+    lines.append(f"{'' if known else '# '}machine = {toml_value(machine_path)}")
     if logs is not None:
         lines.append(f"logs = {toml_value(logs)}")
     damaged = unreadable(files)
@@ -279,10 +283,15 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
     return f"{name}.{quantity}", axis is not None and len(found) == 1
 
 
-def _words(text: str) -> set[str]:
-    """``/valves/boomCommand[2]`` → valves, boom, command."""
+def words_of(text: str) -> list[str]:
+    """``/valves/boomCommand[2]`` → valves, boom, command, 2."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return {word.lower() for word in re.findall(r"[A-Za-z]+", spaced)}
+    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
+
+
+def _words(text: str) -> set[str]:
+    """Its words without numbers."""
+    return {word for word in words_of(text) if not word.isdecimal()}
 
 
 def _is_body(stream: StreamSummary) -> bool:

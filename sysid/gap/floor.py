@@ -77,7 +77,7 @@ def run_floors(
 def floor_spread(
     predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int, draws: int = 16
 ) -> dict[str, float]:
-    """Standard deviation by signal of the RMSE of the true model in one run over all recordings, about :func:`run_floor`."""
+    """Standard deviation by signal of the RMSE of the true model in one run over all recordings, about :func:`run_floors`."""
     totals: dict[str, Array] = {}
     counts: dict[str, int] = {}
     for recording in recordings:

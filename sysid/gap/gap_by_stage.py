@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.gap.case import Case, Stage
@@ -14,12 +13,14 @@ from sysid.gap.excitation import axis_of, identifiable_targets
 from sysid.gap.floor import problem_floor
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
-from sysid.gap.result import Gap, Traces
+from sysid.gap.result import Gap
 from sysid.gap.statement import Agreement
 from sysid.plant import compile_plant
 from sysid.signals import POINTS, split_signal
 
 Array = npt.NDArray[np.float64]
+#: By signal.
+Errors = Mapping[str, float]
 
 
 def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
@@ -54,23 +55,23 @@ def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence
 
 
 def agreement(
-    case: Case, gap: Gap, held_out: Sequence[Recording], free_runs: Sequence[tuple[Recording, Traces, Mapping[str, float]]]
+    case: Case, gap: Gap, held_out: Sequence[Recording], runs: Sequence[tuple[str, Errors, Errors, Errors]]
 ) -> tuple[Agreement, ...]:
     """How every signal of ``gap`` agrees with the machine, in that held-out recording in which it agrees least.
 
     Args:
-        free_runs: recordings, their runs, and the noise floors of these by signal; none for static poses.
+        runs: of each free run its recording, RMSE before and after, and noise floor by signal; none for static poses.
     """
     machine, found = case.plant.machine, []
     moving = identifiable_targets(list(gap.before), case.dataset.recordings, machine)
     for signal in gap.before:
         together = "", gap.before[signal], gap.after[signal], gap.noise_floor[signal]
-        runs = [
-            (recording.name, _rmse(recording, trace.before, signal), _rmse(recording, trace.after, signal), floor[signal])
-            for recording, trace, floor in free_runs
-            if {signal} <= {*recording.signals} & {*trace.before.columns} & {*trace.after.columns}
+        own = [
+            (recording, before[signal], after[signal], floor[signal])
+            for recording, before, after, floor in runs
+            if signal in before and signal in after
         ]
-        worst = max((run for run in runs if not np.isnan(run[2])), key=_floors, default=together)
+        worst = max(own, key=_floors, default=together)
         unit = case.dataset.units.get(signal) or machine.expected_unit(signal) or "1"
         axis = axis_of(signal, machine)
         of_motion = case.sources.get(machine.axis(axis).driven) if axis is not None else None  # a force follows from it
@@ -83,13 +84,6 @@ def _floors(run: tuple[str, float, float, float]) -> float:
     """The larger error of a run, in noise floors."""
     _, before, after, floor = run
     return max(before, after) / floor if floor > 0.0 else np.inf
-
-
-def _rmse(recording: Recording, run: pd.DataFrame, signal: str) -> float:
-    """RMSE of a signal of a run; infinite where a value is not finite, NaN where nothing is measured."""
-    error = recording.values(signal) - run[signal].to_numpy(dtype=np.float64)
-    error = error[~np.isnan(error)]
-    return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
 
 def _motion(signal: str, gap: Gap, recordings: Sequence[Recording]) -> float:

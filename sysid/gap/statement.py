@@ -128,11 +128,10 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
         effects: number of named effects.
         disagrees: a stage is above its noise floor.
     """
-    found = HEADLINES.get(verdict, verdict)
-    if verdict == "named":
+    found, repaired = HEADLINES.get(verdict, verdict), verdict == "named"
+    if repaired:
         count = _COUNTS[effects] if effects < len(_COUNTS) else str(effects)
         found = f"{count} effect{' is' if effects == 1 else 's are'} missing from the simulation."
-    repaired = verdict == "named"
     errors = [(item, item.after if repaired else item.worst) for item in agreement]
     beyond = [(item, error) for item, error in errors if not item.floors(error) <= AGREES]
     if not beyond:

@@ -190,9 +190,10 @@ def measure(study: Study, outcome: ProofOutcome) -> Proof:
     held_out, nominal, better = case.split.held_out, case.runner(case.plant), case.runner(outcome.repaired)
     before = [nominal(r) for r in held_out]
     after = [better(r) for r in held_out]
-    scores = [disagreement.run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
+    pairs = [list(zip(held_out, runs, strict=True)) for runs in (before, after)]
+    scores = [disagreement.run_rmse(runs) for runs in pairs]
     forces = [axis_signal(axis.name, "command") for axis in case.plant.machine.axes if axis.actuation == "force"]
-    whole, floors = run_floors(better, list(zip(held_out, after, strict=True)), case.noise, case.seed, forces)
+    whole, floors = run_floors(better, pairs[1], case.noise, case.seed, forces)
     scores.append(whole)
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
     by_stage = with_carried(stage_gap(case, study.stages, outcome.repaired.vector()), outcome)
@@ -201,8 +202,9 @@ def measure(study: Study, outcome: ProofOutcome) -> Proof:
     if is_pose_set(case.dataset):  # nothing is commanded: the run of a pose set is its end-effector stage
         free = by_stage
     free = _with_forces(free, by_stage)
-    runs = zip(held_out, traces, floors, strict=True) if free is not by_stage else ()
-    return Proof(outcome, free, by_stage, traces, agreement(case, free, held_out_of(case), tuple(runs)))
+    each = ([disagreement.run_rmse([run]) for run in runs] for runs in pairs)
+    runs = list(zip((r.name for r in held_out), *each, floors, strict=True))
+    return Proof(outcome, free, by_stage, traces, agreement(case, free, held_out_of(case), runs))
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:

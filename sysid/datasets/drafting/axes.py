@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.drafting.fields import MAX_SECONDS, Field, words_of
+from sysid.datasets.draft import words_of
+from sysid.datasets.drafting.fields import MAX_SECONDS, Field
 from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
 from sysid.datasets.quality.responses import speed
@@ -240,7 +241,7 @@ def _together(command: Field, motion: Field, held: bool = True) -> tuple[Array, 
             if not len(grid):
                 continue
             before = one.values[np.clip(np.searchsorted(one.time, grid, "right") - 1, 0, len(one.values) - 1)]
-            given = np.where(np.isfinite(before), before, np.nan) if held else np.interp(grid, one.time, one.values)
+            given = before if held else np.interp(grid, one.time, one.values)
             known = np.isfinite(other.values)
             moved = np.interp(grid, other.time[known], other.values[known]) if known.any() else np.full(len(grid), np.nan)
             parts.append((given, moved))
@@ -315,26 +316,21 @@ def _units(pairs: Mapping[str, tuple[Field, str]], answers: Answers) -> dict[str
     cylinders = {name for name in valves if name not in angles}
     if plain:
         why = f"{_ranges(plain, unknown)}: lengths of cylinders, or angles of joints"
-        cylinders -= (
-            set() if answers.of(Question("drives", "cylinder", why, ("cylinder", "joint"))) == "cylinder" else set(plain)
-        )
+        if answers.of(Question("drives", "cylinder", why, ("cylinder", "joint"))) == "joint":
+            cylinders -= set(plain)
     for names in (sorted(cylinders, key=[*pairs].index), [name for name in unknown if name not in cylinders]):
         if not names:
             continue
         most = max(float(np.abs(unknown[name].values).max()) for name in names)
         ranges = _ranges(names, unknown)
+        why = f"{ranges}; the unit is not stated"
         if names[0] in cylinders:
-            unit = (
-                "m"
-                if most <= METRES
-                else answers.of(
-                    Question("unit", "mm" if most >= MILLIMETRES else "cm", f"{ranges}; the unit is not stated", LENGTHS)
-                )
-            )
+            likely = "mm" if most >= MILLIMETRES else "cm"
+            unit = "m" if most <= METRES else answers.of(Question("unit", likely, why, LENGTHS))
         elif most <= DEGREES:
             unit = "rad" if most <= RADIANS else "deg"
         else:
-            unit = answers.of(Question("unit", "deg", f"{ranges}; the unit is not stated", ("deg", "rad", *LENGTHS)))
+            unit = answers.of(Question("unit", "deg", why, ("deg", "rad", *LENGTHS)))
         for name in names:
             found[name] = ("cylinder" if name in cylinders else "joint"), unit, f"not stated; {ranges}"
     for name, (motion, actuation) in pairs.items():

@@ -30,7 +30,6 @@ class Description:
         axes: names, in the order of the columns.
         questions: what was not answered; the files have the proposals.
         left_out: columns and files that are not used, and why, as sentences.
-        motions: file names per recording.
     """
 
     machine: str
@@ -81,11 +80,7 @@ def describe(
         raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
     rate, why = _rate(used)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
-    chosen = _chosen(axes, names)
-    recipe = draft_recipe(used, None, "machine.toml", ".", in_folders, folder, chosen)
-    recipe = recipe.replace("# machine = ", "machine = ", 1).replace(
-        "schema = 1\n", f"schema = 1\nname = {toml_value(name)}\n", 1
-    )
+    recipe = draft_recipe(used, None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names))
     return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
 
 
@@ -99,14 +94,14 @@ def _with_time_unit(file: FileSummary, answers: Answers) -> FileSummary:
     return replace(file, stated={**file.stated, "time_unit": unit}, time_units=())
 
 
-def _chosen(axes: Sequence[AxisDraft], recordings: Mapping[Path, str]) -> Chosen:
+def _chosen(name: str, axes: Sequence[AxisDraft], recordings: Mapping[Path, str]) -> Chosen:
     """The lines of all axes; files of recordings with other units have lines of their own."""
     others = {recording for axis in axes for recording in axis.units}
     lines = {"": {key: line for axis in axes for key, line in _lines(axis)}}
     for other in others:
         in_its_units = (replace(axis, unit=axis.units.get(other, axis.unit)) for axis in axes)
         lines[other] = {key: line for axis in in_its_units for key, line in _lines(axis)}
-    return Chosen(lines, {path: recording for path, recording in recordings.items() if recording in others})
+    return Chosen(name, lines, {path: recording for path, recording in recordings.items() if recording in others})
 
 
 def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.draft import words_of
 from sysid.datasets.layouts import TABLES
 from sysid.datasets.quality.noise import is_still
 from sysid.logs.confined import read_confined
@@ -86,12 +87,6 @@ class Field:
         """All finite values."""
         joined: Array = np.concatenate([np.empty(0), *(series.values for series in self.series)])
         return joined[np.isfinite(joined)]
-
-
-def words_of(text: str) -> list[str]:
-    """``goalPos_1`` → goal, pos, 1."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)", " ", text)
-    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
 
 
 def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) -> list[Field]:

@@ -12,16 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
+from scipy.signal import correlate, savgol_filter
 
+from sysid.datasets.plausibility.response import MAX_DELAY_S
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Longest delay that is tried [s]; length of the blocks whose scatter gives the interval of a delay [s]; least number of them.
-MAX_DELAY, BLOCK_S, BLOCKS = 1.5, 10.0, 4
+#: Length of the blocks whose scatter gives the interval of a delay [s]; least number of them.
+BLOCK_S, BLOCKS = 10.0, 4
 #: Least correlation of command and speed for a delay.
 LEAST_CORRELATION = 0.2
 #: Window of the derivative of a position [s], and least number of its samples.
@@ -106,10 +107,9 @@ def speed(values: Array, rate_hz: float) -> Array:
     width = max(WINDOW, 2 * round(0.5 * WINDOW_S * rate_hz) + 1)
     if len(values) < width:
         return np.full(len(values), np.nan)
-    missing = np.isnan(values)
-    filled = np.where(missing, 0.0, values)
+    filled, known = _filled(values)
     found = np.asarray(savgol_filter(filled, width, 2, deriv=1, delta=1.0 / rate_hz), dtype=np.float64)
-    near = np.convolve(missing, np.ones(width), "same") > 0.5
+    near = np.convolve(1.0 - known, np.ones(width), "same") > 0.5
     return np.where(near, np.nan, found)
 
 
@@ -139,17 +139,24 @@ def _correlation_sums(recording: Recording, axis: Axis, rate: float) -> list[Arr
     command, moved = recording.values(axis_signal(axis.name, "command")), speed(recording.values(axis.driven), rate)
     if axis.actuation != "velocity":
         command = speed(command, rate)
-    lags, length, found = round(MAX_DELAY * rate) + 1, max(round(BLOCK_S * rate), 1), []
-    for first in range(0, max(len(moved) - length // 2, 1), length):
-        rows = np.zeros((lags, 6))
-        for lag in range(lags):
-            begin, end = max(first, lag), min(first + length, len(moved))
-            u, v = command[begin - lag : end - lag], moved[begin:end]
-            there = ~np.isnan(u) & ~np.isnan(v)
-            u, v = u[there], v[there]
-            rows[lag] = len(u), u.sum(), v.sum(), u @ u, v @ v, u @ v
-        found.append(rows)
+    lags, length, found = round(MAX_DELAY_S * rate) + 1, max(round(BLOCK_S * rate), 1), []
+    (u, has_u), (v, has_v) = _filled(np.concatenate([np.full(lags - 1, np.nan), command])), _filled(moved)
+    for first in range(0, max(len(v) - length // 2, 1), length):
+        before, here = slice(first, first + length + lags - 1), slice(first, first + length)
+        rows = [
+            correlate(one[before], other[here], "valid")[::-1]  # the last one is without a delay
+            for one, other in (
+                (has_u, has_v), (u, has_v), (has_u, v), (u * u, has_v), (has_u, v * v), (u, v)
+            )
+        ]  # fmt: skip
+        found.append(np.column_stack(rows))
     return found
+
+
+def _filled(values: Array) -> tuple[Array, Array]:
+    """Values (n,) with zero for NaN, and where they are known."""
+    known = ~np.isnan(values)
+    return np.where(known, values, 0.0), known.astype(np.float64)
 
 
 def _peak(sums: Array, rate: float) -> tuple[float, float]:

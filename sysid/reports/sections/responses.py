@@ -25,17 +25,18 @@ def _axis(response: AxisResponse) -> dict[str, Any]:
     return {
         "name": response.axis,
         "delay": display.interval(*response.delay95, "s"),
-        "sides": [_side(name, side, response.unit) for name, side in sides if side is not None],
+        "sides": [side_texts(name, side, response.unit) for name, side in sides if side is not None],
         "picture": _picture(response),
     }
 
 
-def _side(name: str, side: Direction, unit: str) -> dict[str, str]:
+def side_texts(name: str, side: Direction, unit: str) -> dict[str, str]:
+    """One direction of the command: its ``name``, where motion ``begins``, the speed at ``full``."""
     full = display.quantity(side.full, f"{unit}/s") if math.isfinite(side.full) else display.NOTHING
-    return {"name": name, "begins": begin_text(side), "full": full}
+    return {"name": name, "begins": _begins(side), "full": full}
 
 
-def begin_text(side: Direction) -> str:
+def _begins(side: Direction) -> str:
     """Between which commands motion begins."""
     still, moving = side.begins
     if math.isnan(still):
