@@ -207,6 +207,21 @@ def test_a_recording_in_another_unit_has_an_entry_of_its_own(tmp_path: Path) -> 
         assert axis.gain == pytest.approx(truth.gain[k], rel=0.02)
 
 
+@pytest.mark.parametrize(("mass", "note"), [(2.5, "from force and acceleration"), (-1.0, "assumed: these logs do not show it")])
+def test_an_inertia_that_the_logs_do_not_show_is_said_to_be_assumed(tmp_path: Path, mass: float, note: str) -> None:
+    """A force against the acceleration is no mass."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    time = np.arange(4000) / 100.0
+    place = sum(np.sin(f * time + f) for f in (1.0, 2.3, 3.7))
+    force = mass * sum(-(f**2) * np.sin(f * time + f) for f in (1.0, 2.3, 3.7))
+    pd.DataFrame({"time": time, "q_1": place, "tau_1": force}).to_csv(folder / "a.csv", index=False)
+    (line,) = [line for line in described(folder, kind="force").machine.splitlines() if line.startswith("inertia = ")]
+    assert note in line
+    if mass > 0.0:
+        assert float(line.split()[2]) == pytest.approx(mass, rel=0.05)
+
+
 def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     logs(folder, 0)

@@ -277,12 +277,15 @@ def _axis(name: str, command: Field, motion: Field, actuation: str, drives: str,
 
 
 def _inertia(force: Array, place: Array, notes: dict[str, str]) -> float:
-    """Moving mass or inertia of a force axis; NaN where the recordings do not show it."""
+    """Moving mass or inertia of a force axis; one, which is said to be assumed, where the recordings do not show it."""
     rate = speed(place, RATE_HZ)
     motion = Motion(force, place, rate, speed(rate, RATE_HZ), 1.0 / RATE_HZ)
     found = response_of(motion, Axis(name="axis", actuation="force", drives="joint", inertia=1.0, limits=(-1.0, 1.0)))
+    if found is None or not found.value > 0.0:
+        notes["inertia"] = "assumed: these logs do not show it"
+        return 1.0
     notes["inertia"] = "from force and acceleration, beside friction and weight"
-    return found.value if found is not None and found.value > 0.0 else 1.0
+    return found.value
 
 
 def _actuation(
