@@ -29,6 +29,11 @@ _MATRIX, _PACKED = 14, 15
 #: Array classes: structure, and the numeric ones.
 _STRUCTURE, _NUMERIC = 2, range(6, 16)
 _MAX_DEPTH = 16
+#: What variables of other classes are.
+_OTHERS = {
+    1: "a cell array", 2: "an array of structures", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function",
+    17: "an object, such as datetime or table",
+}  # fmt: skip
 #: Sizes, flags, names: longer ones are damage. Bytes that are unpacked at a time.
 _MAX_HEAD, _PIECE = 2**20, 2**20
 
@@ -59,8 +64,8 @@ class MatVariable:
         return math.prod(self.shape)
 
 
-def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
-    """Variable, or ``structure.field`` → position of its numbers.
+def find_variables(path: Path, budget: Budget) -> tuple[dict[str, MatVariable], dict[str, str]]:
+    """Variable, or ``structure.field`` → position of its numbers; and what the variables without numbers are.
 
     Raises:
         MatError: the file is damaged or unpacks to more than its budget.
@@ -70,8 +75,9 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
         head = file.read(128)
         if head[126:128] not in (b"IM", b"MI"):
             file.seek(0)
-            return dict(_version_4(file, size))
+            return dict(_version_4(file, size)), {}
         found: dict[str, MatVariable] = {}
+        others: dict[str, str] = {}
         order = "<" if head[126:128] == b"IM" else ">"
         left = min(budget.unpacked, max(FREE, size * MAX_RATIO))
         while tag := file.read(8):
@@ -83,14 +89,14 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
                 raise MatError(f"the file is cut off: {size - start} of {extent} bytes of a variable")
             if kind in (_PACKED, _MATRIX):
                 bytes_: _Bytes = _Unpacked(file, start, extent, left) if kind == _PACKED else _Plain(file, start, extent)
-                parser = _Parser(bytes_, order, (start, extent), kind == _PACKED, found)
+                parser = _Parser(bytes_, order, (start, extent), kind == _PACKED, found, others)
                 element = parser.element(2**32 + 8) if kind == _PACKED else _Element(kind, 0, extent)
                 if element.kind == _MATRIX:
                     parser.matrix(element, "", 0)
                 left -= bytes_.position if kind == _PACKED else 0
                 budget.check_columns(path, len(found), "variables")
             file.seek(start + extent)
-    return found
+    return found, others
 
 
 def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str, npt.NDArray[Any]]:
@@ -233,13 +239,14 @@ class _Element:
 
 @dataclass
 class _Parser:
-    """Parses the elements of a top-level variable; the positions of numbers go into ``found``."""
+    """Parses the elements of a top-level variable; the positions of numbers go into ``found``, all else into ``others``."""
 
     bytes_: _Bytes
     order: str
     source: tuple[int, int]
     packed: bool
     found: dict[str, MatVariable]
+    others: dict[str, str]
 
     def element(self, end: int) -> _Element:
         """The tag of the next element, which has to end before ``end``."""
@@ -303,6 +310,8 @@ class _Parser:
             self.numeric(prefix or name, shape, self._next(end))
         elif array_class == _STRUCTURE and all(size == 1 for size in shape):
             self.structure(prefix or name, end, depth)
+        elif prefix or name:
+            self.others[prefix or name] = _OTHERS.get(array_class, f"a variable of class {array_class}")
 
     def _next(self, end: int) -> _Element | None:
         return self.element(end) if self.bytes_.position + 8 <= end else None

@@ -23,6 +23,7 @@ class Stream:
         losses: what could not be read, as sentences for the quality report.
         fields: every field of the file, where only some were read; empty where all were.
         kind: message type, where the file names one.
+        unread: name of a column of a table that has no numbers → what it has instead.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Stream:
     losses: tuple[str, ...] = ()
     fields: tuple[str, ...] = ()
     kind: str = ""
+    unread: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.stamps.values())))

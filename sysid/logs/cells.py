@@ -1,0 +1,306 @@
+"""Cells of text → numbers, as loggers and spreadsheets of any country write them.
+
+The decimal mark is a point or a comma. Thousands may be separated by the other mark, spaces or apostrophes, and digits and
+signs may be those of any script. ``1.234`` is 1.234 with decimal points and 1234 with decimal commas: the mark of the file
+decides, unless the column has more cells that only the other mark can read (``0.917``, ``12.5``). A cell that is no number is
+missing.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.errors import InputError
+from sysid.logs.growing import GrowingArray
+from sysid.logs.limits import Budget
+from sysid.logs.table import Table
+from sysid.units import si_factor, split_header
+
+#: Lists that are parsed at a time, and the longest unit in a cell.
+_LISTS, _UNIT = 2**14, 12
+#: Signs, marks and spaces of text → those of a number.
+_SIGNS = {
+    **dict.fromkeys("\u2212\u2012\u2013\ufe63\uff0d", "-"), "\ufe62": "+", "\uff0b": "+", "\uff0e": ".", "\u066b": ".",
+    "\uff0c": ",", "\u066c": "'", "\u2019": "'", "\u02bc": "'", "\u200b": "",
+}  # fmt: skip
+_WORDS = {"true": 1.0, "false": 0.0}
+_INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+_EXPONENT = r"(?:[eE][+-]?\d+)?"
+_PLAIN = {
+    ".": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
+    ",": re.compile(rf"[+-]?(?:\d+(?:,\d+)?|,\d+){_EXPONENT}", re.ASCII),
+}
+#: Decimal mark → a number with separated thousands.
+_GROUPED = {
+    mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?P<by>[{other} '])\d{{3}}(?:(?P=by)\d{{3}})*(?:{re.escape(mark)}\d+)?", re.ASCII)
+    for mark, other in ((".", ","), (",", "."))
+}
+#: A number that both decimal marks can read, as two values.
+TWO_READINGS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)
+#: A date with time in ISO 8601, or a time of the day.
+_DATE, _DAY_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:?\d\d.*", r"\d{1,2}:\d\d:\d\d(?:[.,]\d+)?"
+STAMP = re.compile(f"{_DATE}|{_DAY_TIME}")
+#: Years whose stamps fit into 64 bits of nanoseconds.
+_YEARS = (1678, 2261)
+_LIST = re.compile(r"\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]", re.IGNORECASE)
+
+
+def plain(text: str) -> str:
+    """``text`` with ASCII digits, signs and spaces where it has those of another script."""
+    if text.isascii():
+        return text
+    return "".join(_SIGNS.get(c, " " if c.isspace() else str(unicodedata.decimal(c, c))) for c in text)
+
+
+def number_of(text: str, decimal: str) -> float | None:
+    """The number that a cell states with this decimal mark; None for other text."""
+    text = plain(text).strip()
+    if _PLAIN[decimal].fullmatch(text):
+        return float(text.replace(decimal, "."))
+    if (grouped := _GROUPED[decimal].fullmatch(text)) is not None:
+        return float(text.replace(grouped["by"], "").replace(decimal, "."))
+    return float(text) if _INFINITE.fullmatch(text) else _WORDS.get(text.lower())
+
+
+def is_value(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, a truth value, a list of numbers or a stamp."""
+    return number_of(cell, decimal) is not None or STAMP.fullmatch(cell) is not None or _LIST.fullmatch(cell) is not None
+
+
+def _numbers(text: pd.Series, decimal: str) -> npt.NDArray[np.float64]:
+    """The numbers of cells (n,) that are not empty; NaN for other text."""
+    direct = text
+    if decimal == ",":
+        direct = text.str.replace(",", ".", regex=False).where(~text.str.contains(".", regex=False), "")
+    numbers = pd.to_numeric(direct, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    rest = np.flatnonzero(np.isnan(numbers))
+    if len(rest):
+        codes, unique = pd.factorize(text.iloc[rest])
+        values = (number_of(str(cell), decimal) for cell in unique)
+        numbers[rest] = np.array([np.nan if value is None else value for value in values])[codes]
+    return numbers
+
+
+@dataclass
+class CellColumn:
+    """One column of a text table while it is read.
+
+    Args:
+        header: its name, with its unit if it has one.
+        where: it is named so in errors.
+        decimal: decimal mark of the file.
+        expected: number of rows, where it is known.
+        is_time: whole numbers keep 64 bits.
+    """
+
+    header: str
+    where: str
+    budget: Budget
+    decimal: str
+    expected: int = 0
+    is_time: bool = False
+    rows: int = 0
+    _filled: int = 0
+    #: Decimal mark → number of cells that it reads, and the first cell that it does not read.
+    _read: dict[str, int] = field(default_factory=lambda: {".": 0, ",": 0})
+    _example: dict[str, str] = field(default_factory=dict)
+    #: Cells that both marks read, as two values: their number, and the first.
+    _two: int = 0
+    _two_example: str = ""
+    _numbers: GrowingArray = field(init=False)
+    _others: GrowingArray | None = None
+    _whole: GrowingArray | None = None
+    _stamps: GrowingArray | None = None
+    _stamp_kind: str = ""
+    _unit: str | None = None
+    _with_unit: int = 0
+    #: Cells that are lists in chunks of only lists, the values of each element, and element → how many are no numbers.
+    _listed: int = 0
+    _elements: list[GrowingArray] = field(default_factory=list)
+    _damaged: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._numbers = GrowingArray(np.nan, expected=self.expected)
+        if self.is_time:
+            self._whole = GrowingArray(0, np.dtype(np.int64), expected=self.expected)
+
+    @property
+    def _other(self) -> str:
+        return "," if self.decimal == "." else "."
+
+    def take(self, cells: pd.Series) -> None:
+        """The next rows: numbers, or text with missing values."""
+        first, self.rows = self.rows, self.rows + len(cells)
+        if pd.api.types.is_numeric_dtype(cells):  # the parser of the table has read them with the mark of the file
+            numbers = cells.to_numpy(dtype=np.float64)
+            whole = cells.dtype.kind == "i" if isinstance(cells.dtype, np.dtype) else False
+            self._keep_whole(first, cells.to_numpy() if whole else None)
+            self._numbers.put(slice(first, self.rows), numbers)
+            known = int(np.count_nonzero(~np.isnan(numbers)))
+            self._filled += known
+            self._read[self.decimal] += known
+            self._read[self._other] += known if whole else int(np.count_nonzero(numbers == np.rint(numbers)))
+            if self._others is not None:
+                self._others.put(slice(first, self.rows), np.where(numbers == np.rint(numbers), numbers, np.nan))
+            return
+        self._keep_whole(first, None)
+        places = np.flatnonzero(cells.notna().to_numpy())
+        self._filled += len(places)
+        self._take_text(cells.iloc[places].astype("str").str.strip(), first + places)
+        if len(places) and _are_lists(cells):
+            self._listed += len(places)
+            for begin in range(0, len(cells), _LISTS):
+                self._take_lists(cells.iloc[begin : begin + _LISTS], first + begin)
+        else:
+            self._elements, self._damaged = [], {}  # a column with text is no column of lists
+
+    def _keep_whole(self, first: int, values: npt.NDArray[np.int64] | None) -> None:
+        if self._whole is not None and values is not None:
+            self._whole.put(slice(first, self.rows), values)
+        else:
+            self._whole = None
+
+    def _take_text(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> None:
+        numbers, others = _numbers(text, self.decimal), _numbers(text, self._other)
+        unread = np.isnan(numbers) & np.isnan(others)
+        stamped = np.zeros(len(text), dtype=bool)
+        if unread.any():
+            places = np.flatnonzero(unread)
+            stamped[places] = self._take_stamps(text.iloc[places], rows[places])
+            if (shorter := self._without_unit(text.iloc[places])) is not None:
+                numbers[places], others[places] = _numbers(shorter, self.decimal), _numbers(shorter, self._other)
+                self._with_unit += int(np.count_nonzero(unread & ~(np.isnan(numbers) & np.isnan(others))))
+        for mark, values in ((self.decimal, numbers), (self._other, others)):
+            bad = np.isnan(values)
+            self._read[mark] += len(values) - int(np.count_nonzero(bad))
+            for kind, some in ((mark, bad & ~stamped), ("stamp", stamped)):
+                if kind not in self._example and some.any():
+                    self._example[kind] = str(text.iloc[int(np.argmax(some))])
+        two = ~np.isnan(numbers) & ~np.isnan(others) & (numbers != others)
+        if two.any():
+            self._two += int(np.count_nonzero(two))
+            self._two_example = self._two_example or str(text.iloc[int(np.argmax(two))])
+        self._numbers.put(rows, numbers)
+        if self._others is None and np.any(np.isnan(numbers) & ~np.isnan(others)):
+            before = self._numbers.whole(self.rows)
+            self._others = GrowingArray(np.nan, expected=self.expected)
+            self._others.extend(np.where(before == np.rint(before), before, np.nan))
+        if self._others is not None:
+            self._others.put(rows, others)
+
+    def _take_stamps(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+        """Keep the stamps among cells (n,) without a number; the mask of those cells."""
+        found = np.zeros(len(text), dtype=bool)
+        for kind, pattern in (("date", _DATE), ("day", _DAY_TIME)):
+            places = np.flatnonzero(text.str.fullmatch(pattern).to_numpy(dtype=bool))
+            if not len(places) or self._stamp_kind not in ("", kind):
+                continue
+            self._stamp_kind = kind
+            if self._stamps is None:
+                self._stamps = GrowingArray(np.iinfo(np.int64).min, np.dtype(np.int64), expected=self.expected)
+            stamps = _nanoseconds(text.iloc[places].str.replace(",", ".", regex=False), kind)
+            known = stamps != np.iinfo(np.int64).min
+            self._stamps.put(rows[places[known]], stamps[known])
+            found[places[known]] = True
+        return found
+
+    def _without_unit(self, text: pd.Series) -> pd.Series | None:
+        """Cells without the unit that the first number among them carries (``0.12 rad``); None where none does."""
+        if self._unit is None:
+            found = re.fullmatch(rf".*\d\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
+            self._unit = found[1] if found is not None and _is_unit(found[1]) else ""
+        if not self._unit:
+            return None
+        shorter = text.str.removesuffix(self._unit).str.rstrip()
+        return shorter.where(text.str.endswith(self._unit), text)
+
+    def _take_lists(self, column: pd.Series, first: int) -> None:
+        """The elements of lists; a shorter list leaves its last ones missing."""
+        cells = column.astype("str").where(column.notna(), "[]").str.strip().str[1:-1]
+        width = int(cells.str.count(",").max()) + 1
+        self.budget.check_columns(self.where, width, "elements of a list")
+        self.budget.check_numbers(self.where, width * (first + len(cells)))
+        parts = cells.str.split(",", expand=True)
+        self._elements += [GrowingArray(np.nan) for _ in range(width - len(self._elements))]
+        for element in range(width):
+            text = parts[element].str.strip().replace("", None)
+            numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+            bad = int(np.count_nonzero(np.isnan(numbers) & text.notna().to_numpy() & (text.str.lower() != "nan").to_numpy()))
+            if bad:
+                self._damaged[element] = self._damaged.get(element, 0) + bad
+            self._elements[element].put(slice(first, first + len(numbers)), numbers)
+
+    def table(self) -> Table:
+        """The column, or the elements of its lists, and what was lost; a column without numbers is unread."""
+        name, unit = split_header(self.header)
+        if 0 < self._listed == self._filled:
+            suffix = "" if unit is None else f" [{unit}]"
+            elements = [(f"{name}[{i}]{suffix}", element.whole(self.rows)) for i, element in enumerate(self._elements)]
+            damaged = sorted(self._damaged.items())
+            return Table(elements, tuple(f"column {name}[{i}]: {n} elements are not numbers" for i, n in damaged))
+        mark = self._other if self._read[self._other] > self._read[self.decimal] else self.decimal
+        read = self._read[mark]
+        if self._stamps is not None and self._stamps.found > read:
+            kind = "datetime64[ns]" if self._stamp_kind == "date" else "timedelta64[ns]"
+            return Table([(self.header, self._stamps.whole(self.rows).view(kind))], self._lost(self._stamps.found, mark))
+        if self._filled and not read:
+            return Table(unread={name: f"text, for example {self._example.get(mark)!r}"})
+        header, losses = self.header, list(self._lost(read, mark))
+        if self._with_unit:
+            if unit is not None and si_factor(unit) != si_factor(str(self._unit)):
+                return Table(unread={name: f"numbers in [{self._unit}] below a header in [{unit}]"})
+            if unit is None and self._with_unit < read:
+                return Table(unread={name: f"{self._with_unit} of {read} numbers with the unit [{self._unit}]"})
+            header = f"{name} [{self._unit}]" if unit is None else header
+            losses.append(f"column {self.header!r}: {self._with_unit} cells state the unit [{self._unit}]")
+        marks = {".": "decimal points", ",": "decimal commas"}
+        if mark != self.decimal:
+            losses.append(f"column {self.header!r}: {marks[mark]}, while the file has {marks[self.decimal]}")
+        elif self._two:
+            example = f"{self._two_example!r} is {number_of(self._two_example, mark):g}"
+            losses.append(f"column {self.header!r}: {self._two} cells with separators of thousands, {example}")
+        if self._whole is not None:
+            return Table([(header, self._whole.whole(self.rows))], tuple(losses))
+        numbers = self._numbers if mark == self.decimal or self._others is None else self._others
+        return Table([(header, numbers.whole(self.rows))], tuple(losses))
+
+    def _lost(self, read: int, mark: str) -> tuple[str, ...]:
+        count = self._filled - read
+        if not count:
+            return ()
+        what = f"{count} cells are not numbers" if count > 1 else "1 cell is not a number"
+        example = self._example.get(mark, self._example.get("stamp"))
+        return (f"column {self.header!r}: {what}, for example {example!r}: taken as missing",)
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        si_factor(text)
+    except InputError:
+        return False
+    return True
+
+
+def _nanoseconds(text: pd.Series, kind: str) -> npt.NDArray[np.int64]:
+    """Dates with time (ISO 8601, UTC where no zone is given) since 1970, or times of the day [ns]; else the least number."""
+    stamps: Any
+    if kind == "day":
+        stamps = pd.to_timedelta(text, errors="coerce")
+    else:
+        years = text.str.slice(0, 4).astype(int)
+        stamps = pd.to_datetime(text.where(years.between(*_YEARS)), format="ISO8601", utc=True, errors="coerce")
+    numbers: npt.NDArray[np.int64] = stamps.dt.as_unit("ns").astype(np.int64).to_numpy()
+    return numbers
+
+
+def _are_lists(column: pd.Series) -> bool:
+    """Whether every cell that is not empty is a list in brackets."""
+    cells = column.dropna().astype(str).str.strip()
+    return len(cells) > 0 and bool((cells.str.startswith("[") & cells.str.endswith("]")).all())
