@@ -119,8 +119,9 @@ class CellColumn:
     _whole: GrowingArray | None = None
     _stamps: GrowingArray | None = None
     _stamp_kind: str = ""
-    _unit: str | None = None
-    _with_unit: int = 0
+    #: The unit in cells, and the numbers that have it.
+    _unit: str = ""
+    _united: GrowingArray | None = None
     #: Cells that are lists in chunks of only lists, the values of each element, and element → how many are no numbers.
     _listed: int = 0
     _elements: list[GrowingArray] = field(default_factory=list)
@@ -170,17 +171,15 @@ class CellColumn:
     def _take_text(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> None:
         numbers, others = _numbers(text, self.decimal), _numbers(text, self._other)
         unread = np.isnan(numbers) & np.isnan(others)
-        stamped = np.zeros(len(text), dtype=bool)
+        stamped, united = np.zeros(len(text), dtype=bool), np.zeros(len(text), dtype=bool)
         if unread.any():
             places = np.flatnonzero(unread)
             stamped[places] = self._take_stamps(text.iloc[places], rows[places])
-            if (shorter := self._without_unit(text.iloc[places])) is not None:
-                numbers[places], others[places] = _numbers(shorter, self.decimal), _numbers(shorter, self._other)
-                self._with_unit += int(np.count_nonzero(unread & ~(np.isnan(numbers) & np.isnan(others))))
+            united[places] = self._take_united(text.iloc[places], rows[places])
         for mark, values in ((self.decimal, numbers), (self._other, others)):
             bad = np.isnan(values)
             self._read[mark] += len(values) - int(np.count_nonzero(bad))
-            for kind, some in ((mark, bad & ~stamped), ("stamp", stamped)):
+            for kind, some in ((mark, bad & ~stamped & ~united), ("unit", united), ("stamp", stamped)):
                 if kind not in self._example and some.any():
                     self._example[kind] = str(text.iloc[int(np.argmax(some))])
         two = ~np.isnan(numbers) & ~np.isnan(others) & (numbers != others)
@@ -211,15 +210,25 @@ class CellColumn:
             found[places[known]] = True
         return found
 
-    def _without_unit(self, text: pd.Series) -> pd.Series | None:
-        """Cells without the unit that the first number among them carries (``0.12 rad``); None where none does."""
-        if self._unit is None:
-            found = re.fullmatch(rf".*\d\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
-            self._unit = found[1] if found is not None and _is_unit(found[1]) else ""
+    def _take_united(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+        """Keep the numbers with a unit among cells (n,), that of the first (``0.12 rad``); the mask of those cells."""
+        kept = np.zeros(len(text), dtype=bool)
         if not self._unit:
-            return None
-        shorter = text.str.removesuffix(self._unit).str.rstrip()
-        return shorter.where(text.str.endswith(self._unit), text)
+            found = re.fullmatch(rf".*\d\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
+            if found is None or not _is_unit(found[1]):
+                return kept
+            self._unit = found[1]
+        places = np.flatnonzero(text.str.endswith(self._unit).to_numpy(dtype=bool))
+        shorter = text.iloc[places].str.removesuffix(self._unit).str.rstrip()
+        numbers = _numbers(shorter, self.decimal)
+        numbers = np.where(np.isnan(numbers), _numbers(shorter, self._other), numbers)
+        known = ~np.isnan(numbers)
+        if known.any() and self._united is None:
+            self._united = GrowingArray(np.nan, expected=self.expected)
+        if self._united is not None:
+            self._united.put(rows[places[known]], numbers[known])
+            kept[places[known]] = True
+        return kept
 
     def _take_lists(self, column: pd.Series, first: int) -> None:
         """The elements of lists; a shorter list leaves its last ones missing."""
@@ -250,16 +259,23 @@ class CellColumn:
         if self._stamps is not None and self._stamps.found > read:
             kind = "datetime64[ns]" if self._stamp_kind == "date" else "timedelta64[ns]"
             return Table([(self.header, self._stamps.whole(self.rows).view(kind))], self._lost(self._stamps.found, mark))
-        if self._filled and not read:
-            return Table(unread={name: f"text, for example {self._example.get(mark)!r}"})
-        header, losses = self.header, list(self._lost(read, mark))
-        if self._with_unit:
-            if unit is not None and si_factor(unit) != si_factor(str(self._unit)):
-                return Table(unread={name: f"numbers in [{self._unit}] below a header in [{unit}]"})
-            if unit is None and self._with_unit < read:
-                return Table(unread={name: f"{self._with_unit} of {read} numbers with the unit [{self._unit}]"})
-            header = f"{name} [{self._unit}]" if unit is None else header
-            losses.append(f"column {self.header!r}: {self._with_unit} cells state the unit [{self._unit}]")
+        header, numbers = self.header, self._numbers if mark == self.decimal or self._others is None else self._others
+        united = self._united.found if self._united is not None else 0
+        agree = read == 0 if unit is None else united > 0 and si_factor(unit) == si_factor(self._unit)
+        if united and self._united is not None and agree:
+            values = self._united.whole(self.rows)
+            known = np.flatnonzero(~np.isnan(values))
+            numbers.put(known, values[known])
+            read += united
+            header = header if unit is not None else f"{name} [{self._unit}]"
+        elif united > read:
+            other = f"and {read} without" if unit is None else f"below a header in [{unit}]"
+            return Table(unread={name: f"{united} numbers with the unit [{self._unit}] {other}"})
+        elif self._filled and not read:
+            return Table(unread={name: f"text, for example {self._example[mark]!r}"})
+        losses = list(self._lost(read, mark))
+        if united and agree:
+            losses.append(f"column {self.header!r}: {united} cells state the unit [{self._unit}]")
         marks = {".": "decimal points", ",": "decimal commas"}
         if mark != self.decimal:
             losses.append(f"column {self.header!r}: {marks[mark]}, while the file has {marks[self.decimal]}")
@@ -268,7 +284,6 @@ class CellColumn:
             losses.append(f"column {self.header!r}: {self._two} cells with separators of thousands, {example}")
         if self._whole is not None:
             return Table([(header, self._whole.whole(self.rows))], tuple(losses))
-        numbers = self._numbers if mark == self.decimal or self._others is None else self._others
         return Table([(header, numbers.whole(self.rows))], tuple(losses))
 
     def _lost(self, read: int, mark: str) -> tuple[str, ...]:
@@ -276,7 +291,7 @@ class CellColumn:
         if not count:
             return ()
         what = f"{count} cells are not numbers" if count > 1 else "1 cell is not a number"
-        example = self._example.get(mark, self._example.get("stamp"))
+        example = next(self._example[kind] for kind in (mark, "unit", "stamp") if kind in self._example)
         return (f"column {self.header!r}: {what}, for example {example!r}: taken as missing",)
 
 

@@ -36,19 +36,22 @@ class MatReader:
         budget = options.budget_of(path, _WHAT, None)
         variables, unread = _variables(path, budget)
         chosen = _chosen(variables, options)
-        table = Table(_columns(path, chosen, _rows(chosen, options), budget, options), (), unread)
+        rows = _rows(chosen, options)
+        if rows is not None:
+            unread |= {
+                name: f"{_size(v)} numbers instead of {rows} rows" for name, v in variables.items() if rows not in v.shape
+            }
+        table = Table(_columns(path, chosen, rows, budget, options), (), unread)
         known = () if options.columns is None else tuple(variables)
         return (table_stream(path, table, options, units_in_headers=False, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Variable → numbers of the vectors of the most frequent length, and the losses: vectors of another length."""
+        """Variable → numbers of the vectors of the most frequent length, and no losses."""
         budget = options.budget_of(path, _WHAT, None)
         vectors = {name: variable for name, variable in _variables(path, budget)[0].items() if len(variable.shape) == 1}
         usual = _usual_length(vectors)
-        others = [name for name, variable in vectors.items() if variable.count != usual]
-        losses = (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
         same = {name: variable for name, variable in vectors.items() if variable.count == usual}
-        return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], losses
+        return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], ()
 
 
 def _variables(path: Path, budget: Budget) -> tuple[dict[str, MatVariable], dict[str, str]]:
@@ -98,6 +101,10 @@ def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | N
         return _usual_length(vectors)
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)
     return vectors[time].count if time in vectors else None
+
+
+def _size(variable: MatVariable) -> str:
+    return " × ".join(map(str, variable.shape))
 
 
 def _usual_length(vectors: Mapping[str, MatVariable]) -> int:

@@ -49,12 +49,12 @@ class NpzReader:
         return (table_stream(path, replace(table, columns=kept), options, units_in_headers=False, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of every column of the arrays of the most frequent length, and the arrays of another length."""
+        """Name → numbers of every column of the arrays of the most frequent length, and no losses."""
         table = self.table(path, options)
         return table.numbers, table.losses
 
     def table(self, path: Path, options: ReadOptions = ALL) -> Table:
-        """Every column of the arrays of the most frequent length; arrays of another length are lost."""
+        """Every column of the arrays of the most frequent length; others are named only."""
         budget = options.budget_of(path, _WHAT, None)
         try:
             arrays, mapping, unread = _arrays(path, budget)
@@ -68,8 +68,8 @@ class NpzReader:
             if len(array) == usual:
                 found += _columns_of(name, array, mapping if name == "data" else {}, options)
         budget.check_columns(path, len(found))
-        others = [name for name, array in arrays.items() if len(array) != usual]
-        return Table(found, (f"{path.name}: of another length: {', '.join(others)}",) if others else (), unread)
+        unread |= {name: f"{len(a)} rows instead of {usual}" for name, a in arrays.items() if len(a) != usual}
+        return Table(found, (), unread)
 
 
 def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, list[int]], dict[str, str]]:

@@ -38,3 +38,9 @@ class Stream:
 
     def __len__(self) -> int:
         return len(next(iter(self.stamps.values())))
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The columns without numbers, as sentences; of many the first three and the number of the others."""
+        found = tuple(f"column {name!r} left out: {reason}" for name, reason in self.unread.items())
+        return found if len(found) <= 4 else (*found[:3], f"{len(found) - 3} more columns without numbers left out")

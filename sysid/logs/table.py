@@ -222,7 +222,7 @@ def _stamps(
 def _check_padding(where: str, values: npt.NDArray[Any], factor: float) -> None:
     """Raise InputError for seconds and unpadded nanoseconds with a dot between them: 12.5 for 12 s and 5 ns.
 
-    These go back where the nanoseconds have one digit more than before: from 12.99… to 12.10….
+    These go back where the nanoseconds have one digit more than before, in every second from 12.99… to 12.10….
     """
     if factor != 1.0 or values.dtype.kind != "f" or not np.isfinite(values).all():
         return
@@ -232,13 +232,14 @@ def _check_padding(where: str, values: npt.NDArray[Any], factor: float) -> None:
     whole = np.floor(values)
     seconds = 1 + int(np.count_nonzero(whole[1:] != whole[:-1]))
     tenths = np.floor((values[back + 1] - whole[back + 1]) * 10.0 + 1e-5)
-    if len(back) < seconds // 2 or np.any(tenths != 1.0) or np.any(whole[1:] < whole[:-1]):
+    # All seconds but the first and the last are complete.
+    if np.count_nonzero(tenths == 1.0) < max(seconds - 2, FEWEST) or np.any(whole[1:] < whole[:-1]):
         return
     row = int(back[0])
     raise InputError(
         f"{where}: rows {row + 1} and {row + 2}",
-        f"{values[row]:.9f} and {values[row + 1]:.9f}: in {len(back)} of {seconds} seconds stamps go back within the second, "
-        "as nanoseconds without leading zeros do (12.5 for 12 s and 5 ns)",
+        f"{values[row]:.9f} and {values[row + 1]:.9f}: stamps go back {len(back)} times in {seconds} s, in each to its first "
+        "tenth, as nanoseconds without leading zeros do (12.5 for 12 s and 5 ns)",
         "nine digits of nanoseconds after the dot (12.000000005)",
         "Write seconds and nanoseconds as one number: `sec + 1e-9 * nsec`.",
     )
@@ -334,8 +335,8 @@ def _time_name(
         if name in values:
             return name
         if name in unread:
-            remedy = "Write the time as a number of seconds from any origin, or dates in ISO 8601."
-            expected = "numbers, or dates with time in ISO 8601 (2026-03-01T12:00:00.5)"
+            expected = "seconds, timestamps, or (in CSV and JSON) dates with time in ISO 8601: 2026-03-01T12:00:00.5"
+            remedy = "Write the time as a number of seconds from any origin."
             raise InputError(f"{path}: column {name!r}", unread[name], expected, remedy)
     if options.time is not None:
         found, expected = f"no time column {options.time!r}", nearest(options.time, known or values)
