@@ -95,7 +95,7 @@ class CellColumn:
     Args:
         header: its name, with its unit if it has one.
         where: it is named so in errors.
-        decimal: decimal mark of the file.
+        decimal: decimal mark of the file; ``proven`` where other cells than this column's show it.
         expected: number of rows, where it is known.
         is_time: whole numbers keep 64 bits.
     """
@@ -104,6 +104,7 @@ class CellColumn:
     where: str
     budget: Budget
     decimal: str
+    proven: bool = True
     expected: int = 0
     is_time: bool = False
     rows: int = 0
@@ -254,8 +255,12 @@ class CellColumn:
             elements = [(f"{name}[{i}]{suffix}", element.whole(self.rows)) for i, element in enumerate(self._elements)]
             damaged = sorted(self._damaged.items())
             return Table(elements, tuple(f"column {name}[{i}]: {n} elements are not numbers" for i, n in damaged))
-        mark = self._other if self._read[self._other] > self._read[self.decimal] else self.decimal
+        here, there = self._read[self.decimal], self._read[self._other]
+        mark = self._other if there > here else self.decimal
         read = self._read[mark]
+        if self._two and here == there and not self.proven:
+            doubt = "where no cell shows whether the mark is that of decimals (`decimal` in the recipe states it)"
+            return Table(unread={name: f"numbers such as {self._two_example!r}, {doubt}"})
         if self._stamps is not None and self._stamps.found > read:
             kind = "datetime64[ns]" if self._stamp_kind == "date" else "timedelta64[ns]"
             return Table([(self.header, self._stamps.whole(self.rows).view(kind))], self._lost(self._stamps.found, mark))

@@ -65,7 +65,13 @@ class CsvReader:
         likely = min(_expected_rows(path), budget.rows)
         cells = {
             i: CellColumn(
-                header, f"{path}: {header}", budget, dialect.decimal, likely, is_time(split_header(header)[0], options)
+                header,
+                f"{path}: {header}",
+                budget,
+                dialect.decimal,
+                dialect.proven,
+                likely,
+                is_time(split_header(header)[0], options),
             )
             for i, header in enumerate(headers)
             if _is_read(header, options)

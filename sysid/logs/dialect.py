@@ -49,7 +49,7 @@ class Dialect:
 
     Args:
         delimiter: between cells; a space stands for any white space.
-        decimal: mark before the decimals, ``.`` or ``,``.
+        decimal: mark before the decimals, ``.`` or ``,``; ``proven``: stated, or shown by the first rows.
         headers: names of the columns, with units (``boom.cylinder [mm]``) where a row of units states them.
         width: cells in most rows; ``len(headers)`` in a file without faults.
         header_line: number of the line of the header, from 1; 0: the file has none.
@@ -73,6 +73,7 @@ class Dialect:
     cells: tuple[str, ...] = ()
     first_row: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    proven: bool = True
 
     @property
     def separator(self) -> str:
@@ -152,7 +153,7 @@ def _with_decimal(path: Path, split: _Split) -> _Split:
     two = {column: [match for cell in cells if (match := TWO_READINGS.fullmatch(cell))] for column, cells in columns.items()}
     marks = {match[1] for matches in two.values() for match in matches}
     if not marks:
-        return split
+        return replace(split, proven=False)
     decimal = "," if split.delimiter == ";" and "," in marks else "."
     for column, matches in two.items():
         short = next((cell for cell in columns[column] if re.fullmatch(r"[+-]?\d{1,3}", cell)), None)
@@ -173,6 +174,7 @@ class _Split:
     delimiter: str
     decimal: str
     rows: tuple[_Row, ...]
+    proven: bool = True
 
     @classmethod
     def of(cls, lines: Sequence[_Line], delimiter: str, decimal: str) -> _Split:
@@ -257,6 +259,7 @@ def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line],
         cells=() if header is None else header.cells,
         first_row=split.rows[first].cells if first is not None else (),
         remarks=tuple(notes),
+        proven=split.proven,
     )
 
 

@@ -88,7 +88,7 @@ def _column(where: str, field: str, values: Mapping[int, Any], rows: int, option
     """One field of all records: numbers, or stamps and numbers in text; others are missing."""
     texts = {row: value for row, value in values.items() if isinstance(value, str)}
     if texts:
-        cells = CellColumn(field, where, Budget.of(0), ".", rows)
+        cells = CellColumn(field, where, Budget.of(0), options.decimal or ".", options.decimal is not None, rows)
         cells.take(pd.Series(values, dtype=object).reindex(range(rows)).map(_text, na_action="ignore"))
         return cells.table()
     if is_time(field, options) and len(values) == rows and all(type(v) is int and abs(v) < 2**63 for v in values.values()):

@@ -107,6 +107,18 @@ def test_numbers_with_two_readings_are_refused_and_the_remedy_works(tmp_path: Pa
     assert "numbers such as" in inspect_file(path).refusal
 
 
+def test_a_mark_that_comes_late_is_not_guessed(tmp_path: Path) -> None:
+    """The form is found from the first rows; where these have no mark, a column has to show its own."""
+    rest = "".join(f"{10 * row};0;0\n" for row in range(300))
+    stream = read(tmp_path / "log.csv", f"time [ms];x;y\n{rest}3000;1,234;0,012\n3010;2,345;0,024\n")
+    assert stream.columns["y"][-1] == 0.024
+    assert stream.unread["x"].startswith(
+        "numbers such as '1,234', where no cell shows whether the mark is that of decimals (`decimal`"
+    )
+    stated = read(tmp_path / "log.csv", f"time [ms];x;y\n{rest}3000;1,234;0,012\n", ReadOptions(decimal=","))
+    assert stated.columns["x"][-1] == 1.234
+
+
 @pytest.mark.parametrize(
     ("text", "values"),
     [
