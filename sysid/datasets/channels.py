@@ -115,8 +115,8 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         done(1.0, f"reading {path.name}")
         if mapping is None:
             streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
-        told = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
-        lost = (*losses.get(path.name, ()), *told)
+        said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
+        lost = (*losses.get(path.name, ()), *said)
         losses[path.name] = tuple(dict.fromkeys(lost))
         own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
         channels += [channel for channel, _ in own]
