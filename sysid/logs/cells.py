@@ -109,12 +109,11 @@ class CellColumn:
     is_time: bool = False
     rows: int = 0
     _filled: int = 0
-    #: Decimal mark → number of cells that it reads, and the first cell that it does not read.
+    #: Decimal mark → number of cells that it reads, and the first cell that it does not read; the first of other kinds.
     _read: dict[str, int] = field(default_factory=lambda: {".": 0, ",": 0})
     _example: dict[str, str] = field(default_factory=dict)
-    #: Cells that both marks read, as two values: their number, and the first.
-    _two: int = 0
-    _two_example: str = ""
+    #: Number of cells with separators of thousands that would be decimals with the other mark (1.234).
+    _thousands: int = 0
     _numbers: GrowingArray = field(init=False)
     _others: GrowingArray | None = None
     _whole: GrowingArray | None = None
@@ -183,10 +182,10 @@ class CellColumn:
             for kind, some in ((mark, bad & ~stamped & ~united), ("unit", united), ("stamp", stamped)):
                 if kind not in self._example and some.any():
                     self._example[kind] = str(text.iloc[int(np.argmax(some))])
-        two = ~np.isnan(numbers) & ~np.isnan(others) & (numbers != others)
-        if two.any():
-            self._two += int(np.count_nonzero(two))
-            self._two_example = self._two_example or str(text.iloc[int(np.argmax(two))])
+        thousands = np.abs(numbers) > np.abs(others)
+        if thousands.any():
+            self._thousands += int(np.count_nonzero(thousands))
+            self._example.setdefault("thousands", str(text.iloc[int(np.argmax(thousands))]))
         self._numbers.put(rows, numbers)
         if self._others is None and np.any(np.isnan(numbers) & ~np.isnan(others)):
             before = self._numbers.whole(self.rows)
@@ -258,9 +257,9 @@ class CellColumn:
         here, there = self._read[self.decimal], self._read[self._other]
         mark = self._other if there > here else self.decimal
         read = self._read[mark]
-        if self._two and here == there and not self.proven:
+        if self._thousands and here == there and not self.proven:
             doubt = "where no cell shows whether the mark is that of decimals (`decimal` in the recipe states it)"
-            return Table(unread={name: f"numbers such as {self._two_example!r}, {doubt}"})
+            return Table(unread={name: f"numbers such as {self._example['thousands']!r}, {doubt}"})
         if self._stamps is not None and self._stamps.found > read:
             kind = "datetime64[ns]" if self._stamp_kind == "date" else "timedelta64[ns]"
             return Table([(self.header, self._stamps.whole(self.rows).view(kind))], self._lost(self._stamps.found, mark))
@@ -284,9 +283,10 @@ class CellColumn:
         marks = {".": "decimal points", ",": "decimal commas"}
         if mark != self.decimal:
             losses.append(f"column {self.header!r}: {marks[mark]}, while the file has {marks[self.decimal]}")
-        elif self._two:
-            example = f"{self._two_example!r} is {number_of(self._two_example, mark):g}"
-            losses.append(f"column {self.header!r}: {self._two} cells with separators of thousands, {example}")
+        elif self._thousands:
+            example = self._example["thousands"]
+            what = f"{self._thousands} cells with separators of thousands, {example!r} is {number_of(example, mark):g}"
+            losses.append(f"column {self.header!r}: {what}")
         if self._whole is not None:
             return Table([(header, self._whole.whole(self.rows))], tuple(losses))
         return Table([(header, numbers.whole(self.rows))], tuple(losses))
