@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import Columns, Table, is_time, is_wanted, table_stream
 from sysid.units import split_header
+
+#: Rows of a row group in which an example of a text is sought.
+_TRIED = 64
 
 
 @dataclass(frozen=True)
@@ -109,11 +113,10 @@ def _unread(file: Any, field: Any, budget: Budget) -> str:
     for number in range(file.metadata.num_row_groups):
         group = file.metadata.row_group(number)
         packed = next(c for c in map(group.column, range(group.num_columns)) if c.path_in_schema == field.name)
-        # Nothing else limits the size of a text.
+        # Nothing else limits the size of a text; one row at a time, as rows may share a long one.
         if budget.too_large(packed.total_compressed_size, packed.total_uncompressed_size):
             break
-        batch = next(file.iter_batches(1024, [number], [field.name]), None)
-        first = next((text for text in batch.column(0).to_pylist() if text), None) if batch is not None else None
-        if first is not None:
+        rows = (batch.column(0)[0].as_py() for batch in islice(file.iter_batches(1, [number], [field.name]), _TRIED))
+        if (first := next(filter(None, rows), None)) is not None:
             return f"text, for example {first[:80]!r}"
     return "text"
