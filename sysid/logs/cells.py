@@ -144,17 +144,20 @@ class CellColumn:
             whole = cells.dtype.kind == "i" if isinstance(cells.dtype, np.dtype) else False
             self._keep_whole(first, cells.to_numpy() if whole else None)
             self._numbers.put(slice(first, self.rows), numbers)
-            known = int(np.count_nonzero(~np.isnan(numbers)))
-            self._filled += known
-            self._read[self.decimal] += known
-            self._read[self._other] += known if whole else int(np.count_nonzero(numbers == np.rint(numbers)))
+            known = ~np.isnan(numbers)
+            decimals = known & (numbers != np.rint(numbers))  # the other mark reads only whole numbers
+            self._filled += int(np.count_nonzero(known))
+            self._read[self.decimal] += int(np.count_nonzero(known))
+            self._read[self._other] += int(np.count_nonzero(known & ~decimals))
+            if decimals.any():
+                self._example.setdefault(self._other, f"{numbers[decimals][0]:g}".replace(".", self.decimal))
             if self._others is not None:
-                self._others.put(slice(first, self.rows), np.where(numbers == np.rint(numbers), numbers, np.nan))
+                self._others.put(slice(first, self.rows), np.where(decimals, np.nan, numbers))
             return
         self._keep_whole(first, None)
         places = np.flatnonzero(cells.notna().to_numpy())
         self._filled += len(places)
-        self._take_text(cells.iloc[places].astype("str").str.strip(), first + places)
+        self._take_text(cells.iloc[places].astype("str").str.strip(), first, places)
         if len(places) and _are_lists(cells):
             self._listed += len(places)
             for begin in range(0, len(cells), _LISTS):
@@ -168,14 +171,16 @@ class CellColumn:
         else:
             self._whole = None
 
-    def _take_text(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> None:
+    def _take_text(self, text: pd.Series, first: int, places: npt.NDArray[np.intp]) -> None:
+        """Cells (n,) that are not empty, at ``places`` of a chunk that begins with row ``first``."""
+        rows = first + places
         numbers, others = _numbers(text, self.decimal), _numbers(text, self._other)
         unread = np.isnan(numbers) & np.isnan(others)
         stamped, united = np.zeros(len(text), dtype=bool), np.zeros(len(text), dtype=bool)
         if unread.any():
-            places = np.flatnonzero(unread)
-            stamped[places] = self._take_stamps(text.iloc[places], rows[places])
-            united[places] = self._take_united(text.iloc[places], rows[places])
+            left = np.flatnonzero(unread)
+            stamped[left] = self._take_stamps(text.iloc[left], rows[left])
+            united[left] = self._take_united(text.iloc[left], rows[left])
         for mark, values in ((self.decimal, numbers), (self._other, others)):
             bad = np.isnan(values)
             self._read[mark] += len(values) - int(np.count_nonzero(bad))
@@ -186,11 +191,11 @@ class CellColumn:
         if thousands.any():
             self._thousands += int(np.count_nonzero(thousands))
             self._example.setdefault("thousands", str(text.iloc[int(np.argmax(thousands))]))
-        self._numbers.put(rows, numbers)
-        if self._others is None and np.any(np.isnan(numbers) & ~np.isnan(others)):
-            before = self._numbers.whole(self.rows)
+        if self._others is None and not np.array_equal(numbers, others, equal_nan=True):  # until here both marks read the same
+            before = self._numbers.whole(first)
             self._others = GrowingArray(np.nan, expected=self.expected)
             self._others.extend(np.where(before == np.rint(before), before, np.nan))
+        self._numbers.put(rows, numbers)
         if self._others is not None:
             self._others.put(rows, others)
 

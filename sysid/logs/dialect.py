@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import dropwhile
 from pathlib import Path
 
 from sysid.errors import InputError
@@ -190,11 +191,12 @@ class _Split:
 
     @property
     def score(self) -> float:
-        """Share of rows of equal length, weighted with the share of numbers among the cells."""
+        """Share of rows of equal length, weighted with the share of numbers among the cells below the header."""
         if max(len(row.cells) for row in self.rows) < 2:
             return 0.0
         equal = max(Counter(len(row.cells) for row in self.rows).values()) / len(self.rows)
-        kinds = Counter(_kind(cell, self.decimal) for row in self.rows for cell in row.cells)
+        rows = [[_kind(cell, self.decimal) for cell in row.cells] for row in self.rows]
+        kinds = Counter(kind for row in dropwhile(lambda row: 1 not in row, rows) for kind in row)
         return equal * (0.05 + kinds[1] / max(1, kinds[1] + kinds[2])) * (1.0 if self.width > 1 else 0.1)
 
     @cached_property

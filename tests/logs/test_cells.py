@@ -66,19 +66,23 @@ def test_numbers_of_any_locale_are_read_and_other_cells_are_missing_and_counted(
     values=st.lists(st.integers(-999_999, 999_999), min_size=3, max_size=20),
     decimal=st.sampled_from([".", ","]),
     small=st.booleans(),
+    first=st.booleans(),
+    pieces=st.sampled_from([1, 9, 2**20]),
 )
 def test_the_marks_of_the_file_decide_unless_the_column_contradicts(
-    tmp_path: Path, values: list[int], decimal: str, small: bool
+    tmp_path: Path, values: list[int], decimal: str, small: bool, first: bool, pieces: int
 ) -> None:
     """1.234 is 1234 beside decimal commas, except in a column with 0.917: there the point is the decimal mark."""
     other = "," if decimal == "." else "."
     cells = [f"{value:,}".replace(",", other) for value in values]
     truth: list[float] = [float(value) for value in values]
     if small:
-        cells.append(f"0{other}917")
+        cells.insert(0 if first else len(cells), f"0{other}917")
         truth = [float(cell.replace(other, ".")) if cell.count(other) < 2 else np.nan for cell in cells]
     lines = [f"{row / 10:.1f}".replace(".", decimal) + "|" + cell for row, cell in enumerate(cells)]
-    stream = read(tmp_path / "log.csv", "\n".join(["time|x", *lines]) + "\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sysid.logs.table.CELLS", pieces)
+        stream = read(tmp_path / "log.csv", "\n".join(["time|x", *lines]) + "\n")
     np.testing.assert_array_equal(stream.columns["x"], truth)
     marks = {".": "decimal points", ",": "decimal commas"}
     assert (f"log.csv: column 'x': {marks[other]}, while the file has {marks[decimal]}" in stream.losses) == small

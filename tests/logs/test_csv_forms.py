@@ -55,6 +55,8 @@ FORMS = {
     "other delimiters in quotes": ('time,boom [mm],note\n0,1.5,"a;b;c"\n0.5,2.5,"d;e;f"\n', "utf-8"),
     "dates with time": ("time,boom [mm]\n2026-03-01T12:00:00.0,1.5\n2026-03-01T12:00:00.5,2.5\n", "utf-8"),
     "times of the day": ("time;boom [mm]\n12:00:00,0;1,5\n12:00:00,5;2,5\n", "utf-8"),
+    "whole numbers first": ("time;boom [mm]\n0;1,5\n0,5;2,5\n", "utf-8"),
+    "many columns without values": ("time\tboom [mm]\ta\tb\tc\n0,0\t1,5\t\t\t\n0,5\t2,5\t\t\t\n", "utf-8"),
     "line ends of old systems": ("time,boom [mm]\r0,1.5\r0.5,2.5\r", "utf-8"),
 }
 
