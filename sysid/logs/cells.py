@@ -44,6 +44,8 @@ _GROUPED = {
 }
 #: A number that both decimal marks can read, as two values.
 TWO_READINGS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)
+#: Separators of thousands that are no mark.
+_SPACED = r"\d[^\w.,:+-]\d"
 #: A date with time in ISO 8601, or a time of the day.
 _DATE, _DAY_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:?\d\d.*", r"\d{1,2}:\d\d:\d\d(?:[.,]\d+)?"
 STAMP = re.compile(f"{_DATE}|{_DAY_TIME}")
@@ -112,8 +114,9 @@ class CellColumn:
     #: Decimal mark → number of cells that it reads, and the first cell that it does not read; the first of other kinds.
     _read: dict[str, int] = field(default_factory=lambda: {".": 0, ",": 0})
     _example: dict[str, str] = field(default_factory=dict)
-    #: Number of cells with separators of thousands that would be decimals with the other mark (1.234).
+    #: Number of cells with separators of thousands, and whether one would be decimals with the other mark (1.234).
     _thousands: int = 0
+    _doubtful: bool = False
     _numbers: GrowingArray = field(init=False)
     _others: GrowingArray | None = None
     _whole: GrowingArray | None = None
@@ -187,7 +190,9 @@ class CellColumn:
             for kind, some in ((mark, bad & ~stamped & ~united), ("unit", united), ("stamp", stamped)):
                 if kind not in self._example and some.any():
                     self._example[kind] = str(text.iloc[int(np.argmax(some))])
-        thousands = np.abs(numbers) > np.abs(others)
+        decimals_too = np.abs(numbers) > np.abs(others)
+        self._doubtful = self._doubtful or bool(decimals_too.any())
+        thousands = decimals_too | (~np.isnan(numbers) & text.str.contains(_SPACED).to_numpy(dtype=bool))
         if thousands.any():
             self._thousands += int(np.count_nonzero(thousands))
             self._example.setdefault("thousands", str(text.iloc[int(np.argmax(thousands))]))
@@ -262,7 +267,7 @@ class CellColumn:
         here, there = self._read[self.decimal], self._read[self._other]
         mark = self._other if there > here else self.decimal
         read = self._read[mark]
-        if self._thousands and here == there and not self.proven:
+        if self._doubtful and here == there and not self.proven:
             doubt = "where no cell shows whether the mark is that of decimals (`decimal` in the recipe states it)"
             return Table(unread={name: f"numbers such as {self._example['thousands']!r}, {doubt}"})
         if self._stamps is not None and self._stamps.found > read:

@@ -54,6 +54,10 @@ def test_numbers_of_any_locale_are_read_and_other_cells_are_missing_and_counted(
     np.testing.assert_allclose(stream.columns["x"], values, rtol=1e-14)
     np.testing.assert_array_equal(stream.stamps["time"], 100_000_000 * np.arange(len(values)))
     told = [loss for loss in stream.losses if "not a number" in loss or "are not numbers" in loss]
+    separated = [cell for row, cell in enumerate(cells) if thousands and thousands in cell and row not in bad]
+    assert any("separators of thousands" in loss for loss in stream.losses) == any(
+        thousands != other or (cell.count(other) == 1 and decimal not in cell) for cell in separated
+    )
     if bad:
         count = f"{len(bad)} cells are not numbers" if len(bad) > 1 else "1 cell is not a number"
         assert told == [f"log.csv: column 'x': {count}, for example {cells[min(bad)]!r}: taken as missing"]
