@@ -109,7 +109,7 @@ def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine:
         if stamps is None:
             result.append(stream)
             continue
-        texts = _repeated(stamps)
+        texts = _repeated(stamps, stream.name if len(streams) > 1 else "")
         if _seldom_back(stamps):
             found = done.setdefault(stamps.tobytes(), continued(stamps))
             if found.stamps is not stamps and (not machine or all(found.periods_ns)):
@@ -119,12 +119,13 @@ def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine:
     return tuple(result)
 
 
-def _repeated(stamps: Stamps) -> tuple[str, ...]:
-    """Report of the rows with equal stamps."""
+def _repeated(stamps: Stamps, name: str) -> tuple[str, ...]:
+    """Report of the rows with equal stamps in the stream ``name``."""
     count = int(np.count_nonzero(stamps[1:] == stamps[:-1]))
     if not count:
         return ()
-    return (f"{count} of {len(stamps)} rows have the stamp of the row before and are dropped. {_COARSE}",)
+    where = f"{name}: " if name else ""
+    return (f"{where}{count} of {len(stamps)} rows have the stamp of the row before and are dropped. {_COARSE}",)
 
 
 def _seldom_back(stamps: Stamps) -> bool:
