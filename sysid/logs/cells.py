@@ -224,10 +224,10 @@ class CellColumn:
         """Keep the numbers with a unit among cells (n,), that of the first (``0.12 rad``); the mask of those cells."""
         kept = np.zeros(len(text), dtype=bool)
         if not self._unit:
-            found = re.fullmatch(rf".*\d\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
-            if found is None or not _is_unit(found[1]):
+            found = re.fullmatch(rf"(.*\d)\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
+            if found is None or all(number_of(found[1], mark) is None for mark in ".,") or not _is_unit(found[2]):
                 return kept
-            self._unit = found[1]
+            self._unit = found[2]
         places = np.flatnonzero(text.str.endswith(self._unit).to_numpy(dtype=bool))
         shorter = text.iloc[places].str.removesuffix(self._unit).str.rstrip()
         numbers = _numbers(shorter, self.decimal)
