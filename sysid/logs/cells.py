@@ -221,13 +221,16 @@ class CellColumn:
         return found
 
     def _take_united(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """Keep the numbers with a unit among cells (n,), that of the first (``0.12 rad``); the mask of those cells."""
+        """Keep the numbers with a unit among cells (n,), the first frequent one (``0.12 rad``); the mask of those cells."""
         kept = np.zeros(len(text), dtype=bool)
         if not self._unit:
-            found = re.fullmatch(rf"(.*\d)\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
-            if found is None or all(number_of(found[1], mark) is None for mark in ".,") or not _is_unit(found[2]):
-                return kept
-            self._unit = found[2]
+            parts = text.str.extract(rf"^(.*\d)\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})$").dropna()
+            for unit in parts[1].mode().head(1):
+                number = str(parts[0][parts[1] == unit].iloc[0])
+                if any(number_of(number, mark) is not None for mark in ".,") and _is_unit(unit):
+                    self._unit = unit
+        if not self._unit:
+            return kept
         places = np.flatnonzero(text.str.endswith(self._unit).to_numpy(dtype=bool))
         shorter = text.iloc[places].str.removesuffix(self._unit).str.rstrip()
         numbers = _numbers(shorter, self.decimal)

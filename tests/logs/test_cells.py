@@ -144,6 +144,33 @@ def test_numbers_with_one_reading(tmp_path: Path, text: str, values: list[float]
     np.testing.assert_array_equal(read(tmp_path / "log.csv", text).columns["x"], values)
 
 
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    values=st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 3)), min_size=2, max_size=20),
+    unit=st.sampled_from(["rad", "mm", "°", "%", "m/s", "N·m"]),
+    space=st.sampled_from(["", " ", "\u00a0"]),
+    decimal=st.sampled_from([".", ","]),
+    bad=st.sets(st.integers(0, 18)),
+    pieces=st.sampled_from([1, 12, 2**20]),
+)
+def test_a_unit_in_every_cell_is_that_of_the_column(
+    tmp_path: Path, values: list[float], unit: str, space: str, decimal: str, bad: set[int], pieces: int
+) -> None:
+    """Unit × space × decimal mark × place of the cells that are no numbers × size of the pieces."""
+    bad = {row for row in bad if row < len(values) - 1}
+    cells = [f"{value:.3f}{space}{unit}".replace(".", decimal) for value in values]
+    for row in bad:
+        cells[row], values[row] = "ERR", np.nan
+    lines = [f"{row / 10:.1f}".replace(".", decimal) + ";" + cell for row, cell in enumerate(cells)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sysid.logs.table.CELLS", pieces)
+        stream = read(tmp_path / "log.csv", "\n".join(["time;x", *lines]) + "\n")
+    np.testing.assert_array_equal(stream.columns["x"], values)
+    assert stream.units == {"x": unit}
+    assert f"log.csv: column 'x': {len(values) - len(bad)} cells state the unit [{unit}]" in stream.losses
+    assert any("for example 'ERR'" in loss for loss in stream.losses) == bool(bad)
+
+
 def test_units_in_cells(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     for header in ("x", "x [rad]"):
