@@ -112,7 +112,7 @@ def test_a_signal_without_numbers_is_refused_and_another_column_is_said(tmp_path
             path = folder(tmp_path / f"{suffix}-{name}", TIME)
             table = pd.read_csv(path / "r/log.csv").assign(**{name: 0.0})
             if suffix == "csv":
-                table.assign(**{name: values}).to_csv(path / "r/log.csv", index=False)
+                table.assign(**{name: pd.Series(values)}).to_csv(path / "r/log.csv", index=False)
             else:
                 (path / "r/log.csv").unlink()
                 columns = {column: pa.array(table[column]) for column in table}
