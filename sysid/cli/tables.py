@@ -37,6 +37,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
         for recording in dataset.recordings
     ]
     out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    _show_samples(out, dataset)
     for clock in dataset.clocks:
         if clock.applied:
             half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
@@ -49,6 +50,20 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
     for source in dataset.sources:
         for loss in source.losses:
             out.line(f"loss in {source.path}: {loss}")
+
+
+def _show_samples(out: Printer, dataset: Dataset) -> None:
+    """For each signal: samples in the files, those that are used, and why others are not."""
+    from sysid.display import percent
+    from sysid.reports.samples import sample_lines
+
+    rows = [
+        (line.name, line.counts.samples, line.counts.used, percent(line.filled), f"{line.counts.bridged_s:.1f} s", line.lost)
+        for line in sample_lines(dataset)
+    ]
+    if rows:
+        header = ("signal", "samples", "used", "filled", "bridged", "not used")
+        out.table(header, rows, right=(1, 2, 3, 4))
 
 
 def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, float] | None = None) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, Converted, convert, in_order
+from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
@@ -149,7 +150,7 @@ def _captured(
             primary=item.signal not in mapping.secondary,
             interpolation=mapping.interpolation,
             max_gap_s=mapping.max_gap_s,
-            repaired=item.repaired,
+            counts=replace(item.counts, empty=int(np.count_nonzero(np.isnan(item.values)))),
             flags=item.flags,
         )
         for item in signals
@@ -240,26 +241,33 @@ def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
 ) -> tuple[Channel, str]:
     converted = convert(stream, entry, signal, machine)
-    values = converted.values
     clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
     if clock not in stream.stamps:
         raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
-    order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
+    stamps, values = stream.stamps[clock], converted.values  # shared by all signals of a stream
+    there = masked(len(values), lambda first, last: ~np.isnan(values[first:last]))
+    if not there.all():  # a row without a value is no sample: each signal has its own rate and its own gaps
+        stamps, values = scratch.chosen(stamps, there), scratch.chosen(values, there)
+    order, late = in_order(stamps, f"{path}: {stream.name}")
+    counts = counts_of(stamps, values, order, late)
+    repaired = late + len(stamps) - len(order)
     if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
-        found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
+        found = f"{len(stamps)} sample{'s' if len(stamps) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
     channel = Channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # shared by all signals of a stream
+        stamps=stamps[order] if repaired else stamps,
         values=values[order] if repaired else values,
         unit=converted.unit,
         primary=primary,
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
-        repaired=repaired,
-        flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
+        counts=replace(
+            counts, rows=len(stream), empty=len(stream) - len(stamps) - converted.overflows, overflows=converted.overflows
+        ),
+        flags=tuple(repaired_stamps(signal, stamps)) if repaired else (),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
     return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
@@ -328,5 +336,4 @@ def concatenate(parts: Sequence[Channel]) -> Channel:
         parts[0],
         stamps=np.concatenate([part.stamps for part in parts], out=scratch.empty(rows, np.int64)),
         values=np.concatenate([part.values for part in parts], out=scratch.empty(rows)),
-        repaired=sum(part.repaired for part in parts),
     )

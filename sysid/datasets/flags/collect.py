@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.chunked import copied, known, masked, median, median_step
-from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
+from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
@@ -50,14 +50,8 @@ def flag_rows(
     """
     if recording.kind == "poses":
         return []
-    records = by_source(clocks, recording.name)
-    start = recording.start_ns
-    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
-    for channel in recording.channels:
-        key = (id(channel.stamps), channel.source)
-        if key not in times:
-            times[key] = machine_times(channel, start, records.get(channel.source))
-    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
+    placed = Placed(recording, by_source(clocks, recording.name))
+    timed = [(channel, placed.times(channel)) for channel in recording.channels]
     timed = [(channel, at) for channel, at in timed if len(at)]
     commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
     found: list[tuple[str, Flag]] = []

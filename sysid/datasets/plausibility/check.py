@@ -20,6 +20,7 @@ from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.plausibility.partial import partial_findings
 from sysid.datasets.plausibility.points import point_findings
 from sysid.datasets.plausibility.roles import STILL, role_findings
+from sysid.datasets.plausibility.samples import sample_findings
 from sysid.datasets.plausibility.stamps import rates_of, time_findings
 from sysid.datasets.plausibility.swaps import swap_findings
 from sysid.datasets.recording import Dataset, Recording, Role
@@ -45,7 +46,7 @@ def findings_of(
     """As :func:`check_plausibility`.
 
     Args:
-        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset), for its sample rate.
+        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset): rate, counts.
         units: signal → SI unit that the logs or the recipe state, for joints of a machine without a URDF.
     """
     rates = rates_of(streams or {}, recordings)
@@ -76,6 +77,7 @@ def findings_of(
     found += partial
     found += point_findings(recordings, machine, corrections_of(single), exchanged)
     found += column_findings(recordings, machine)
+    found += sample_findings(streams or {})
     found += [finding for finding in end_stop_findings(recordings, machine) if finding.keys[0].partition(":")[0] not in unclear]
     doubtful = {*ranged(single), *(re.split("[.:]", key)[0] for finding in partial for key in finding.keys)}
     still = {f"{name}:{STILL}" for name in doubtful}
