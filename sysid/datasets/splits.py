@@ -43,15 +43,15 @@ class Measured:
     @classmethod
     def of(cls, recording: Recording) -> Measured:
         """Computed once for a recording."""
-        if cls not in recording.derived:
+        if "measured rows" not in recording.derived:
             columns = [recording.values(signal) for signal in recording.signals]
             there = masked(len(recording), lambda a, b: ~np.all([np.isnan(values[a:b]) for values in columns], axis=0))
             first, last = stretches(there) if columns else (np.empty(0, np.intp), np.empty(0, np.intp))
             apart = first[1:] - last[:-1] > PAUSE_S * recording.rate_hz
             keep = np.concatenate([[True], apart]), np.concatenate([apart, [True]])
             ends = (first[keep[0]], last[keep[1]]) if len(first) else (first, last)
-            recording.derived[cls] = cls(*ends, recording.rate_hz)
-        found: Measured = recording.derived[cls]
+            recording.derived["measured rows"] = cls(*ends, recording.rate_hz)
+        found: Measured = recording.derived["measured rows"]
         return found
 
     def __len__(self) -> int:
