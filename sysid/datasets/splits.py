@@ -50,7 +50,7 @@ class Measured:
             apart = first[1:] - last[:-1] > PAUSE_S * recording.rate_hz
             keep = np.concatenate([[True], apart]), np.concatenate([apart, [True]])
             ends = (first[keep[0]], last[keep[1]]) if len(first) else (first, last)
-            recording.derived["measured rows"] = cls(*ends, recording.rate_hz)
+            recording.derived["measured rows"] = cls(ends[0], ends[1], recording.rate_hz)
         found: Measured = recording.derived["measured rows"]
         return found
 
