@@ -178,6 +178,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
+    from sysid.gap.sentences import response_sentences
     from sysid.reports.effect_units import shown_parameters
     from sysid.reports.words import effect_place, effect_sentence
 
@@ -186,6 +187,8 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
         sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
+        gap_tables.entry(out, sentence, "  ", True)
+    for sentence in response_sentences(result.responses, result.repaired):
         gap_tables.entry(out, sentence, "  ", True)
     out.line()
     gap_tables.show_written(out, result, dataset)
