@@ -179,6 +179,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     """
     from sysid.cli import gap_tables
     from sysid.gap.sentences import response_sentences
+    from sysid.names import listed
     from sysid.reports.effect_units import shown_parameters
     from sysid.reports.words import effect_place, effect_sentence
 
@@ -187,21 +188,21 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
         sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
-        gap_tables.entry(out, sentence, "  ", True)
-    for sentence in response_sentences(result.responses, result.repaired):
-        gap_tables.entry(out, sentence, "  ", True)
+        gap_tables.entry(out, sentence, "  ")
+    for sentence in response_sentences(result.responses, bool(result.written)):
+        gap_tables.entry(out, sentence, "  ")
     out.line()
     gap_tables.show_written(out, result, dataset)
     gap_tables.show_delays(out, result, dataset)
     for tie in result.ambiguous:
         names = " / ".join(effect_place(name, target, machine) for name, target in tie)
-        gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ", True)
+        gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ")
     for text in gap_tables.unnamed_texts(result, dataset):
-        gap_tables.entry(out, text, "  ", verbose)
+        gap_tables.entry(out, text, "  ")
     show_residual_models(out, result, dataset)
     gap_tables.show_near_misses(out, result, dataset, verbose)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
-    gap_tables.entry(out, f"Held-out recordings: {', '.join(result.held_out_recordings)}", "", verbose)
+    gap_tables.entry(out, f"Held-out recordings: {listed(result.held_out_recordings, gap_tables.RECORDINGS)}.")
     _show_left_out(out, result, dataset)
     gap_tables.show_next_steps(out, result, dataset, verbose)
 
@@ -213,7 +214,7 @@ def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
 
     sentence = left_out_sentence(dataset.machine.left_out)
     if sentence in result.notes:
-        gap_tables.entry(out, sentence, "", True)
+        gap_tables.entry(out, sentence)
 
 
 def show_missing(out: Printer, result: GapResult) -> None:
@@ -222,7 +223,7 @@ def show_missing(out: Printer, result: GapResult) -> None:
     from sysid.gap.sentences import missing_sentences
 
     for sentence in missing_sentences(result.missing):
-        gap_tables.entry(out, sentence, "", True)
+        gap_tables.entry(out, sentence)
 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:

@@ -83,7 +83,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             *(note for note in gap.notes if note == left_out_sentence(machine.left_out)),
             *filter(None, [order_sentence(gap.order)]),
             *missing_sentences(gap.missing),
-            *response_sentences(gap.responses, gap.repaired),
+            *response_sentences(gap.responses, bool(gap.written)),
         ],
     }
 
