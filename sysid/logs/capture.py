@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -14,10 +15,15 @@ import pandas as pd
 from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.reader import ALL, ReadOptions
+from sysid.logs.stream import Stream
 from sysid.logs.table import CUT_ROW, text_chunks, without_line_end
+from sysid.names import listed
 from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
+
+#: Markers in a sentence; the others are counted.
+MOST = 4
 
 Array = npt.NDArray[np.float64]
 
@@ -127,6 +133,31 @@ def length_factor(path: Path, stated: str, options: ReadOptions, default: str | 
     if si != "m":
         raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
     return factor
+
+
+def without_lost(path: Path, streams: Sequence[Stream]) -> tuple[Stream, ...]:
+    """``streams`` of markers and bodies without the frames in which they lie exactly in the origin, and the loss.
+
+    Programs write zeros for what the cameras have lost; a measured position has digits, so that three exact zeros are none,
+    not even where they fill every frame. Streams without a position [m] (angles and forces of a model) stay as they are.
+    """
+    kept: list[Stream] = []
+    lost: dict[str, int] = {}
+    for stream in streams:
+        zero = np.zeros(len(stream), dtype=bool)
+        if all(stream.units.get(axis) == "m" for axis in "xyz"):
+            zero = np.all([stream.columns[axis] == 0.0 for axis in "xyz"], axis=0)
+        if not zero.any():
+            kept.append(stream)
+            continue
+        lost[stream.name] = int(np.count_nonzero(zero))
+        columns = {key: np.where(zero, np.nan, values) for key, values in stream.columns.items()}
+        kept.append(replace(stream, columns=columns))
+    if not lost:
+        return tuple(kept)
+    names = [f"{name} {count}" for name, count in sorted(lost.items(), key=lambda item: -item[1])]
+    text = f"{path.name}: {sum(lost.values())} points exactly in the origin are treated as not visible: {listed(names, MOST)}"
+    return tuple(replace(stream, losses=(*stream.losses, text)) for stream in kept)
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -14,7 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, from_matrices, length_factor, number_rows, quaternion_columns, text_lines, unique_names
+from sysid.logs.capture import (
+    Array,
+    from_matrices,
+    length_factor,
+    number_rows,
+    quaternion_columns,
+    text_lines,
+    unique_names,
+    without_lost,
+)
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -55,11 +64,11 @@ class QualisysReader:
         for number, name in enumerate(names):
             if options.wants(name):
                 own = table[:, before + number * cells : before + (number + 1) * cells]
-                values = _marker(own, factor) if kind == "3D" else _body(own, factor)
+                values = {axis: own[:, i] * factor for i, axis in enumerate("xyz")} if kind == "3D" else _body(own, factor)
                 units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
                 what = "Marker" if kind == "3D" else "Rigid Body"
                 streams.append(Stream(name, path, stamps, values, units, losses, kind=what))
-        return tuple(streams)
+        return without_lost(path, streams)
 
 
 def _head(path: Path) -> tuple[dict[str, list[str]], int, int]:
@@ -96,14 +105,8 @@ def _seconds(path: Path, table: Array, before: int, head: dict[str, list[str]]) 
     return np.asarray(frames * period)
 
 
-def _marker(cells: Array, factor: float) -> dict[str, Array]:
-    seen = ~np.all(np.nan_to_num(cells) == 0.0, axis=1)
-    return {axis: np.where(seen, cells[:, i] * factor, np.nan) for i, axis in enumerate("xyz")}
-
-
 def _body(cells: Array, factor: float) -> dict[str, Array]:
     # Column by column: Rot[1] is the second row of the first column.
     quaternions = from_matrices(np.swapaxes(cells[:, 7:16].reshape(-1, 3, 3), 1, 2))
-    seen = np.isfinite(quaternions[:, 0])
-    position = {axis: np.where(seen, cells[:, i] * factor, np.nan) for i, axis in enumerate("xyz")}
-    return {**position, **quaternion_columns(quaternions), "error": np.where(seen, cells[:, 6] * factor, np.nan)}
+    position = {axis: cells[:, i] * factor for i, axis in enumerate("xyz")}
+    return {**position, **quaternion_columns(quaternions), "error": cells[:, 6] * factor}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import length_factor, number_rows, text_lines, unique_names
+from sysid.logs.capture import length_factor, number_rows, text_lines, unique_names, without_lost
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -60,4 +60,4 @@ class TrcReader:
             if options.wants(name):
                 columns = {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")}
                 streams.append(Stream(name, path, stamps, columns, dict.fromkeys("xyz", "m"), losses, kind="Marker"))
-        return tuple(streams)
+        return without_lost(path, streams)

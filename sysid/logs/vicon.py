@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, number_rows, text_lines
+from sysid.logs.capture import Array, number_rows, text_lines, without_lost
 from sysid.logs.cut_off import uneven_sections
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -69,11 +69,9 @@ class ViconReader:
         if not found:
             raise InputError(path, "no frames", f"a section such as {SECTIONS[0]!r} with frames", "Export the trial again.")
         options.check_streams(path, [name for name, _ in found], "marker, segment or device")
-        return tuple(
-            replace(stream, name=name, losses=(*stream.losses, *uneven_sections(path, last_frames)))
-            for name, stream in found
-            if options.wants(name)
-        )
+        losses = uneven_sections(path, last_frames)
+        wanted = [replace(stream, name=name, losses=(*stream.losses, *losses)) for name, stream in found if options.wants(name)]
+        return without_lost(path, wanted)
 
 
 def _sections(path: Path) -> Iterator[_Section]:

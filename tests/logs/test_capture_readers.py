@@ -320,6 +320,63 @@ def test_qualisys_heads_that_make_no_sense_are_named(tmp_path: Path) -> None:
             read(write(tmp_path / "m.tsv", *lines))
 
 
+def trc_lines(table: np.ndarray, separator: str = "\t") -> list[str]:
+    rows = [separator.join([str(i + 1), f"{i / 100:.2f}", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [line.replace("\t", separator) for line in TRC[:6]] + rows
+
+
+def vicon_lines(table: np.ndarray, separator: str = ",") -> list[str]:
+    head = "Trajectories", "100", ",,tip,,,end,,", "Frame,Sub Frame,X,Y,Z,X,Y,Z", ",,mm,mm,mm,mm,mm,mm"
+    rows = [",".join([str(i + 1), "0", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [line.replace(",", separator) for line in (*head, *rows)]
+
+
+def qualisys_lines(table: np.ndarray) -> list[str]:
+    rows = ["\t".join([str(i + 1), f"{i / 120:.5f}", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [*qualisys_3d(), *rows]
+
+
+def motive_lines(table: np.ndarray) -> list[str]:
+    head = (
+        "Format Version,1.23,Rotation Type,Quaternion,Length Units,Millimeters,Coordinate Space,Global",
+        "",
+        ",Type" + ",Marker" * 6,
+        ",Name,tip,tip,tip,end,end,end",
+        ",ID,1,1,1,2,2,2",
+        "," + ",Position" * 6,
+        "Frame,Time (Seconds),X,Y,Z,X,Y,Z",
+    )
+    return [*head, *(",".join([str(i), f"{i / 100:.2f}", *(f"{v:g}" for v in row)]) for i, row in enumerate(table))]
+
+
+EXPORTS: dict[str, tuple[str, Callable[[np.ndarray], list[str]]]] = {
+    "trc": ("m.trc", trc_lines), "vicon": ("m.csv", vicon_lines), "qualisys": ("m.tsv", qualisys_lines),
+    "motive": ("m.csv", motive_lines),
+}  # fmt: skip
+
+
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), kind=st.sampled_from(sorted(EXPORTS)), frames=st.integers(1, 6))
+def test_a_marker_exactly_in_the_origin_is_missing_and_counted_in_every_export(
+    tmp_path: Path, data: st.DataObject, kind: str, frames: int
+) -> None:
+    cells = st.lists(st.sampled_from([0.0, 0.0, 1.0, -2.5]), min_size=6 * frames, max_size=6 * frames)
+    table = np.array(data.draw(cells)).reshape(frames, 6)
+    name, lines = EXPORTS[kind]
+    path = write(tmp_path / name, *lines(table))
+    streams = read(path)
+    assert reader_for(path).name == kind
+    lost = 0
+    for number, stream in enumerate(streams.values()):
+        own = table[:, 3 * number : 3 * number + 3]
+        zero = (own == 0.0).all(axis=1)
+        lost += int(zero.sum())
+        np.testing.assert_allclose(positions(stream), np.where(zero[:, None], np.nan, own * 1e-3))
+    said = [loss for stream in streams.values() for loss in stream.losses if "exactly in the origin" in loss]
+    assert bool(said) == bool(lost)
+    assert all(f"{name}: {lost} points exactly in the origin are treated as not visible: " in loss for loss in said)
+
+
 def damaged_text(draw: Callable[[Any], Any], text: bytes) -> bytes:
     """``text`` with some cells, lines or bytes changed, doubled or gone."""
     lines = text.split(b"\n")
