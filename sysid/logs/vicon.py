@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, number_rows, text_lines, without_lost
+from sysid.logs.capture import Array, number_of, number_rows, separator_of, text_lines, without_lost
 from sysid.logs.cut_off import uneven_sections
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -87,14 +87,14 @@ def _sections(path: Path) -> Iterator[_Section]:
             continue
         where = f"{path}: section {kind!r} in line {number + 1}"
         head = [next(lines, (number, ""))[1] for _ in range(4)]
-        separator = "\t" if "\t" in head[2] else ","
+        separator = separator_of(head[2])
         rows = [[cell.strip() for cell in text.split(separator)] for text in head]
         if rows[2][0] != "Frame" or len(rows[2]) < 3:
             raise InputError(
                 where, f"no columns ({head[2][:40]!r})", "'Frame', 'Sub Frame' and axes", "Export the trial again."
             )
         try:
-            rate = float(rows[0][0])
+            rate = number_of(rows[0][0])
         except ValueError:
             rate = 0.0
         if not 0.0 < rate < 1e6:
