@@ -15,6 +15,7 @@ from sysid import scratch
 from sysid.datasets.channel import Channel, Converted, convert, in_order
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.sentinel import ends_of, sentinels
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
 from sysid.datasets.frames.marker_sets import with_marker_sets
@@ -259,10 +260,18 @@ def _channel(
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
         repaired=repaired,
-        flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
+        flags=(
+            *sentinels(signal, stream.columns[entry.field], values, stream.stamps[clock], ends_of(signal, machine)),
+            *(repaired_stamps(signal, stream.stamps[clock]) if repaired else ()),
+        ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
+    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
+
+
+def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
+    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
 
 
 def _overflows(signal: str, converted: Converted) -> str:
