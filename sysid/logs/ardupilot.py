@@ -206,7 +206,8 @@ def _stream(
     for letter, key in zip(kind.format.format[1:], others, strict=True):
         if records.dtype[key].kind == "S":
             continue
-        values = records[key].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            values = records[key].astype(np.float64)
         factor = FORMAT_TO_STRUCT[letter][1]
         if factor is not None:
             values /= round(1.0 / factor)  # exact, other than a product with 0.01

@@ -102,7 +102,8 @@ def _scaled(signal: Signal, raw: npt.NDArray[np.uint64]) -> Array:
     conversion = signal.conversion
     if conversion.is_float:
         unsigned, floating = _FLOATS[signal.length]
-        values = raw.astype(unsigned).view(floating).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            values = raw.astype(unsigned).view(floating).astype(np.float64)
     elif signal.is_signed:
         unused = 64 - signal.length
         values = ((raw << np.uint64(unused)).view(np.int64) >> np.int64(unused)).astype(np.float64)

@@ -191,7 +191,8 @@ def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] 
     times = np.asarray(signal.timestamps, dtype=np.float64)
     if signal.samples.dtype.kind not in "fiub" or signal.samples.ndim != 1:
         return None, times, "", 0
-    values = signal.samples.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        values = signal.samples.astype(np.float64)
     marked = np.zeros(len(values), dtype=bool)
     if signal.invalidation_bits is not None:
         marked = np.asarray(signal.invalidation_bits, dtype=bool)

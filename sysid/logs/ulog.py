@@ -152,7 +152,8 @@ def _stream(path: Path, name: str, data: Any, losses: tuple[str, ...], options: 
     texts = {field.field_name for field in data.field_data if field.type_str == "char"}
     fields = [key for key in data.data if key != _TIME and key not in texts]
     wanted = None if options.fields is None else options.fields.get(name)
-    columns = {key: data.data[key][timed].astype(np.float64) for key in fields if wanted is None or key in wanted}
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        columns = {key: data.data[key][timed].astype(np.float64) for key in fields if wanted is None or key in wanted}
     if not timed.any() or not columns:
         return None
     stamps = micros[timed].astype(np.int64) * 1000
