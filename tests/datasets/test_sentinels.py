@@ -38,8 +38,9 @@ def test_the_numbers_of_loggers_are_found_beside_any_motion(low: float, width: f
     values = clean.copy()
     values[sorted(places)] = number
     distance = min(abs(number - low), abs(number - low - width))
-    (flag,) = sentinels("boom.joint", values, values, stamps, FREE) if distance > width and abs(number) > 760.0 else (None,)
-    if flag is not None:
+    found = sentinels("boom.joint", values, values, stamps, FREE)
+    assert len(found) == (distance > max(width, abs(low), abs(low + width)))
+    for flag in found:
         assert (flag.kind, flag.samples, flag.text.split()[0]) == ("sentinel", len(places), f"{number:.10g}")
         assert (flag.from_s, flag.to_s) == pytest.approx((0.01 * min(places), 0.01 * max(places)))
 
@@ -60,6 +61,7 @@ def test_two_numbers_of_one_logger() -> None:
         ("boom.joint", np.round(np.linspace(-1.0, 1.0, 100), 1), (-0.5, 0.5)),  # a coarse sensor
         ("boom.joint", np.where(np.arange(100) % 2 == 0, 1.0, 5.0), FREE),  # two states
         ("boom.speed", np.where(np.arange(100) < 50, 0.0, 0.5 + 0.001 * np.arange(100)), FREE),  # at rest
+        ("boom.cylinder", np.where(np.arange(100) < 80, 15.05 + 0.003 * np.arange(100), 15.54), FREE),  # a plateau after a step
         ("boom.joint", np.full(100, np.nan), FREE),
         ("boom.joint", np.zeros(0), FREE),
     ],

@@ -28,8 +28,8 @@ def ends_of(signal: str, machine: Machine) -> tuple[float, float]:
 def sentinels(signal: str, raw: Array, values: Array, stamps: npt.NDArray[np.int64], ends: tuple[float, float]) -> list[Flag]:
     """The numbers of a measured signal that are no measurement, a flag each; seconds count from the first stamp.
 
-    Such a number is the lowest or highest, recurs exactly, is larger than every other one, lies further from them than they lie
-    apart, and is no position of the axis. A sensor that moves there would pass values in between. Commands are not examined:
+    Such a number is the lowest or highest, recurs exactly, lies further from all others than they lie apart and than they lie
+    from zero, and is no position of the axis. A sensor that moves there passes values in between. Commands are not examined:
     they jump.
 
     Args:
@@ -71,7 +71,7 @@ def _apart(raw: Array, left: Mask) -> tuple[list[float], tuple[float, float]] | 
             float(np.fmin.reduce(raw, where=others, initial=np.inf)),
             float(np.fmax.reduce(raw, where=others, initial=-np.inf)),
         )
-        distances = [max(low - number, number - high) for number in numbers]
-        if min(distances) > high - low > 0.0 and min(map(abs, numbers)) > max(abs(low), abs(high)):
+        distance = min(max(low - number, number - high) for number in numbers)
+        if low < high and distance > max(high - low, abs(low), abs(high)):
             return numbers, (low, high)
     return None
