@@ -133,6 +133,12 @@ def _by_content(path: Path) -> str | None:
     return next((name for pattern, name in SIGNATURES if pattern.match(head)), None)
 
 
+#: Suffixes that many programs use for other files: a log only where its first bytes say so.
+SHARED = (".bin",)
+
+
 def is_log(path: Path) -> bool:
-    """Whether there is a reader for the suffix of ``path``."""
-    return path.is_file() and any(path.suffix.lower() in reader.suffixes for reader in READERS)
+    """Whether there is a reader for the suffix of ``path``, and for the content where other files share the suffix."""
+    suffix = path.suffix.lower()
+    known = path.is_file() and any(suffix in reader.suffixes for reader in READERS)
+    return known and (suffix not in SHARED or _by_content(path) is not None)

@@ -145,6 +145,25 @@ def test_each_selection_of_a_multiplexer_is_a_stream_with_its_own_stamps(tmp_pat
         reader_for(path).read(path, misplaced)
 
 
+def test_selections_within_selections_and_of_several_numbers(tmp_path: Path) -> None:
+    """Extended multiplexing: a multiplexer that another one selects, and a signal of several numbers."""
+    dbc, path = tmp_path / "m.dbc", tmp_path / "bus.blf"
+    dbc.write_text(
+        'VERSION ""\nBS_:\nBU_: ECU\nBO_ 512 MODES: 8 ECU\n SG_ mode M : 0|8@1+ (1,0) [0|0] "" ECU\n'
+        ' SG_ page m1M : 8|8@1+ (1,0) [0|0] "" ECU\n SG_ deep m2 : 16|16@1- (1,0) [0|0] "" ECU\n'
+        ' SG_ wide m3 : 16|16@1- (1,0) [0|0] "" ECU\nSG_MUL_VAL_ 512 page mode 1-1;\nSG_MUL_VAL_ 512 deep page 2-2;\n'
+        "SG_MUL_VAL_ 512 wide mode 3-5, 7-7;\n"
+    )
+    with can.BLFWriter(path) as log:
+        for i, (mode, page) in enumerate([(1, 2), (1, 3), (3, 0), (7, 2), (6, 0), (1, 2)]):
+            log.on_message_received(message(1.7e9 + 0.01 * i, 512, struct.pack("<BBh4x", mode, page, i)))
+    streams = read(path, dbc)
+    expected = {"MODES": 6, "MODES[mode=1]": 3, "MODES[mode=1][page=2]": 2, "MODES[mode=3-5,7]": 2}
+    assert {name: len(stream) for name, stream in streams.items()} == expected
+    np.testing.assert_array_equal(streams["MODES[mode=1][page=2]"].columns["deep"], [0, 5])
+    np.testing.assert_array_equal(streams["MODES[mode=3-5,7]"].columns["wide"], [2, 3])
+
+
 def write_log(path: Path, start: float) -> None:
     wires = cantools.database.load_string(DBC).get_message_by_name("WIRES")
     with can.Logger(path) as log:  # type: ignore[attr-defined]

@@ -27,6 +27,7 @@ from small_logs import write_log
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.inspection import inspect_file
+from sysid.logs.readers import is_log
 
 pytest.importorskip("pyulog", reason="the extra that reads flight logs is not installed")
 pytest.importorskip("pymavlink", reason="the extra that reads flight logs is not installed")
@@ -203,6 +204,11 @@ def test_what_a_dataflash_log_lacks_is_said(tmp_path: Path) -> None:
 def test_another_file_with_the_suffix_is_refused(tmp_path: Path, name: str, reason: str) -> None:
     with pytest.raises(InputError, match=rf"{name.replace('.', chr(92) + '.')}: starts with 68656c.*{reason}"):
         read(written(tmp_path / name, b"hello, this is a firmware"))
+
+
+def test_other_files_with_the_suffix_are_no_logs_of_a_folder(tmp_path: Path) -> None:
+    assert is_log(write_log(tmp_path, "flight.bin"))
+    assert not is_log(written(tmp_path / "firmware.bin", b"\x7fELF and so on"))
 
 
 @pytest.mark.parametrize("name", ["flight.ulg", "flight.bin"])
