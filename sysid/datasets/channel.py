@@ -92,12 +92,14 @@ class Converted:
         values: (n,), NaN where the source had none or an overflow.
         per_raw: change of the SI value per raw one.
         overflows: number of values beyond :data:`sysid.numbers.LARGEST_COUNT`.
+        missing: number of values that the recipe states to be none.
     """
 
     values: npt.NDArray[np.float64]
     unit: str
     per_raw: float
     overflows: int
+    missing: int
 
 
 def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> Converted:
@@ -117,7 +119,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         raise InputError(where, f"the file states [{stated}]", expected, "Correct `unit` in the recipe.")
     factor, unit = _unit(mapping.unit or (None if rescaled else stated), signal, machine, where)
     raw = stream.columns[mapping.field]
-    overflows = 0
+    overflows = missing = 0
 
     def piece(first: int, last: int) -> npt.NDArray[np.float64]:
         values = raw[first:last] - mapping.zero
@@ -125,6 +127,11 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         values /= mapping.span
         values *= factor
         values += mapping.offset
+        for number in mapping.missing:
+            none = np.isclose(raw[first:last], number, rtol=1e-6, atol=0.0)  # of a float of 32 bits, too
+            nonlocal missing
+            missing += int(np.count_nonzero(none))
+            values[none] = np.nan
         beyond = np.abs(values) > LARGEST_COUNT
         if beyond.any():
             nonlocal overflows
@@ -135,7 +142,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     values = computed(len(raw), piece)
     if len(raw) and np.isnan(values).all():
         raise InputError(where, f"field {mapping.field!r} has no number", "measured values", "Correct the recipe's field.")
-    return Converted(values, unit, mapping.sign * mapping.scale / mapping.span * factor, overflows)
+    return Converted(values, unit, mapping.sign * mapping.scale / mapping.span * factor, overflows, missing)
 
 
 #: Units of signals of an axis for which the machine description leaves rotation or translation open.

@@ -16,6 +16,7 @@ from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_or
 from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.sentinel import ends_of, sentinels
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
 from sysid.datasets.frames.marker_sets import with_marker_sets
@@ -267,10 +268,18 @@ def _channel(
         counts=replace(
             counts, rows=len(stream), empty=len(stream) - len(stamps) - converted.overflows, overflows=converted.overflows
         ),
-        flags=tuple(repaired_stamps(signal, stamps)) if repaired else (),
+        flags=(
+            *sentinels(signal, stream.columns[entry.field], converted.values, stream.stamps[clock], ends_of(signal, machine)),
+            *(repaired_stamps(signal, stamps) if repaired else ()),
+        ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
+    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
+
+
+def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
+    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
 
 
 def _overflows(signal: str, converted: Converted) -> str:

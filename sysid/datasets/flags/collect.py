@@ -12,6 +12,7 @@ from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.chunked import copied, known, masked, median, median_step
 from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
+from sysid.datasets.flags.sentinel import ends_of
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
@@ -88,7 +89,7 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
     if signal.endswith(".command"):
         return [*jitter(signal, at), *dropouts(signal, at, values, hold_s)]
     context = _context(signal, at, commands, machine, hold_s)
-    saturated = saturation(signal, at, values, context, _ends(signal, machine), unit)
+    saturated = saturation(signal, at, values, context, ends_of(signal, machine), unit)
     constant = [
         flag
         for flag in stuck(signal, at, values, context, unit)
@@ -102,18 +103,6 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
         *dropouts(signal, at, values, gap_limit(channel)),
         *jitter(signal, at),
     ]
-
-
-def _ends(signal: str, machine: Machine) -> tuple[float, float]:
-    """Range of the axis that ``signal`` measures; infinite where it is not known."""
-    owner, kind = split_signal(signal)
-    for axis in machine.axes:
-        if axis.name == owner:
-            if kind == "joint" and axis.limits is not None:
-                return axis.limits
-            if kind == "cylinder" and axis.stroke is not None:
-                return axis.stroke
-    return (-np.inf, np.inf)
 
 
 def _context(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> SensorContext:
