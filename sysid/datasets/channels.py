@@ -27,6 +27,7 @@ from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
+from sysid.logs.table import no_numbers
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
@@ -114,7 +115,10 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         done = part(progress, begin, end)
         streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz)
         done(1.0, f"reading {path.name}")
-        lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
+        if mapping is None:
+            streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
+        said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
+        lost = (*losses.get(path.name, ()), *said)
         losses[path.name] = tuple(dict.fromkeys(lost))
         own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
         channels += [channel for channel, _ in own]
@@ -291,6 +295,9 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
     """Channels of a file whose columns are canonical names, on a clock of its own, with what was undone in each."""
     channels = []
     for stream in streams:
+        for column, reason in stream.unread.items():
+            if column in machine.signals:
+                raise no_numbers(path, column, reason)
         for column in stream.columns:
             if column not in machine.signals:
                 raise InputError(
@@ -303,6 +310,10 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels
+
+
+def _have_commands(streams: Sequence[Stream]) -> bool:
+    return any(column.endswith(".command") for stream in streams for column in stream.columns)
 
 
 def _one_clock(channels: Sequence[Channel]) -> list[Channel]:

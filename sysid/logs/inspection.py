@@ -21,6 +21,7 @@ from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
+from sysid.numbers import LARGEST_COUNT
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
@@ -153,7 +154,7 @@ def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expecte
         return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=str(error))
     except PermissionError:
         return replace(summary, refusal=f"{path}: may not be read (permission denied)")
-    losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
+    losses = tuple(dict.fromkeys(loss for stream in streams for loss in (*stream.losses, *stream.left_out)))
     return replace(summary, streams=tuple(summarise(stream) for stream in streams), losses=losses)
 
 
@@ -229,7 +230,7 @@ def _numbered_twice(columns: Iterable[str]) -> set[str]:
 
 
 def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:
-    seen = values[np.isfinite(values)]
+    seen = values[np.abs(values) <= LARGEST_COUNT]  # neither missing nor an overflow
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (float("nan"), float("nan"))
     return FieldSummary(name, unit, low, high, 1.0 - len(seen) / max(len(values), 1))
 

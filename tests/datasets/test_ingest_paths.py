@@ -175,7 +175,7 @@ STAMPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         ("all the same", r"a\.joint: 600 samples with 1 stamp in 'log'; expected two at least"),
         ("negative", ""),
         ("huge", r"log\.csv: time: stamps of no stated unit; as seconds 1e-06 Hz .*expected ns \(1000 Hz, 0\.599 s\)"),
-        ("one huge", r"stamps go back in time 1 times"),
+        ("one huge", ""),
         ("beyond 64 bits", r"a time of 1e\+12 s; expected times that fit into 64 bits"),
         ("missing", r"no time in row 6"),
         ("doubled", ""),
