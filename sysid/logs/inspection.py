@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy.typing as npt
 from sysid.confined import confined
 from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
+from sysid.logs.labels import without_repeats
 from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
@@ -212,20 +212,11 @@ def summarise(stream: Stream) -> StreamSummary:
     """Summary of a stream."""
     first = next(iter(stream.stamps.values()))
     clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
-    shadowed = _numbered_twice(stream.columns) | set(stream.columns) & _HEADER
-    fields = tuple(
-        _field(name, values, stream.units.get(name)) for name, values in stream.columns.items() if name not in shadowed
-    )
+    shown = [name for name in without_repeats(stream.columns) if name not in _HEADER]
+    fields = tuple(_field(name, stream.columns[name], stream.units.get(name)) for name in shown)
     return StreamSummary(
         stream.name, stream.kind, len(stream), clocks, fields, max(0, len(stream.fields) - len(stream.columns))
     )
-
-
-def _numbered_twice(columns: Iterable[str]) -> set[str]:
-    """``position[2]`` beside ``position[boom]``: elements by number that elements by name repeat."""
-    elements = [match for name in columns if (match := re.fullmatch(r"(.*)\[([^\[\]]+)\]", name)) is not None]
-    named = {match[1] for match in elements if not match[2].isdecimal()}
-    return {match[0] for match in elements if match[1] in named and match[2].isdecimal()}
 
 
 def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from sysid.errors import InputError
+from sysid.logs.labels import are_names, identifying
 
 #: Primitive type → NumPy code without byte order; strings apart.
 PRIMITIVES = {
@@ -18,6 +19,8 @@ PRIMITIVES = {
     "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+#: Types of text.
+TEXTS = ("string", "wstring")
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,15 @@ class Definition:
                 return frozenset({f"{path}.sec", f"{path}.nanosec"})
         return frozenset()
 
+    def identity(self, kind: str) -> str | None:
+        """The text of a ``kind`` that identifies it within an array; None where there is none."""
+        return identifying(member.name for member in self.types[kind] if member.length is None and member.kind in TEXTS)
+
+    def has_series(self, kind: str) -> bool:
+        """Whether a ``kind`` contains sequences without names of their own, as the point of a trajectory."""
+        sequences = [member for member in self.types[kind] if member.length == -1]
+        return bool(sequences) and not any(member.kind in TEXTS and are_names(member.name) for member in sequences)
+
     def fixed_size(self, kind: str, phase: int | None) -> int | None:
         """Size of a ``kind`` [bytes], None where it is not fixed.
 
@@ -61,7 +73,7 @@ class Definition:
     def _measure(self, kind: str, phase: int | None) -> int | None:
         position = phase or 0
         for member in self.types[kind]:
-            if member.length == -1 or member.kind in ("string", "wstring"):
+            if member.length == -1 or member.kind in TEXTS:
                 return None
             if member.kind in PRIMITIVES:
                 size = int(PRIMITIVES[member.kind][1])
@@ -106,7 +118,7 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
         )
     for owner, fields in types.items():
         for member in fields:
-            if member.kind not in PRIMITIVES and member.kind not in ("string", "wstring") and member.kind not in types:
+            if member.kind not in PRIMITIVES and member.kind not in TEXTS and member.kind not in types:
                 raise InputError(f"{where}: schema {name}", f"type {member.kind!r} of {owner}.{member.name} is not defined")
     _check_depth(root, types, (), f"{where}: schema {name}", {})
     return Definition(root, types)
@@ -171,7 +183,7 @@ def _members(lines: list[str], owner: str, where: object) -> list[Field]:
 
 
 def _resolve(kind: str, owner: str) -> str:
-    if kind in PRIMITIVES or kind in ("string", "wstring"):
+    if kind in PRIMITIVES or kind in TEXTS:
         return kind
     if kind in ("time", "duration"):
         return "builtin_interfaces/Time"

@@ -114,7 +114,7 @@ class Topic:
         if self.publish.found:
             stamps["publish"] = self.publish.whole(found.total)
         columns = found.release()
-        losses = list(losses)
+        losses = [*losses, *(f"{path.name}: {self.name}: {loss}" for loss in found.labels.losses)]
         if found.bad:
             readable = found.readable()
             stamps = {clock: values[readable] for clock, values in stamps.items()}
@@ -142,9 +142,14 @@ def finished(
     """The streams of a bag; the losses of topics without a readable message go to the others.
 
     Raises:
-        InputError: a wanted topic is missing or unreadable, or no message could be read.
+        InputError: a wanted topic is missing or unreadable, a wanted field is not the same thing in every message, or no
+            message could be read.
     """
     check_topics(options, known, path, losses)
+    topics = list(topics)
+    for topic in topics:
+        for wanted in sorted((options.fields or {}).get(topic.name, ())):
+            topic.decoder.columns.labels.check(wanted, topic.decoder.columns.fields, f"{path}: {topic.name}")
     streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.columns.total)
     readable = tuple(stream for stream in streams if len(stream))
     unreadable = tuple(dict.fromkeys(loss for stream in streams if not len(stream) for loss in stream.losses))

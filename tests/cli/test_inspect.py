@@ -133,7 +133,7 @@ def test_the_draft_for_a_recording_in_its_folder_is_accepted(
     assert "stamp.sec" not in text
     assert run("--workspace", tmp_path / "ws", "ingest", tmp_path) == 2
     assert "recording run1: no signal of the machine; expected commands or sensors. Map fields" in capsys.readouterr().err
-    lines = {"/odom": "pose.pose.position.x", "/tf": "transforms[0].transform.translation.y"}
+    lines = {"/odom": "pose.pose.position.x", "/tf": "transforms[odom].transform.translation.y"}
     for (topic, field), signal in zip(lines.items(), ("drive.joint", "drive.cylinder"), strict=True):
         entry = f'{{ topic = "{topic}", field = "{field}"'
         found = re.search(rf'^# "[^"]*" = {re.escape(entry)}', text, flags=re.MULTILINE)
