@@ -241,10 +241,8 @@ def _channel(
 ) -> tuple[Channel, str]:
     converted = convert(stream, entry, signal, machine)
     values = converted.values
-    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
-    if clock not in stream.stamps:
-        raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
-    order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
+    stamps = stream.on_clock(mapping.clock)
+    order, repaired = in_order(stamps, f"{path}: {stream.name}")
     if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
         found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
@@ -252,14 +250,14 @@ def _channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # shared by all signals of a stream
+        stamps=stamps[order] if repaired else stamps,  # shared by all signals of a stream
         values=values[order] if repaired else values,
         unit=converted.unit,
         primary=primary,
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
         repaired=repaired,
-        flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
+        flags=tuple(repaired_stamps(signal, stamps)) if repaired else (),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
     return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))

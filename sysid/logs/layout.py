@@ -4,13 +4,14 @@ The position of a value depends only on the length words (of sequences and strin
 therefore stores these bytes; every message with the same bytes there has the same layout. With wanted fields parsing ends at
 the last of them, before images, point clouds or texts behind it.
 
-Source: OMG Common Data Representation (plain XCDR1), DDS-RTPS encapsulation header. ROS 1 writes the same without that
-header, without padding, always little-endian, and texts without the closing zero (roscpp, "Messages Serialization").
+Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR of versions 1 and 2), DDS-RTPS encapsulation header. ROS 1 writes version 1 without
+that header, without padding, always little-endian, and texts without the closing zero (roscpp, "Messages Serialization").
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -24,6 +25,19 @@ from sysid.logs.rosmsg import PRIMITIVES, TEXTS, Definition, Field
 MAX_ELEMENTS = 512
 #: A message with more values outside of arrays is not read.
 MAX_STEPS = 1_000_000
+
+#: Encapsulation of version 1 and 2 → its byte order and the largest alignment.
+_PLAIN = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
+#: Those in which a type may have gained or lost members, which its definition in the bag does not state.
+_EXTENSIBLE = {
+    **dict.fromkeys((0x02, 0x03), "parameter-list CDR"),
+    **dict.fromkeys((0x08, 0x09, 0x14, 0x15), "delimited CDR of version 2"),
+    **dict.fromkeys((0x0A, 0x0B, 0x12, 0x13), "parameter-list CDR of version 2"),
+}
+#: Bytes of a wide text for each unit of its length, by which middlewares differ, and their encodings.
+_WIDE = {4: "utf-32", 2: "utf-16", 1: "utf-16"}
+#: A message may be filled up to a multiple of four bytes.
+_MAX_FILL = 3
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -87,17 +101,47 @@ def layout_of(data: bytes, definition: Definition, wanted: frozenset[str] | None
         IndexError: the message does not follow its schema (too short, an encapsulation other than plain CDR).
     """
     if packed:
-        walk = _Parser(data, definition, "<", True, wanted, 0)
+        begin, order, largest = 0, "<", 1
     else:
-        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-            raise IndexError(f"encapsulation {data[:2].hex() or 'missing'} instead of plain CDR")
-        walk = _Parser(data, definition, "<" if data[1] == 1 else ">", False, wanted, 4, fixed=[(0, 2)])
-    walk.message(definition.root, "")
-    positions = np.array([at for start, length in walk.fixed for at in range(start, start + length)], dtype=np.intp)
+        begin, (order, largest) = 4, _plain(data)
+
+    def walk(wide: int) -> _Parser:
+        return _Parser(data, definition, order, largest, wanted, begin, wide, fixed=[(0, 2)] if begin else []).read()
+
+    parsed = _of_fitting_width(walk, len(data)) if definition.has_wide_texts else walk(0)
+    positions = np.array([at for start, length in parsed.fixed for at in range(start, start + length)], dtype=np.intp)
     template = np.frombuffer(data, np.uint8)[positions]
-    size = walk.position if walk.enough else len(data)
-    aliases = {alias: path for path, alias in walk.aliases.items()}
-    return Layout(size, not walk.enough, walk.numbers, aliases, positions, template, walk.labelled)
+    size = parsed.position if parsed.enough else len(data)
+    aliases = {alias: path for path, alias in parsed.aliases.items()}
+    return Layout(size, not parsed.enough, parsed.numbers, aliases, positions, template, parsed.labelled)
+
+
+def _plain(data: bytes) -> tuple[str, int]:
+    """Byte order and largest alignment of a message in plain CDR.
+
+    Raises:
+        IndexError: another encapsulation.
+    """
+    if len(data) >= 4 and data[0] == 0 and data[1] in _PLAIN:
+        return _PLAIN[data[1]]
+    name = _EXTENSIBLE.get(data[1], "") if len(data) >= 4 and data[0] == 0 else ""
+    raise IndexError(f"encapsulation {data[:2].hex() or 'missing'}{f', {name},' if name else ''} instead of plain CDR")
+
+
+def _of_fitting_width(walk: Callable[[int], _Parser], size: int) -> _Parser:
+    """The message with the width of its wide texts that accounts for every byte.
+
+    Raises:
+        IndexError: none does, or two do that place its numbers differently.
+    """
+    found: list[_Parser] = []
+    for wide in _WIDE:
+        with contextlib.suppress(IndexError):
+            found.append(walk(wide))
+    fitting = [parsed for parsed in found if size - parsed.position <= _MAX_FILL]
+    if not fitting or any(other.numbers != fitting[0].numbers for other in fitting):
+        raise IndexError("wide texts whose characters are not of one known width")
+    return fitting[0]
 
 
 def _names(member: Field) -> bool:
@@ -129,9 +173,10 @@ class _Parser:
     data: bytes
     definition: Definition
     order: str
-    packed: bool
+    largest: int
     wanted: frozenset[str] | None
     position: int
+    wide: int
     steps: int = 0
     mute: int = 0
     #: Arrays with wanted elements whose labels have not been read yet.
@@ -147,7 +192,21 @@ class _Parser:
     missing: set[str] | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self.missing = None if self.wanted is None else set(self.wanted)
+        self.missing = None if self.wanted is None or self.wide else set(self.wanted)
+
+    @property
+    def packed(self) -> bool:
+        return self.largest == 1
+
+    @property
+    def second(self) -> bool:
+        """Whether it is CDR of version 2, in which the size precedes an array of texts or messages."""
+        return self.largest == 4
+
+    def read(self) -> _Parser:
+        """Read the message."""
+        self.message(self.definition.root, "")
+        return self
 
     @property
     def enough(self) -> bool:
@@ -160,7 +219,7 @@ class _Parser:
 
     def align(self, size: int) -> None:
         if not self.packed:
-            self.position += -(self.position - 4) % size
+            self.position += -(self.position - 4) % min(size, self.largest)
 
     def take(self, size: int) -> int:
         start = self.position
@@ -176,15 +235,27 @@ class _Parser:
         return int.from_bytes(self.data[start : start + 4], "little" if self.order == "<" else "big")
 
     def text(self, kind: str, keep: bool) -> str:
-        if kind == "wstring":
-            raise IndexError("wide strings are not supported")
-        length = self.length_word()
+        length = self.length_word() * (self.wide if kind == "wstring" else 1)
         start = self.take(length)
+        wide = self.wide_text(start, length) if kind == "wstring" else ""
         if not keep:
             return ""
         self.fixed.append((start, length))
+        if kind == "wstring":
+            return wide
         end = start + length if self.packed else start + max(length - 1, 0)
         return self.data[start:end].decode("utf-8", errors="replace")
+
+    def wide_text(self, start: int, length: int) -> str:
+        """A wide text; raises IndexError where its bytes are no text, because its characters have another width."""
+        try:
+            code = f"{_WIDE[self.wide]}-{'le' if self.order == '<' else 'be'}"
+            text = self.data[start : start + length].decode(code).removesuffix("\0")
+        except UnicodeDecodeError:
+            text = "\0"
+        if "\0" in text:
+            raise IndexError("no wide text")
+        return text
 
     def found(self, path: str, kind: str, start: int) -> None:
         if not self.mute:
@@ -207,6 +278,9 @@ class _Parser:
             if member.length is None:
                 text = self.single(member.kind, path, member.name == identity) or text
             else:
+                if self.second and member.kind not in PRIMITIVES:
+                    self.align(4)
+                    self.take(4)
                 count = self.length_word() if member.length < 0 else member.length
                 if member.kind in TEXTS:
                     own = _names(member)
@@ -323,8 +397,8 @@ class _Parser:
         if count <= 0:
             return
         phases: list[int | None] = [None] if self.packed else list(range(8))
-        sizes = {phase: self.definition.fixed_size(kind, phase) for phase in phases}
-        if all(sizes.values()):
+        sizes = {} if self.second else {phase: self.definition.fixed_size(kind, phase) for phase in phases}
+        if sizes and all(sizes.values()):
             for _ in range(count):
                 self.take(sizes[None if self.packed else (self.position - 4) % 8] or 0)
             return

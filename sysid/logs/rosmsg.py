@@ -60,6 +60,11 @@ class Definition:
         sequences = [member for member in self.types[kind] if member.length == -1]
         return bool(sequences) and not any(member.kind in TEXTS and are_names(member.name) for member in sequences)
 
+    @property
+    def has_wide_texts(self) -> bool:
+        """Whether any message in it contains a ``wstring``."""
+        return any(member.kind == "wstring" for members in self.types.values() for member in members)
+
     def fixed_size(self, kind: str, phase: int | None) -> int | None:
         """Size of a ``kind`` [bytes], None where it is not fixed.
 
@@ -89,19 +94,25 @@ class Definition:
         return position - (phase or 0) or None
 
 
+#: Times and durations in ROS 2 and ROS 1.
 _TIME = (Field("sec", "int32"), Field("nanosec", "uint32"))
+_ROS1_TIME = (Field("sec", "uint32"), Field("nanosec", "uint32"))
+_ROS1_DURATION = (Field("sec", "int32"), Field("nanosec", "int32"))
 _MEMBER = re.compile(
     r"^(?P<kind>[A-Za-z][\w/]*)(?P<bound><=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
 
 
-def parse_definition(name: str, text: str, where: object) -> Definition:
-    """Parse the schema of message type ``name``.
+def parse_definition(name: str, text: str, where: object, ros1: bool = False) -> Definition:
+    """Parse the schema of message type ``name``; in ROS 1 a ``byte`` is signed.
 
     Raises:
         InputError: a line that is no member, or a type that is not defined in the schema.
     """
-    types: dict[str, tuple[Field, ...]] = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
+    times = (_ROS1_TIME, _ROS1_DURATION) if ros1 else (_TIME, _TIME)
+    types: dict[str, tuple[Field, ...]] = dict(
+        zip(("builtin_interfaces/Time", "builtin_interfaces/Duration"), times, strict=True)
+    )
     current = _short(name)
     for number, section in enumerate(re.split(r"^={3,}\s*$", text, flags=re.MULTILINE)):
         lines = [line.strip() for line in section.splitlines() if line.strip()]
@@ -110,7 +121,7 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
             lines = lines[1:]
         elif number > 0:
             continue
-        types[current] = tuple(_members(lines, current, where))
+        types[current] = tuple(_members(lines, current, where, ros1))
     root = _short(name)
     if root not in types:
         raise InputError(
@@ -163,7 +174,7 @@ def _check_depth(
     return known[kind]
 
 
-def _members(lines: list[str], owner: str, where: object) -> list[Field]:
+def _members(lines: list[str], owner: str, where: object, ros1: bool) -> list[Field]:
     members = []
     for line in lines:
         text = line.partition("#")[0].strip()
@@ -178,7 +189,8 @@ def _members(lines: list[str], owner: str, where: object) -> list[Field]:
         if array is not None and len(array) > 12:
             raise InputError(f"{where}: schema {owner}", f"line {line[:80]!r}", "an array of fewer than 10 billion elements")
         length = None if array is None else -1 if array == "[]" or "<" in array else int(array[1:-1])
-        members.append(Field(match["name"], _resolve(match["kind"], owner), length))
+        kind = "int8" if ros1 and match["kind"] == "byte" else _resolve(match["kind"], owner)
+        members.append(Field(match["name"], kind, length))
     return members
 
 
@@ -186,7 +198,7 @@ def _resolve(kind: str, owner: str) -> str:
     if kind in PRIMITIVES or kind in TEXTS:
         return kind
     if kind in ("time", "duration"):
-        return "builtin_interfaces/Time"
+        return f"builtin_interfaces/{kind.title()}"
     if kind == "Header":
         return "std_msgs/Header"  # ROS 1 omits its package
     return _short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"

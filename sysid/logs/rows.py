@@ -129,8 +129,9 @@ def _texts(elements: list[Any], names: Sequence[Sequence[str]], joints: Sequence
     objects = [element for element in elements if isinstance(element, dict)]
     if len(objects) == len(elements):
         key = identifying(key for key, text in objects[0].items() if isinstance(text, str))
-        own = [element.get(key) for element in objects] if key is not None else []
-        if own and all(isinstance(text, str) for text in own):
+        texts = [element.get(key) for element in objects] if key is not None else []
+        own = [text for text in texts if isinstance(text, str)]
+        if own and len(own) == len(texts):
             return own
     series = any(_has_series(element) for element in objects)
     return next((own for own in names if len(own) == len(elements) and not (series and own in joints)), ())

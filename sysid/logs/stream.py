@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sysid.errors import InputError, nearest
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -36,3 +38,15 @@ class Stream:
 
     def __len__(self) -> int:
         return len(next(iter(self.stamps.values())))
+
+    def on_clock(self, clock: str | None) -> npt.NDArray[np.int64]:
+        """The stamps of a clock, (n,) [ns]; None: of the first.
+
+        Raises:
+            InputError: the stream does not have that clock.
+        """
+        if clock is not None and clock not in self.stamps:
+            why = next((f" ({loss})" for loss in self.losses if f"no clock {clock!r}" in loss), "")
+            remedy = f'Set `clock = "{next(iter(self.stamps))}"` in the recipe.'
+            raise InputError(f"{self.source}: {self.name}", f"no {clock!r} stamps{why}", nearest(clock, self.stamps), remedy)
+        return self.stamps[clock if clock is not None else next(iter(self.stamps))]

@@ -64,7 +64,8 @@ def make_decoder(
     match message_encoding, schema_encoding:
         case "ros1", "ros1msg":
             text = schema.decode("utf-8", errors="replace")
-            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, packed=True, cells=cells)
+            definition = parse_definition(kind, text, where, ros1=True)
+            return ColumnDecoder(definition, wanted, preview, packed=True, cells=cells)
         case "cdr", "ros2msg":
             text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, cells=cells)
@@ -104,7 +105,7 @@ class Topic:
         self.log.expected = self.publish.expected = columns.stated
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
-        """The stream. Clocks: ``header`` where the messages have a stamp, ``log``, ``publish`` where the file has it."""
+        """The stream. Clocks: ``header`` where a stamp is set in the messages, ``log``, ``publish`` where the file has it."""
         found = self.decoder.columns
         stamps: dict[str, npt.NDArray[np.int64]] = {}
         header = found.header_stamps()
@@ -124,6 +125,11 @@ class Topic:
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
             )
+        set_once = stamps["header"] if "header" in stamps else stamps["log"][:0]
+        if len(set_once) and (set_once == set_once[0]).all() and (len(set_once) > 1 or not set_once[0]):
+            del stamps["header"]  # a recorder that never sets it
+            text = f"header.stamp is {set_once[0] * 1e-9:g} in all {len(set_once)} messages: they have no clock 'header'"
+            losses.append(f"{path.name}: {self.name}: {text}")
         if found.crowded:
             losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
         return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(found.fields), self.kind)

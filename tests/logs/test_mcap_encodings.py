@@ -53,14 +53,15 @@ def test_json_messages_with_and_without_a_schema(tmp_path: Path) -> None:
         "position": [0.5, -1],
         "deep": {"x": 3, "on": True, "text": "no number"},
     }
-    data = [json.dumps(message).encode(), b"{broken", b"[1]", json.dumps({**message, "position": [7, 8]}).encode()]
+    later = {**message, "header": {"stamp": {"sec": 1_700_000_000, "nsec": 123_456_790}}, "position": [7, 8]}
+    data = [json.dumps(message).encode(), b"{broken", b"[1]", json.dumps(later).encode()]
     for schema in (None, ("State", "jsonschema", b'{"type": "object"}')):
         write_raw(path, data, "json", schema)
         stream = read_one(path)
         np.testing.assert_array_equal(stream.columns["position[boom]"], [0.5, 7.0])
         np.testing.assert_array_equal(stream.columns["position[1]"], [-1.0, 8.0])
         np.testing.assert_array_equal(stream.columns["deep.on"], [1.0, 1.0])
-        np.testing.assert_array_equal(stream.stamps["header"], 2 * [1_700_000_000_123_456_789])
+        np.testing.assert_array_equal(stream.stamps["header"], [1_700_000_000_123_456_789, 1_700_000_000_123_456_790])
         np.testing.assert_array_equal(stream.stamps["log"], [0, 3])
         assert "2 messages do not follow their schema (the first: Expecting property name" in stream.losses[0]
 
@@ -100,12 +101,15 @@ def test_protobuf_messages(tmp_path: Path, with_google: bool) -> None:
     message.timestamp.seconds, message.timestamp.nanos = 1_700_000_000, 5
     path = tmp_path / "log.mcap"
     data = message.SerializeToString()
-    write_raw(path, [data, data[:-2], data], "protobuf", ("test.Pose", "protobuf", files.SerializeToString()))
+    message.timestamp.nanos = 6
+    write_raw(
+        path, [data, data[:-2], message.SerializeToString()], "protobuf", ("test.Pose", "protobuf", files.SerializeToString())
+    )
     stream = read_one(path)
     np.testing.assert_array_equal(stream.columns["at.x"], [1.5, 1.5])
     np.testing.assert_array_equal(stream.columns["at.y"], [0.0, 0.0])
     np.testing.assert_array_equal(stream.columns["position[boom]"], [0.25, 0.25])
-    np.testing.assert_array_equal(stream.stamps["header"], 2 * [1_700_000_000_000_000_005])
+    np.testing.assert_array_equal(stream.stamps["header"], [1_700_000_000_000_000_005, 1_700_000_000_000_000_006])
     assert stream.kind == "test.Pose"
     assert "1 messages do not follow their schema" in stream.losses[0]
 
