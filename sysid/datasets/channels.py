@@ -25,6 +25,7 @@ from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
+from sysid.logs.rosbag import bag_of
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
@@ -269,7 +270,8 @@ def _overflows(signal: str, converted: Converted) -> str:
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of a file whose columns are canonical names, on a clock of its own, with what was undone in each."""
+    """Channels of a file whose columns are canonical names, with what was undone in each; on a clock of the file or its bag."""
+    domain = (bag_of(path) or path).stem
     channels = []
     for stream in streams:
         for column in stream.columns:
@@ -280,7 +282,7 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
                     nearest(column, machine.signals),
                     "Rename the column, or map the file with a recipe.",
                 )
-            mapping = StreamMap(files=path.name, domain=path.stem)
+            mapping = StreamMap(files=path.name, domain=domain)
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels

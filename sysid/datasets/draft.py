@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from sysid.datasets.layouts import TABLES, Layout, layouts_of, recording_names, unreadable
+from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
@@ -84,7 +84,7 @@ def draft_recipe(
     if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
         lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
-    elif not in_folders and len(files) > 1:
+    elif not in_folders and len({*bags_of(files).values()}) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
         lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
     recordings = dict.fromkeys(names.values())

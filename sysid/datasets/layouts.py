@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
+from sysid.logs.inspection import GAP, ClockSummary, FieldSummary, FileSummary, StreamSummary
+from sysid.logs.rosbag import bag_of
 
 #: Readers of files with one table, whose name is that of the file.
 TABLES = ("csv", "parquet", "mat", "npz")
@@ -45,6 +46,7 @@ def recording_names(
 
     Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals. Files
     with names that repeat in other folders (``left.csv``, ``right.csv``) are devices of one recording; numbered ones are not.
+    The parts of one bag (:func:`bags_of`) are of one recording.
 
     Args:
         in_folders: there are files in sub-folders.
@@ -56,11 +58,14 @@ def recording_names(
     repeated = Counter(file.path.name for file in files)
     single = len(folders) > 1 and any(one in other.parents for one in folders for other in folders)
     single |= not in_folders and len(files) == 1
+    bags = bags_of(files)
     for beside in folders.values():
         for (one, its), (other, others) in combinations(beside, 2):
             numbered = re.sub(r"\d+", "", one.path.stem) == re.sub(r"\d+", "", other.path.stem)
             devices = not numbered and repeated[one.path.name] > 1 and repeated[other.path.name] > 1
             apart = in_folders and not overlap(one, other)  # parts of one log
+            if bags[one.path] == bags[other.path]:
+                continue
             single |= not devices and ((_alike(one, other) and not apart) or bool(its & others))
     if not single:
         return {file.path: file.path.parent.name for file in files}, False
@@ -78,13 +83,15 @@ def layouts_of(
         recordings: file → its recording.
         apart: file → what else separates it from files with the same fields, such as another unit.
     """
-    others = apart or {}
+    others, bags = apart or {}, bags_of(files)
     groups: dict[object, list[FileSummary]] = {}
     for file in files:
         if file.streams:
             key = layout_key(file)
             beside = [one for one in files if one is not file and one.streams and recordings[one.path] == recordings[file.path]]
-            device = any(layout_key(one) == key and overlap(one, file) for one in beside)  # two sensors of one kind
+            device = any(  # two sensors of one kind
+                layout_key(one) == key and overlap(one, file) and bags[one.path] != bags[file.path] for one in beside
+            )
             groups.setdefault((key, file.path.name if device else "", others.get(file.path, "")), []).append(file)
     places = {file.path: (recordings[file.path], file.path.name) for file in files}
     found = []
@@ -93,6 +100,47 @@ def layouts_of(
         outside = [places[file.path] for file in files if file not in group and file.streams]
         found.append(Layout(tuple(group), _merged(group), _entries(inside, outside), frozenset(r for r, _ in inside)))
     return found
+
+
+def bags_of(files: Sequence[FileSummary]) -> dict[Path, Path]:
+    """File → the bag of which it is a part, or itself.
+
+    Parts are listed in the bag's ``metadata.yaml``; or their names differ in a number that counts up (``run_0``, ``run_1``),
+    they have the same fields, and each continues the one before without a gap.
+    """
+    found = {file.path: bag_of(file.path) or file.path for file in files}
+    before: dict[object, FileSummary] = {}
+    for file in sorted(files, key=lambda file: (file.path.parent, _number(file.path))):
+        place, number = (file.path.parent, re.sub(r"\d+", "", file.path.stem), file.path.suffix), _number(file.path)
+        last = before.get((place, number - 1))
+        if found[file.path] == file.path and last is not None and _continues(last, file):
+            found[file.path] = found[last.path]
+        before[place, number] = file
+    return found
+
+
+def _number(path: Path) -> int:
+    """The number at the end of a file's name; -1 where there is none."""
+    match = re.search(r"\d{1,9}$", path.stem)
+    return int(match[0]) if match else -1
+
+
+def _continues(one: FileSummary, other: FileSummary) -> bool:
+    """Whether a bag begins where another ends: its fastest stream goes on without a gap, as :data:`GAP` defines it."""
+    if layout_key(one) != layout_key(other) or one.reader in TABLES:
+        return False
+    ends, begins = _log_clocks(one), _log_clocks(other)
+    name = max(ends, key=lambda name: ends[name].rate_hz, default=None)
+    if name is None or name not in begins or not ends[name].rate_hz > 0.0:
+        return False
+    pause = begins[name].first_ns * 1e-9 - (ends[name].first_ns * 1e-9 + ends[name].seconds)
+    return 0.0 < pause <= GAP / ends[name].rate_hz
+
+
+def _log_clocks(file: FileSummary) -> dict[str, ClockSummary]:
+    """Topic → its clock of the recorder, where it has one with a rate."""
+    clocks = ((stream.name, clock) for stream in file.streams for clock in stream.clocks if clock.name == "log")
+    return {name: clock for name, clock in clocks if np.isfinite(clock.rate_hz)}
 
 
 def layout_key(file: FileSummary) -> object:

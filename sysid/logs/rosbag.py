@@ -8,6 +8,7 @@ from __future__ import annotations
 import bz2
 import contextlib
 import os
+import re
 import shutil
 import struct
 import tempfile
@@ -243,6 +244,20 @@ def side_files(path: Path) -> tuple[Path, ...]:
     """The write-ahead log beside an sqlite bag, which is a part of it; none beside other logs."""
     log = Path(f"{path.resolve()}-wal")
     return (log,) if path.suffix.lower() == ".db3" and log.exists() and log.stat().st_size else ()
+
+
+#: Largest metadata of a bag [B].
+_MAX_METADATA = 2**20
+
+
+def bag_of(path: Path) -> Path | None:
+    """The bag of rosbag2, a folder, of which a file is a part by its ``metadata.yaml``; None where the file is by itself."""
+    metadata = path.parent / "metadata.yaml"
+    if not metadata.is_file() or metadata.stat().st_size > _MAX_METADATA:
+        return None
+    text = metadata.read_text("utf-8", errors="replace")
+    listed = re.search(rf"(^|[\s/'\",\[-]){re.escape(path.name)}($|[\s'\",\]])", text)
+    return path.parent if "rosbag2_bagfile_information" in text and listed else None
 
 
 @contextlib.contextmanager
