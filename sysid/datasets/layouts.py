@@ -14,10 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from sysid.logs.inspection import GAP, ClockSummary, FieldSummary, FileSummary, StreamSummary
+from sysid.logs.lerobot import LeRobotReader
 from sysid.logs.rosbag import bag_of
 
 #: Readers of files with one table, whose name is that of the file.
 TABLES = ("csv", "parquet", "mat", "npz")
+#: Those of which all streams have the same fields: the episodes of a LeRobot dataset.
+ONE_TABLE = (*TABLES, LeRobotReader().name)
 #: Files of one folder with more than this share of their names of fields in common are recordings of the same device.
 ALIKE = 0.6
 
@@ -103,12 +106,13 @@ def layouts_of(
 
 
 def bags_of(files: Sequence[FileSummary]) -> dict[Path, Path]:
-    """File → the bag of which it is a part, or itself.
+    """File → the bag or LeRobot dataset of which it is a part, or itself.
 
     Parts are listed in the bag's ``metadata.yaml``; or their names differ in a number that counts up (``run_0``, ``run_1``),
     they have the same fields, and each continues the one before without a gap.
     """
-    found = {file.path: bag_of(file.path) or file.path for file in files}
+    episodes = LeRobotReader().name
+    found = {f.path: f.path.parents[2] if f.reader == episodes else bag_of(f.path) or f.path for f in files}
     before: dict[object, FileSummary] = {}
     for file in sorted(files, key=lambda file: (file.path.parent, _number(file.path))):
         place, number = (file.path.parent, re.sub(r"\d+", "", file.path.stem), file.path.suffix), _number(file.path)
@@ -145,8 +149,8 @@ def _log_clocks(file: FileSummary) -> dict[str, ClockSummary]:
 
 def layout_key(file: FileSummary) -> object:
     """What files of one layout have in common: reader, suffix, fields with units, and what the recipe has to state."""
-    table = file.reader in TABLES
-    content = tuple(("" if table else s.name, tuple((f.name, f.unit) for f in s.fields)) for s in file.streams)
+    table = file.reader in ONE_TABLE
+    content = tuple(dict.fromkeys(("" if table else s.name, tuple((f.name, f.unit) for f in s.fields)) for s in file.streams))
     captured = file.streams[0].clocks and file.streams[0].clocks[0].name == "capture"
     stated = (tuple(sorted(file.stated.items())), file.columns, len(file.time_units))
     return file.reader, file.path.suffix, () if captured else content, stated
@@ -232,7 +236,7 @@ def _common(texts: Sequence[str]) -> str:
 
 def _merged(group: Sequence[FileSummary]) -> FileSummary:
     """The first file, with streams, ranges and missing values of all."""
-    table = group[0].reader in TABLES
+    table = group[0].reader in ONE_TABLE
     streams: dict[str, list[StreamSummary]] = {}
     for file in group:
         for stream in file.streams:

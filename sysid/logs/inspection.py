@@ -21,6 +21,7 @@ from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
+from sysid.units import split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
@@ -186,7 +187,7 @@ def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[Strea
         columns, _ = reader.columns(path, ReadOptions(header=header))
     except InputError:
         return ()
-    fields = tuple(_field(name, values, None) for name, values in columns)
+    fields = tuple(_field(*split_header(header), values) for header, values in columns)
     return (StreamSummary(path.stem, "", len(columns[0][1]), (), fields),) if columns else ()
 
 
@@ -213,13 +214,13 @@ def summarise(stream: Stream) -> StreamSummary:
     first = next(iter(stream.stamps.values()))
     clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
     shown = [name for name in without_repeats(stream.columns) if name not in _HEADER]
-    fields = tuple(_field(name, stream.columns[name], stream.units.get(name)) for name in shown)
+    fields = tuple(_field(name, stream.units.get(name), stream.columns[name]) for name in shown)
     return StreamSummary(
         stream.name, stream.kind, len(stream), clocks, fields, max(0, len(stream.fields) - len(stream.columns))
     )
 
 
-def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:
+def _field(name: str, unit: str | None, values: npt.NDArray[np.float64]) -> FieldSummary:
     seen = values[np.isfinite(values)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (float("nan"), float("nan"))
     return FieldSummary(name, unit, low, high, 1.0 - len(seen) / max(len(values), 1))
