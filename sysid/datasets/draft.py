@@ -16,6 +16,7 @@ from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
+from sysid.names import listed
 from sysid.quoting import comment, toml_key, toml_value
 from sysid.units import si_factor
 
@@ -109,6 +110,37 @@ def draft_recipe(
                 continue
             lines += ["", *_stream(layout, files_, recordings_, machine, doubtful, chosen)]
     return "\n".join(lines) + "\n"
+
+
+def missing_strokes(files: Sequence[FileSummary], machine: Machine) -> list[str]:
+    """For each axis with a cylinder but without a stroke the key that ``machine.toml`` needs, with the range in the logs."""
+    lines = []
+    for axis in machine.axes:
+        if axis.drives != "cylinder" or axis.stroke is not None:
+            continue
+        found: dict[str, list[FieldSummary]] = {}
+        for file in files:
+            for stream in _listed(file):
+                topic = "" if _is_table(file) else stream.name
+                for field in _moving(stream):
+                    if _signal(topic, field, machine, stream.kind) == (f"{axis.name}.cylinder", True):
+                        found.setdefault(f"{topic} {field.name}".strip(), []).append(field)
+        said = [f"{name!r} ({_stroke_of(fields)})" for name, fields in found.items()]
+        logs = f"the logs show of {listed(said, MAX_LISTED)}" if said else "no field of the logs is recognised as its cylinder"
+        lines.append(f"axis {axis.name!r} needs stroke = [lo, hi] [m] in machine.toml; {logs}")
+    return lines
+
+
+def _stroke_of(fields: Sequence[FieldSummary]) -> str:
+    low, high = min(field.low for field in fields), max(field.high for field in fields)
+    unit = fields[0].unit or _unit_in_name(fields[0].name)
+    try:
+        factor, si = si_factor(unit) if unit is not None else (1.0, "")
+    except InputError:
+        si = ""
+    if si != "m":
+        return f"{low:.6g} … {high:.6g}, of no stated length unit"
+    return f"at least stroke = [{factor * low:.6g}, {factor * high:.6g}]"
 
 
 def _relative(path: Path, root: Path | None) -> str:
@@ -307,8 +339,10 @@ def _fits(unit: str, signal: str, machine: Machine | None) -> bool:
     except InputError:
         return False
     expected = machine.expected_unit(signal) if machine is not None else None
-    quantity = signal.rpartition(".")[2]
-    return si == expected if expected is not None else si in (("rad/s", "m/s") if quantity == "speed" else ("rad", "m"))
+    if expected is not None:
+        return si == expected
+    force = signal.endswith(".command") and _actuation(signal, machine) == "force"
+    return si in (("rad/s", "m/s") if signal.endswith(".speed") else ("N", "N·m") if force else ("rad", "m"))
 
 
 def _unit_in_name(name: str) -> str | None:
@@ -333,6 +367,8 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
     words = _words(f"{topic} {field.name}")
     axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
     axis = axes[0] if len(axes) == 1 else None
+    beside = words - _words(axis.name) if axis is not None else words
+    words = beside if said(beside) else words  # an axis may be called a valve
     if kind == KIND:
         quantity = (
             "command" if field.name.startswith("action") else "joint" if field.name.startswith("observation.state") else ""

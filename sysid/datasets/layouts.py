@@ -101,8 +101,19 @@ def layouts_of(
     for group in groups.values():
         inside = [places[file.path] for file in group]
         outside = [places[file.path] for file in files if file not in group and file.streams]
-        found.append(Layout(tuple(group), _merged(group), _entries(inside, outside), frozenset(r for r, _ in inside)))
+        entries = _entries(inside, outside)
+        if group[0].reader == LeRobotReader().name and not any(fnmatchcase(name, "*.parquet") for _, name in outside):
+            entries = (("*.parquet", ()),)  # also for episodes that are recorded later
+        found.append(Layout(tuple(group), merged(group), entries, frozenset(r for r, _ in inside)))
     return found
+
+
+def alike(files: Sequence[FileSummary]) -> list[tuple[FileSummary, ...]]:
+    """The files in groups of one layout, in the order of their first files; one without streams is by itself."""
+    groups: dict[object, list[FileSummary]] = {}
+    for file in files:
+        groups.setdefault(layout_key(file) if file.streams and not file.refusal else file.path, []).append(file)
+    return [tuple(group) for group in groups.values()]
 
 
 def bags_of(files: Sequence[FileSummary]) -> dict[Path, Path]:
@@ -234,7 +245,7 @@ def _common(texts: Sequence[str]) -> str:
     return texts[0][: sum(1 for _ in takewhile(bool, same))]
 
 
-def _merged(group: Sequence[FileSummary]) -> FileSummary:
+def merged(group: Sequence[FileSummary]) -> FileSummary:
     """The first file, with streams, ranges and missing values of all."""
     table = group[0].reader in ONE_TABLE
     streams: dict[str, list[StreamSummary]] = {}
