@@ -21,7 +21,7 @@ from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
-from sysid.units import split_header
+from sysid.units import si_factor, split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
@@ -127,6 +127,7 @@ def inspect_file(
         raise InputError(path, "no such file", "a log file", "Check the path.")
     chosen = reader_named(reader, path) if reader is not None else reader_for(path)
     size = path.stat().st_size
+    si_factor("1")  # loads the unit library here once, not in the process of every file
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
         return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget.limits, _SUMMARIES)

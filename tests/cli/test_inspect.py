@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import resource
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import pytest
 from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from sysid.datasets.draft import draft_recipe
 from sysid.datasets.recipe import load_recipe
@@ -353,3 +357,34 @@ def test_a_stroke_that_is_missing_is_proposed(tmp_path: Path, capsys: pytest.Cap
     assert proposed is not None
     machine.write_text(MACHINE.replace("stroke = [0.0, 1.0]", proposed[1]))
     assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap"])
+def test_looking_costs_no_more_than_ingesting(tmp_path: Path, kind: str) -> None:
+    """Each file is read in a process of its own, which must not load libraries again for every file."""
+    for number in range(24):
+        folder = tmp_path / f"logs/run{number}"
+        folder.mkdir(parents=True)
+        rows = [{"time": k / 50.0, "arm.command": np.sin(k / 9.0 + number), "arm.joint": np.cos(k / 9.0)} for k in range(300)]
+        if kind == "csv":
+            pd.DataFrame(rows).rename(columns={"arm.joint": "arm.joint [rad]"}).to_csv(folder / "log.csv", index=False)
+            continue
+        with (folder / "log.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            channel = writer.register_channel("/arm", "json", 0)
+            for row in rows:
+                stamp = int(1e9 * (1.7e9 + row.pop("time")))
+                writer.add_message(channel, stamp, json.dumps(row).encode(), stamp)
+            writer.finish()
+    (tmp_path / "machine.toml").write_text(MACHINE)
+
+    def seconds(*arguments: str) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "sysid.cli", *arguments], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    logs, machine = str(tmp_path / "logs"), str(tmp_path / "machine.toml")
+    looking = seconds("ingest", "--inspect", logs, "--machine", machine)
+    assert looking <= seconds("--workspace", str(tmp_path / "ws"), "ingest", logs, "--machine", machine)
