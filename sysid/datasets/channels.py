@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -109,13 +110,16 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[MissingFrames] = []
     shares = _shares(files)
+    parts = Counter(id(mapping) for _, mapping in files.streams if mapping is not None)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         done = part(progress, begin, end)
-        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz)
+        is_part = parts[id(mapping)] > 1
+        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz, is_part=is_part)
         done(1.0, f"reading {path.name}")
         lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
-        losses[path.name] = tuple(dict.fromkeys(lost))
-        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
+        absent = _absent(streams, mapping) if mapping is not None and is_part else {}
+        losses[path.name] = tuple(dict.fromkeys((*lost, *absent.values())))
+        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
         channels += [channel for channel, _ in own]
         losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
         if mapping is None:
@@ -125,9 +129,32 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
             channels += captured
             flags += dropped
         scratch.leave()
+    _check_parts(files, channels)
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
+
+
+def _absent(streams: Sequence[Stream], mapping: StreamMap) -> dict[str, str]:
+    """Signal → why a part of a bag does not have it: nothing was sent on its topic in this part."""
+    known = {(stream.name, name) for stream in streams for name in stream.columns}
+    return {
+        signal: f"{signal}: no {entry.field!r} of {entry.topic!r} in this part of the bag"
+        for signal, entry in mapping.signals.items()
+        if entry.topic is not None and (entry.topic, entry.field) not in known
+    }
+
+
+def _check_parts(files: RecordingFiles, channels: Sequence[Channel]) -> None:
+    """Raise InputError where no part of a bag has a signal."""
+    found = {channel.signal for channel in channels}
+    for path, mapping in files.streams:
+        for signal, entry in mapping.signals.items() if mapping is not None else ():
+            if signal not in found:
+                absent = f"no {entry.field!r} of {entry.topic!r} in any of its files"
+                raise InputError(
+                    f"{files.name}: {signal}", absent, f"as in {path.name}", "Correct `topic` and `field` in the recipe."
+                )
 
 
 def _captured(
@@ -171,10 +198,12 @@ def read_streams(
     seconds: float | None = None,
     progress: Progress = silent,
     expected_hz: float | None = None,
+    is_part: bool = False,
 ) -> tuple[Stream, ...]:
     """The streams of a file in its mapping, with the rigid bodies of marker sets; all without a mapping.
 
-    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz].
+    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz]. ``is_part``: of
+    a bag in several files, so that a topic may have no message in this one.
     """
 
     def report(share: float) -> None:
@@ -198,6 +227,7 @@ def read_streams(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
         columns=frozenset(signal.field for signal in mapping.signals.values()) if mapping.signals else None,
+        part=is_part,
         seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
@@ -215,10 +245,14 @@ def read_streams(
     return with_marker_sets(streams, mapping)
 
 
-def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of the mapped fields, with what was undone in each."""
+def _mapped(
+    path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine, absent: Container[str]
+) -> list[tuple[Channel, str]]:
+    """Channels of the mapped fields except ``absent`` ones, with what was undone in each."""
     channels = []
     for signal, entry in mapping.signals.items():
+        if signal in absent:
+            continue
         stream = _stream_of(path, streams, entry, signal)
         primary = entry.primary and signal not in mapping.secondary
         channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))

@@ -87,13 +87,18 @@ def layouts_of(
         apart: file → what else separates it from files with the same fields, such as another unit.
     """
     others, bags = apart or {}, bags_of(files)
+    parts: dict[Path, list[FileSummary]] = {}
+    for file in files:
+        if file.streams:
+            parts.setdefault(bags[file.path], []).append(file)
+    keys = {file.path: layout_key(merged(own) if len(own) > 1 else file) for own in parts.values() for file in own}
     groups: dict[object, list[FileSummary]] = {}
     for file in files:
         if file.streams:
-            key = layout_key(file)
+            key = keys[file.path]
             beside = [one for one in files if one is not file and one.streams and recordings[one.path] == recordings[file.path]]
             device = any(  # two sensors of one kind
-                layout_key(one) == key and overlap(one, file) and bags[one.path] != bags[file.path] for one in beside
+                keys[one.path] == key and overlap(one, file) and bags[one.path] != bags[file.path] for one in beside
             )
             groups.setdefault((key, file.path.name if device else "", others.get(file.path, "")), []).append(file)
     places = {file.path: (recordings[file.path], file.path.name) for file in files}
@@ -120,7 +125,7 @@ def bags_of(files: Sequence[FileSummary]) -> dict[Path, Path]:
     """File → the bag or LeRobot dataset of which it is a part, or itself.
 
     Parts are listed in the bag's ``metadata.yaml``; or their names differ in a number that counts up (``run_0``, ``run_1``),
-    they have the same fields, and each continues the one before without a gap.
+    they have the same fields, but for few, and each continues the one before without a gap.
     """
     episodes = LeRobotReader().name
     found = {f.path: f.path.parents[2] if f.reader == episodes else bag_of(f.path) or f.path for f in files}
@@ -142,7 +147,7 @@ def _number(path: Path) -> int:
 
 def _continues(one: FileSummary, other: FileSummary) -> bool:
     """Whether a bag begins where another ends: its fastest stream goes on without a gap, as :data:`GAP` defines it."""
-    if layout_key(one) != layout_key(other) or one.reader in TABLES:
+    if not _alike(one, other) or one.reader in TABLES:
         return False
     ends, begins = _log_clocks(one), _log_clocks(other)
     name = max(ends, key=lambda name: ends[name].rate_hz, default=None)

@@ -160,6 +160,8 @@ def finished(
     readable = tuple(stream for stream in streams if len(stream))
     unreadable = tuple(dict.fromkeys(loss for stream in streams if not len(stream) for loss in stream.losses))
     named = [stream.name for stream in streams if not len(stream) and stream.name in (options.streams or ())]
+    if options.part and not unreadable:
+        return readable
     if not readable or named:
         where = f"{path}: {named[0]}" if named and readable else path
         lost = [*unreadable, *losses]
@@ -171,6 +173,6 @@ def check_topics(options: ReadOptions, known: Iterable[str], path: Path, losses:
     """Raise where a wanted topic is not among the known ones; the error names the first loss."""
     names = set(known)
     for topic in sorted(options.streams or ()):
-        if topic not in names:
+        if topic not in names and not options.part:
             lost = next((f" ({loss})" for loss in losses), "")
             raise InputError(path, f"no topic {topic!r}{lost}", nearest(topic, names), "Correct `topic` in the recipe.")

@@ -11,7 +11,8 @@ import pytest
 from command_line import run
 from mcap.writer import Writer
 
-from sysid.datasets import Store
+from sysid.datasets import Store, ingest
+from sysid.errors import InputError
 
 MACHINE = (
     'schema = 1\nname = "rig"\nrate_hz = 50.0\n[[axes]]\nname = "boom"\nactuation = "velocity"\ndrives = "joint"\ngain = 1.0\n'
@@ -44,6 +45,42 @@ def bag(folder: Path, pause_s: float = 0.0, metadata: bool = True) -> Path:
         text = f"rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n{listed}"
         (folder / "metadata.yaml").write_text(text)
     return folder
+
+
+RECIPE = """schema = 1
+machine = "machine.toml"
+[[streams]]
+files = "*.mcap"
+[streams.signals]
+"boom.joint" = { topic = "/sensors", field = "boom.joint" }
+"boom.command" = { topic = "/valves", field = "FIELD" }
+"""
+
+
+def test_a_topic_without_messages_in_one_part(tmp_path: Path) -> None:
+    """A command that is sent on change is not in every part; one that is in no part is a mistake of the recipe."""
+    folder = bag(tmp_path / "first")
+    with (folder / "run_1.mcap").open("wb") as file:  # without commands
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/sensors", "json", 0)
+        for k in range(ROWS, 2 * ROWS):
+            stamp = int(1e9 * (1.7e9 + k / RATE))
+            writer.add_message(channel, stamp, json.dumps({"boom.joint": 1.0 - float(np.cos(k / RATE))}).encode(), stamp)
+        writer.finish()
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    recipe = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", folder, "--draft", recipe) == 0
+    (entry,) = tomllib.loads(recipe.read_text("utf-8"))["streams"]
+    assert entry["signals"] == {"boom.command": {"topic": "/valves", "field": "boom.command"}}
+    recipe.write_text(RECIPE.replace("FIELD", "boom.command"))
+    dataset = ingest([folder], tmp_path / "ws", recipe=recipe)
+    (lost,) = [loss for source in dataset.sources for loss in source.losses]
+    assert lost == "boom.command: no 'boom.command' of '/valves' in this part of the bag"
+    assert sum(len(recording.table) for recording in dataset.recordings) > 0.8 * PARTS * ROWS
+    recipe.write_text(RECIPE.replace("FIELD", "boom"))
+    with pytest.raises(InputError, match=r"boom\.command: no 'boom' of '/valves' in any of its files"):
+        ingest([folder], tmp_path / "ws", recipe=recipe)
 
 
 def lengths(workspace: Path) -> dict[str, int]:
