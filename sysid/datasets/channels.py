@@ -30,6 +30,7 @@ from sysid.logs.rosbag import bag_of
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
+from sysid.units import split_header
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
@@ -226,7 +227,7 @@ def read_streams(
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
-        columns=frozenset(signal.field for signal in mapping.signals.values()) if mapping.signals else None,
+        columns=frozenset(name for signal in mapping.signals.values() for name in _names(signal)) if mapping.signals else None,
         part=is_part,
         seconds=seconds,
         time=mapping.time,
@@ -254,10 +255,16 @@ def _mapped(
         if signal in absent:
             continue
         stream = _stream_of(path, streams, entry, signal)
+        found = replace(entry, field=next((name for name in _names(entry) if name in stream.columns), entry.field))
         primary = entry.primary and signal not in mapping.secondary
-        channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))
+        channels.append(_channel(path, stream, signal, found, mapping, machine, primary))
         scratch.leave()
     return channels
+
+
+def _names(entry: SignalMap) -> tuple[str, str]:
+    """The field of a table as the recipe names it, and without the unit of its header."""
+    return entry.field, split_header(entry.field)[0]
 
 
 def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: str) -> Stream:

@@ -326,6 +326,9 @@ def test_a_header_with_a_unit_is_drafted_by_its_name(tmp_path: Path) -> None:
     draft.write_text(draft.read_text("utf-8").replace("# rate_hz = <rate>", "rate_hz = 50.0"), "utf-8")
     assert set(load_recipe(draft).streams[0].signals) == {"arm.command", "arm.joint"}
     assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
+    as_in_the_file = draft.read_text("utf-8").replace('field = "arm.joint"', 'field = "arm.joint [rad]", unit = "rad"')
+    draft.write_text(as_in_the_file, "utf-8")
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
 
 
 def test_files_of_one_layout_are_shown_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
