@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -27,10 +28,12 @@ from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
+from sysid.logs.rosbag import bag_of
 from sysid.logs.table import no_numbers
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
+from sysid.units import split_header
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
@@ -111,16 +114,18 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[MissingFrames] = []
     shares = _shares(files)
+    parts = Counter(id(mapping) for _, mapping in files.streams if mapping is not None)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         done = part(progress, begin, end)
-        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz)
+        is_part = parts[id(mapping)] > 1
+        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz, is_part=is_part)
         done(1.0, f"reading {path.name}")
         if mapping is None:
             streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
         said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
-        lost = (*losses.get(path.name, ()), *said)
-        losses[path.name] = tuple(dict.fromkeys(lost))
-        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
+        absent = _absent(streams, mapping) if mapping is not None and is_part else {}
+        losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said, *absent.values())))
+        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
         channels += [channel for channel, _ in own]
         losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
         if mapping is None:
@@ -130,9 +135,32 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
             channels += captured
             flags += dropped
         scratch.leave()
+    _check_parts(files, channels)
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
+
+
+def _absent(streams: Sequence[Stream], mapping: StreamMap) -> dict[str, str]:
+    """Signal → why a part of a bag does not have it: nothing was sent on its topic in this part."""
+    known = {(stream.name, name) for stream in streams for name in stream.columns}
+    return {
+        signal: f"{signal}: no {entry.field!r} of {entry.topic!r} in this part of the bag"
+        for signal, entry in mapping.signals.items()
+        if entry.topic is not None and (entry.topic, entry.field) not in known
+    }
+
+
+def _check_parts(files: RecordingFiles, channels: Sequence[Channel]) -> None:
+    """Raise InputError where no part of a bag has a signal."""
+    found = {channel.signal for channel in channels}
+    for path, mapping in files.streams:
+        for signal, entry in mapping.signals.items() if mapping is not None else ():
+            if signal not in found:
+                absent = f"no {entry.field!r} of {entry.topic!r} in any of its files"
+                raise InputError(
+                    f"{files.name}: {signal}", absent, f"as in {path.name}", "Correct `topic` and `field` in the recipe."
+                )
 
 
 def _captured(
@@ -176,10 +204,12 @@ def read_streams(
     seconds: float | None = None,
     progress: Progress = silent,
     expected_hz: float | None = None,
+    is_part: bool = False,
 ) -> tuple[Stream, ...]:
     """The streams of a file in its mapping, with the rigid bodies of marker sets; all without a mapping.
 
-    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz].
+    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz]. ``is_part``: of
+    a bag in several files, so that a topic may have no message in this one.
     """
 
     def report(share: float) -> None:
@@ -202,7 +232,8 @@ def read_streams(
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
-        columns=frozenset(signal.field for signal in mapping.signals.values()) if mapping.signals else None,
+        columns=frozenset(name for signal in mapping.signals.values() for name in _names(signal)) if mapping.signals else None,
+        part=is_part,
         seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
@@ -220,15 +251,25 @@ def read_streams(
     return with_marker_sets(streams, mapping)
 
 
-def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of the mapped fields, with what was undone in each."""
+def _mapped(
+    path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine, absent: Container[str]
+) -> list[tuple[Channel, str]]:
+    """Channels of the mapped fields except ``absent`` ones, with what was undone in each."""
     channels = []
     for signal, entry in mapping.signals.items():
+        if signal in absent:
+            continue
         stream = _stream_of(path, streams, entry, signal)
+        found = replace(entry, field=next((name for name in _names(entry) if name in stream.columns), entry.field))
         primary = entry.primary and signal not in mapping.secondary
-        channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))
+        channels.append(_channel(path, stream, signal, found, mapping, machine, primary))
         scratch.leave()
     return channels
+
+
+def _names(entry: SignalMap) -> tuple[str, str]:
+    """The field of a table as the recipe names it, and without the unit of its header."""
+    return entry.field, split_header(entry.field)[0]
 
 
 def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: str) -> Stream:
@@ -246,10 +287,8 @@ def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
 ) -> tuple[Channel, str]:
     converted = convert(stream, entry, signal, machine)
-    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
-    if clock not in stream.stamps:
-        raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
-    stamps, values = stream.stamps[clock], converted.values  # shared by all signals of a stream
+    every = stream.on_clock(mapping.clock)  # shared by all signals of a stream
+    stamps, values = every, converted.values
     there = masked(len(values), lambda first, last: ~np.isnan(values[first:last]))
     if not there.all():  # a row without a value is no sample: each signal has its own rate and its own gaps
         stamps, values = scratch.chosen(stamps, there), scratch.chosen(values, there)
@@ -273,7 +312,7 @@ def _channel(
             counts, rows=len(stream), empty=len(stream) - len(stamps) - converted.overflows, overflows=converted.overflows
         ),
         flags=(
-            *sentinels(signal, stream.columns[entry.field], converted.values, stream.stamps[clock], ends_of(signal, machine)),
+            *sentinels(signal, stream.columns[entry.field], converted.values, every, ends_of(signal, machine)),
             *(repaired_stamps(signal, stamps) if repaired else ()),
         ),
     )
@@ -292,7 +331,8 @@ def _overflows(signal: str, converted: Converted) -> str:
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of a file whose columns are canonical names, on a clock of its own, with what was undone in each."""
+    """Channels of a file whose columns are canonical names, with what was undone in each; on a clock of the file or its bag."""
+    domain = (bag_of(path) or path).stem
     channels = []
     for stream in streams:
         for column, reason in stream.unread.items():
@@ -306,7 +346,7 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
                     nearest(column, machine.signals),
                     "Rename the column, or map the file with a recipe.",
                 )
-            mapping = StreamMap(files=path.name, domain=path.stem)
+            mapping = StreamMap(files=path.name, domain=domain)
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels

@@ -78,6 +78,7 @@ NO_LOGS: dict[str, tuple[str, str]] = {
     ".toml": ("a recipe or a machine description, not a log", "Give it with --recipe or --machine, and the logs as PATH."),
     ".urdf": ("the description of a robot, not a log", "machine.toml names it with `urdf`."),
     ".tak": ("a take of Motive", "Export it from Motive as CSV or C3D."),
+    ".active": ("a ROS 1 bag whose recorder was killed", "Close it: `rosbag reindex {name}`, and give it the suffix .bag."),
     ".h5": ("an HDF5 file", "Save its tables as Parquet or CSV."),
     ".mdf": ("an MDF file of version 3", "Convert it to version 4 (.mf4)."),
     ".json": (

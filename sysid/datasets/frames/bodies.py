@@ -71,7 +71,7 @@ def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine)
     origin = _origin(streams, mapping)
     for body, link in mapping.bodies.items():
         stream = _named(streams, body)
-        at = seconds(stamps_of(stream, mapping), origin)
+        at = seconds(stream.on_clock(mapping.clock), origin)
         inside = (at >= reference.seconds[0]) & (at <= reference.seconds[1])
         poses = body_poses(stream, mapping.frame)[inside]
         poses = poses[~np.isnan(poses[:, 0, 3])]
@@ -108,23 +108,10 @@ def _named(streams: Sequence[Stream], body: str) -> Stream:
     raise SettingsError(f"{source}: bodies", f"no rigid body {body!r}", nearest(body, [stream.name for stream in streams]))
 
 
-def stamps_of(stream: Stream, mapping: StreamMap) -> Stamps:
-    """The stamps of a tracked body on the clock of the recipe.
-
-    Raises:
-        InputError: the file does not have that clock.
-    """
-    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
-    if clock not in stream.stamps:
-        where = f"{stream.source}: {stream.name}"
-        raise InputError(where, f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
-    return stream.stamps[clock]
-
-
 def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
     """First stamp of all tracked bodies and markers [ns], from which seconds in recipes and notes count."""
     tracked = {*mapping.bodies, *(point.body or point.marker for point in mapping.points.values())}
-    return min((int(stamps_of(s, mapping).min()) for s in streams if s.name in tracked and len(s)), default=0)
+    return min((int(s.on_clock(mapping.clock).min()) for s in streams if s.name in tracked and len(s)), default=0)
 
 
 def joints_and_points(
@@ -142,10 +129,11 @@ def joints_and_points(
     for name in (*mapping.bodies, *(point.body for point in mapping.points.values() if point.body is not None), *markers):
         if name not in tracks:
             stream = _named(streams, name)
-            order, late = in_order(stamps_of(stream, mapping), f"{stream.source}: {name}")
-            stamps = stamps_of(stream, mapping)[order]
+            own = stream.on_clock(mapping.clock)
+            order, late = in_order(own, f"{stream.source}: {name}")
+            stamps = own[order]
             poses = marker_poses(stream, mapping.frame) if name in markers else body_poses(stream, mapping.frame)
-            counts = counts_of(stamps_of(stream, mapping), poses, order, late)
+            counts = counts_of(own, poses, order, late)
             errors = stream.columns.get("error")
             cleaned, dropped[name] = without_mistakes(
                 name,
