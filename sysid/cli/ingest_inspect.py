@@ -15,8 +15,8 @@ from sysid.files import written_whole
 if TYPE_CHECKING:
     from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary
 
-#: Largest numbers of listed streams and fields; --json has all.
-MAX_STREAMS, MAX_FIELDS = 40, 24
+#: Largest numbers of listed streams, fields and losses; --json has all.
+MAX_STREAMS, MAX_FIELDS, MAX_LOSSES = 40, 24, 12
 #: Stamps from 1990 on are interpreted as Unix time [ns].
 _UNIX = 631_152_000 * 10**9
 
@@ -29,7 +29,7 @@ def inspect_paths(
     dbc: Path | None,
     json_file: str | None,
 ) -> None:
-    """Show every log file below ``paths``, and print the drafted recipe or write it to ``draft``.
+    """Show every log file below ``paths``, those of one layout together, and print the drafted recipe or write it to ``draft``.
 
     Raises:
         InputError: a path without log files.
@@ -37,7 +37,8 @@ def inspect_paths(
     """
     from dataclasses import asdict
 
-    from sysid.datasets.draft import default_machine, draft_recipe
+    from sysid.datasets.draft import default_machine, draft_recipe, missing_strokes
+    from sysid.datasets.layouts import alike
     from sysid.logs.inspection import inspect_file
     from sysid.machine import load_machine
 
@@ -45,7 +46,7 @@ def inspect_paths(
         raise SettingsError(f"--draft {draft}", "the file exists already", "a new file", "Choose another name.")
     files = log_files(paths, reader)
     machine_path = machine if machine is not None else default_machine(paths)
-    description = load_machine(machine_path) if machine_path is not None else None
+    description = load_machine(machine_path, unfinished=True) if machine_path is not None else None
     summaries = []
     with progress_bar("inspect") as progress:
         for number, path in enumerate(files):
@@ -60,15 +61,19 @@ def inspect_paths(
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
     out = Printer(json_file)
-    for summary in summaries:
-        _show(out, summary)
+    for group in alike(summaries):
+        _show(out, group)
+    needed = missing_strokes(summaries, description) if description is not None else []
+    for line in needed:
+        out.line(line)
     if draft is not None:
         out.line(f"drafted {draft}: fill in the parts in <…>, then {command('ingest', 'PATH', '--recipe', draft)}")
     else:
         out.line("A recipe to fill in (--draft R.toml writes it to a file):")
         out.line()
         out.block(text.rstrip())
-    write_json(json_file, {"schema": 1, "files": [asdict(summary) for summary in summaries], "recipe": text})
+    files_ = [asdict(summary) for summary in summaries]
+    write_json(json_file, {"schema": 1, "files": files_, "machine_needs": needed, "recipe": text})
 
 
 def _machine_entry(machine: Path | None, draft: Path | None) -> str:
@@ -116,39 +121,55 @@ def log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def _show(out: Printer, file: FileSummary) -> None:
-    out.line(f"{file.path}: {file.reader}, {size_text(file.size)}, {_count(len(file.streams), 'stream')}")
+def _show(out: Printer, group: Sequence[FileSummary]) -> None:
+    """One file, or the files of one layout: what differs between them is summed up, or given as a range."""
+    from sysid.datasets.layouts import merged
+
+    file = merged(group) if len(group) > 1 else group[0]
+    place = str(file.path) if len(group) == 1 else f"{len(group)} files of one layout, {file.path} … {group[-1].path.name}"
+    size = size_text(sum(one.size for one in group))
+    counts = sorted({len(one.streams) for one in group})
+    streams = _count(counts[0], "stream") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} streams"
+    out.line(f"{place}: {file.reader}, {size}, {streams}{' each' if len(group) > 1 else ''}")
     if file.refusal:
         out.line(f"cannot be ingested: {file.refusal}")
     if file.remarks:
         out.line(f"found: {'; '.join(file.remarks)}")
     if file.columns:
         out.line("the recipe must name the columns of a file without a header row; they are numbered here")
-    for loss in file.losses:
+    losses = [loss for one in group for loss in one.losses]
+    for loss in losses[:MAX_LOSSES]:
         out.line(f"lost: {loss}")
+    if len(losses) > MAX_LOSSES:
+        out.line(f"lost: {len(losses) - MAX_LOSSES} more of these (--json FILE lists them all)")
     for key, value in file.stated.items():
         if key == "time_unit" and file.time_units:
             units = " or ".join(map(str, file.time_units))
             out.line(f"the recipe must state time_unit: {units} are plausible; shown here with {value!r}")
         else:
             out.line(f"the recipe must state {key}; shown here with {value!r}")
-    timed = [stream for stream in file.streams if stream.clocks]
+    timed: dict[str, list[StreamSummary]] = {}
+    for one in group:
+        for stream in one.streams if any(stream.clocks for stream in file.streams) else ():
+            timed.setdefault(stream.name if len(one.streams) > 1 or len(group) == 1 else "", []).append(stream)
     if timed:
         header = ("stream", "type", "samples", "seconds", "rate [Hz]", "jitter [ms]", "gaps", "clocks")
-        out.table(header, [_stream_row(stream) for stream in timed[:MAX_STREAMS]], right=(2, 3, 4, 5))
+        rows = [_stream_row(streams) for streams in timed.values()]
+        out.table(header, rows[:MAX_STREAMS], right=(2, 3, 4, 5))
         if len(timed) > MAX_STREAMS:
             out.line(f"{len(timed) - MAX_STREAMS} more streams")
-    fields = [(stream.name, field) for stream in file.streams for field in stream.fields]
+    together = len(group) > 1 and counts == [1]
+    fields = [("all" if together else stream.name, field) for stream in file.streams for field in stream.fields]
     if len(fields) > MAX_FIELDS and any(field.high > field.low for _, field in fields):
         constant = sum(not field.high > field.low for _, field in fields)
         if constant:
             out.line(f"{_count(constant, 'field')} with constant or no numbers not shown")
         fields = [(stream, field) for stream, field in fields if field.high > field.low]
-    rows = [(stream, *_field_row(field)) for stream, field in fields]
-    if rows:
-        out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(rows), right=(3, 4, 5))
-    if len(rows) > MAX_FIELDS:
-        out.line(f"{len(rows) - MAX_FIELDS} more fields (--json FILE lists them all)")
+    table = [(stream, *_field_row(field)) for stream, field in fields]
+    if table:
+        out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(table), right=(3, 4, 5))
+    if len(table) > MAX_FIELDS:
+        out.line(f"{len(table) - MAX_FIELDS} more fields (--json FILE lists them all)")
         out.line()
 
 
@@ -158,15 +179,31 @@ def _thinned(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
     return [("" if number and shown[number - 1][0] == row[0] else row[0], *row[1:]) for number, row in enumerate(shown)]
 
 
-def _stream_row(stream: StreamSummary) -> tuple[str, ...]:
-    first = stream.clocks[0]
-    gaps = "none" if not first.gaps else f"{first.gaps}, longest {first.longest_gap_s:.3g} s at {first.longest_gap_at_s:.1f} s"
-    if first.backwards:
-        gaps += f"; {first.backwards} backward steps"
-    clocks = "; ".join(_clock(clock) for clock in stream.clocks)
-    steady = (f"{first.rate_hz:.2f}", f"{1e3 * first.jitter_s:.2f}") if first.rate_hz > 0.0 else ("", "")
-    numbers = (f"{first.seconds:.1f}", *steady)
-    return (stream.name, stream.kind, str(stream.samples), *numbers, gaps, clocks)
+def _stream_row(streams: Sequence[StreamSummary]) -> tuple[str, ...]:
+    """A row for a stream of one file, or of several: sums, ranges, and the worst gap."""
+    firsts = [stream.clocks[0] for stream in streams]
+    worst = max(firsts, key=lambda clock: clock.longest_gap_s if clock.gaps else 0.0)
+    count, backwards = sum(clock.gaps for clock in firsts), sum(clock.backwards for clock in firsts)
+    gaps = "none" if not count else f"{count}, longest {worst.longest_gap_s:.3g} s at {worst.longest_gap_at_s:.1f} s"
+    if backwards:
+        gaps += f"; {backwards} backward steps"
+    rates = [clock.rate_hz for clock in firsts if clock.rate_hz > 0.0]
+    jitter = [1e3 * clock.jitter_s for clock in firsts if clock.rate_hz > 0.0]
+    seconds = f"{sum(clock.seconds for clock in firsts):.1f}"
+    if len(streams) == 1:
+        clocks = "; ".join(_clock(clock) for clock in streams[0].clocks)
+    else:
+        seconds += f" ({_range([clock.seconds for clock in firsts], 1)} each)"
+        clocks = ", ".join(clock.name for clock in streams[0].clocks)
+    name = streams[0].name if len({stream.name for stream in streams}) == 1 else _count(len(streams), "recording")
+    samples = str(sum(stream.samples for stream in streams))
+    return (name, streams[0].kind, samples, seconds, _range(rates, 2), _range(jitter, 2), gaps, clocks)
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    """The value, or the smallest and the largest; empty without values."""
+    texts = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else [""]
+    return " … ".join(dict.fromkeys(texts))
 
 
 def _clock(clock: ClockSummary) -> str:

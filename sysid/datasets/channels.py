@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -12,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, Converted, convert, in_order
+from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.sentinel import ends_of, sentinels
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
 from sysid.datasets.frames.marker_sets import with_marker_sets
@@ -25,10 +28,12 @@ from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
+from sysid.logs.rosbag import bag_of
 from sysid.logs.table import no_numbers
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
+from sysid.units import split_header
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
@@ -109,16 +114,18 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[MissingFrames] = []
     shares = _shares(files)
+    parts = Counter(id(mapping) for _, mapping in files.streams if mapping is not None)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         done = part(progress, begin, end)
-        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz)
+        is_part = parts[id(mapping)] > 1
+        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz, is_part=is_part)
         done(1.0, f"reading {path.name}")
         if mapping is None:
             streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
         said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
-        lost = (*losses.get(path.name, ()), *said)
-        losses[path.name] = tuple(dict.fromkeys(lost))
-        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
+        absent = _absent(streams, mapping) if mapping is not None and is_part else {}
+        losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said, *absent.values())))
+        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
         channels += [channel for channel, _ in own]
         losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
         if mapping is None:
@@ -128,9 +135,32 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
             channels += captured
             flags += dropped
         scratch.leave()
+    _check_parts(files, channels)
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
+
+
+def _absent(streams: Sequence[Stream], mapping: StreamMap) -> dict[str, str]:
+    """Signal → why a part of a bag does not have it: nothing was sent on its topic in this part."""
+    known = {(stream.name, name) for stream in streams for name in stream.columns}
+    return {
+        signal: f"{signal}: no {entry.field!r} of {entry.topic!r} in this part of the bag"
+        for signal, entry in mapping.signals.items()
+        if entry.topic is not None and (entry.topic, entry.field) not in known
+    }
+
+
+def _check_parts(files: RecordingFiles, channels: Sequence[Channel]) -> None:
+    """Raise InputError where no part of a bag has a signal."""
+    found = {channel.signal for channel in channels}
+    for path, mapping in files.streams:
+        for signal, entry in mapping.signals.items() if mapping is not None else ():
+            if signal not in found:
+                absent = f"no {entry.field!r} of {entry.topic!r} in any of its files"
+                raise InputError(
+                    f"{files.name}: {signal}", absent, f"as in {path.name}", "Correct `topic` and `field` in the recipe."
+                )
 
 
 def _captured(
@@ -153,7 +183,7 @@ def _captured(
             primary=item.signal not in mapping.secondary,
             interpolation=mapping.interpolation,
             max_gap_s=mapping.max_gap_s,
-            repaired=item.repaired,
+            counts=replace(item.counts, empty=int(np.count_nonzero(np.isnan(item.values)))),
             flags=item.flags,
         )
         for item in signals
@@ -174,10 +204,12 @@ def read_streams(
     seconds: float | None = None,
     progress: Progress = silent,
     expected_hz: float | None = None,
+    is_part: bool = False,
 ) -> tuple[Stream, ...]:
     """The streams of a file in its mapping, with the rigid bodies of marker sets; all without a mapping.
 
-    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz].
+    ``seconds``: later samples after the first stamp are not needed. ``expected_hz``: rate of the machine [Hz]. ``is_part``: of
+    a bag in several files, so that a topic may have no message in this one.
     """
 
     def report(share: float) -> None:
@@ -200,7 +232,8 @@ def read_streams(
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
-        columns=frozenset(signal.field for signal in mapping.signals.values()) if mapping.signals else None,
+        columns=frozenset(name for signal in mapping.signals.values() for name in _names(signal)) if mapping.signals else None,
+        part=is_part,
         seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
@@ -218,15 +251,25 @@ def read_streams(
     return with_marker_sets(streams, mapping)
 
 
-def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of the mapped fields, with what was undone in each."""
+def _mapped(
+    path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine, absent: Container[str]
+) -> list[tuple[Channel, str]]:
+    """Channels of the mapped fields except ``absent`` ones, with what was undone in each."""
     channels = []
     for signal, entry in mapping.signals.items():
+        if signal in absent:
+            continue
         stream = _stream_of(path, streams, entry, signal)
+        found = replace(entry, field=next((name for name in _names(entry) if name in stream.columns), entry.field))
         primary = entry.primary and signal not in mapping.secondary
-        channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))
+        channels.append(_channel(path, stream, signal, found, mapping, machine, primary))
         scratch.leave()
     return channels
+
+
+def _names(entry: SignalMap) -> tuple[str, str]:
+    """The field of a table as the recipe names it, and without the unit of its header."""
+    return entry.field, split_header(entry.field)[0]
 
 
 def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: str) -> Stream:
@@ -244,29 +287,42 @@ def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
 ) -> tuple[Channel, str]:
     converted = convert(stream, entry, signal, machine)
-    values = converted.values
-    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
-    if clock not in stream.stamps:
-        raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
-    order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
+    every = stream.on_clock(mapping.clock)  # shared by all signals of a stream
+    stamps, values = every, converted.values
+    there = masked(len(values), lambda first, last: ~np.isnan(values[first:last]))
+    if not there.all():  # a row without a value is no sample: each signal has its own rate and its own gaps
+        stamps, values = scratch.chosen(stamps, there), scratch.chosen(values, there)
+    order, late = in_order(stamps, f"{path}: {stream.name}")
+    counts = counts_of(stamps, values, order, late)
+    repaired = late + len(stamps) - len(order)
     if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
-        found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
+        found = f"{len(stamps)} sample{'s' if len(stamps) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
     channel = Channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # shared by all signals of a stream
+        stamps=stamps[order] if repaired else stamps,
         values=values[order] if repaired else values,
         unit=converted.unit,
         primary=primary,
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
-        repaired=repaired,
-        flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
+        counts=replace(
+            counts, rows=len(stream), empty=len(stream) - len(stamps) - converted.overflows, overflows=converted.overflows
+        ),
+        flags=(
+            *sentinels(signal, stream.columns[entry.field], converted.values, every, ends_of(signal, machine)),
+            *(repaired_stamps(signal, stamps) if repaired else ()),
+        ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
+    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
+
+
+def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
+    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
 
 
 def _overflows(signal: str, converted: Converted) -> str:
@@ -275,7 +331,8 @@ def _overflows(signal: str, converted: Converted) -> str:
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:
-    """Channels of a file whose columns are canonical names, on a clock of its own, with what was undone in each."""
+    """Channels of a file whose columns are canonical names, with what was undone in each; on a clock of the file or its bag."""
+    domain = (bag_of(path) or path).stem
     channels = []
     for stream in streams:
         for column, reason in stream.unread.items():
@@ -289,7 +346,7 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
                     nearest(column, machine.signals),
                     "Rename the column, or map the file with a recipe.",
                 )
-            mapping = StreamMap(files=path.name, domain=path.stem)
+            mapping = StreamMap(files=path.name, domain=domain)
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels
@@ -339,5 +396,4 @@ def concatenate(parts: Sequence[Channel]) -> Channel:
         parts[0],
         stamps=np.concatenate([part.stamps for part in parts], out=scratch.empty(rows, np.int64)),
         values=np.concatenate([part.values for part in parts], out=scratch.empty(rows)),
-        repaired=sum(part.repaired for part in parts),
     )

@@ -18,6 +18,7 @@ from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
 from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import is_log, reader_for
+from sysid.logs.rosbag import side_files
 from sysid.names import check_file_name
 
 
@@ -211,7 +212,12 @@ def as_found(recordings: Sequence[RecordingFiles]) -> tuple[RecordingFiles, ...]
     """
     for recording in recordings:
         _checked(recording)
-    return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in recordings)
+    return tuple(replace(files, written={path: _written(path) for path in all_files(files)}) for files in recordings)
+
+
+def all_files(recording: RecordingFiles) -> tuple[Path, ...]:
+    """Its files once, each followed by the files beside it that are a part of it."""
+    return tuple(dict.fromkeys(file for path, _ in recording.streams for file in (path, *side_files(path))))
 
 
 def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> list[RecordingFiles]:

@@ -3,35 +3,33 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from sysid.datasets.layouts import TABLES, Layout, layouts_of, recording_names, unreadable
+from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
+from sysid.datasets.words import GEOMETRY, JOINTS, POSITIONS, VAGUE, WORDS, said, words_of
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
+from sysid.names import listed
 from sysid.quoting import comment, toml_key, toml_value
 from sysid.units import si_factor
 
-#: Words in a topic or column that indicate the quantity.
-_WORDS = {
-    "command": {"cmd", "command", "commands", "setpoint", "duty", "pwm", "reference"},
-    "cylinder": {"cyl", "cylinder", "stroke", "wire", "wires", "displacement", "extension", "length"},
-    "joint": {"joint", "joints", "angle", "encoder"},
-    "speed": {"speed", "speeds", "velocity", "velocities", "vel", "rpm", "omega", "qd", "tacho", "gyro"},
-}
-#: Words of a position that a rate has beside its own: the angle of a joint may be meant, or its rate ("joint velocity").
-_POSITIONS = ("cylinder", "joint")
 #: Messages of these packages are in SI (ROS REP 103).
-_SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/")
+_SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/", "control_msgs/", "trajectory_msgs/")
+#: SI units that signals have; a command in another one is converted by `zero` and `span`.
+_UNITS = ("1", "rad", "m", "rad/s", "m/s", "N", "N·m")
+#: Which array of a ``JointState`` commands an axis, by its actuation.
+_COMMANDED = {"velocity": "velocity", "position": "position", "servo": "position", "force": "effort"}
 #: Fields that change but are no signals.
-_NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$")
-#: Listed fields of one stream; the others are counted.
-MAX_LINES = 80
+_NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$|^((frame|episode|task)_)?index$")
+#: Listed fields of one stream, and of those that are no signals; the others are counted.
+MAX_LINES, MAX_LISTED = 80, 8
 _HEAD = """\
 # Drafted from {names}.
 # A line without "#" has been recognised: check it. Of the others remove the "#" where you need them and fill in what is in
@@ -84,29 +82,65 @@ def draft_recipe(
     if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
         lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
-    elif not in_folders and len(files) > 1:
+    elif not in_folders and len({*bags_of(files).values()}) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
         lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
-    recordings = dict.fromkeys(names.values())
+    episodes = LeRobotReader().name
+    of_files = ([s.name for s in file.streams] if file.reader == episodes else [names[file.path]] for file in files)
+    recordings = dict.fromkeys(name for own in of_files for name in own)
     if len(recordings) < 3 and (in_folders or single):
         lines += [
             "",
             "# [splits]                  # a recording is cut into the three parts that sysid gap needs; to keep it whole:",
         ]
         lines += [f"# fit = [{', '.join(map(toml_value, recordings))}]"]
-    taken: dict[str, set[str]] = {}
+    candidates = Counter(
+        (signal, recording)
+        for layout in layouts
+        for stream in _listed(layout.whole)
+        for signal in _recognised(layout.whole, stream, machine)
+        for recording in layout.recordings
+    )
     for layout in layouts:
-        before = {signal for signal, others in taken.items() if others & layout.recordings}
+        doubtful = {signal for (signal, recording), count in candidates.items() if count > 1 and recording in layout.recordings}
         empty = layout.whole.reader in TABLES and not any(stream.fields for stream in layout.whole.streams)
         for files_, recordings_ in layout.entries:
             if empty:
                 lines += ["", f"# left out: {comment(files_)}: no column of numbers beside the stamps"]
                 continue
-            own = set(before)
-            lines += ["", *_stream(layout, files_, recordings_, machine, own, chosen)]
-            for signal in own - before:
-                taken.setdefault(signal, set()).update(layout.recordings)
+            lines += ["", *_stream(layout, files_, recordings_, machine, doubtful, chosen)]
     return "\n".join(lines) + "\n"
+
+
+def missing_strokes(files: Sequence[FileSummary], machine: Machine) -> list[str]:
+    """For each axis with a cylinder but without a stroke the key that ``machine.toml`` needs, with the range in the logs."""
+    lines = []
+    for axis in machine.axes:
+        if axis.drives != "cylinder" or axis.stroke is not None:
+            continue
+        found: dict[str, list[FieldSummary]] = {}
+        for file in files:
+            for stream in _listed(file):
+                topic = "" if _is_table(file) else stream.name
+                for field in _moving(stream):
+                    if _signal(topic, field, machine, stream.kind) == (f"{axis.name}.cylinder", True):
+                        found.setdefault(f"{topic} {field.name}".strip(), []).append(field)
+        said = [f"{name!r} ({_stroke_of(fields)})" for name, fields in found.items()]
+        logs = f"the logs show of {listed(said, MAX_LISTED)}" if said else "no field of the logs is recognised as its cylinder"
+        lines.append(f"axis {axis.name!r} needs stroke = [lo, hi] [m] in machine.toml; {logs}")
+    return lines
+
+
+def _stroke_of(fields: Sequence[FieldSummary]) -> str:
+    low, high = min(field.low for field in fields), max(field.high for field in fields)
+    unit = fields[0].unit or _unit_in_name(fields[0].name)
+    try:
+        factor, si = si_factor(unit) if unit is not None else (1.0, "")
+    except InputError:
+        si = ""
+    if si != "m":
+        return f"{low:.6g} … {high:.6g}, of no stated length unit"
+    return f"at least stroke = [{factor * low:.6g}, {factor * high:.6g}]"
 
 
 def _relative(path: Path, root: Path | None) -> str:
@@ -131,7 +165,7 @@ def _stream(
     pattern: str,
     recordings: Sequence[str],
     machine: Machine | None,
-    taken: set[str],
+    doubtful: Set[str],
     chosen: Chosen | None,
 ) -> Iterator[str]:
     file = layout.whole
@@ -168,14 +202,14 @@ def _stream(
             yield f'time_unit = "<{units}>"   # not stated in the file: {" or ".join(map(str, file.time_units))}'
         else:
             yield f"{key} = {toml_value(value)}   # not stated in the file: check it"
-    bodies = [stream for stream in file.streams if captured and _is_body(stream)]
-    markers = [stream for stream in file.streams if captured and _is_marker(stream)]
+    rest = _listed(file)
+    bodies = [stream for stream in file.streams if stream not in rest and _is_body(stream)]
+    markers = [stream for stream in file.streams if stream not in rest and not _is_body(stream)]
     if bodies or markers:
         yield from _capture(bodies, markers, machine)
-    rest = [stream for stream in file.streams if stream not in bodies and stream not in markers]
     if rest:
         yield "[streams.signals]"
-        yield from _signals(file, rest, machine, taken, chosen)
+        yield from _signals(file, rest, machine, doubtful, chosen)
 
 
 def _found(layout: Layout) -> str:
@@ -189,13 +223,12 @@ def _signals(
     file: FileSummary,
     streams: Sequence[StreamSummary],
     machine: Machine | None,
-    taken: set[str],
+    doubtful: Set[str],
     chosen: Chosen | None,
 ) -> Iterator[str]:
-    episodes = file.reader == LeRobotReader().name  # an entry is for all of them
-    tables = episodes or (len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES)
-    for stream in streams[:1] if episodes else streams:
-        moving = [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
+    tables = _is_table(file)
+    for stream in streams:
+        moving = _moving(stream)
         if not tables:
             kind = f" ({comment(stream.kind)})" if stream.kind else ""
             yield f"# {comment(stream.name)}{kind}: {stream.samples} samples"
@@ -208,32 +241,108 @@ def _signals(
             if others:
                 yield f"# left out: {', '.join(others[:MAX_LINES])}{' …' if len(others) > MAX_LINES else ''}"
             continue
-        for field in moving[:MAX_LINES]:
-            yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
+        usable = [field for field in moving if not _foreign(stream, field)]
+        for field in usable[:MAX_LINES]:
+            line = _line("" if tables else stream.name, field, machine, stream.kind)
+            yield line.text(line.signal in doubtful)
         still = len(stream.fields) - len(moving)
         if still:
             yield f"# {still} more fields are constant, covariances or stamps"
-        if len(moving) > MAX_LINES:
-            yield f"# {len(moving) - MAX_LINES} more fields"
+        if len(usable) > MAX_LINES:
+            yield f"# {len(usable) - MAX_LINES} more fields"
+        foreign = [f"{comment(field.name)} [{comment(field.unit or '')}]" for field in moving if _foreign(stream, field)]
+        if foreign:
+            more = f" and {len(foreign) - MAX_LISTED} more" if len(foreign) > MAX_LISTED else ""
+            yield f"# no unit of a signal: {', '.join(foreign[:MAX_LISTED])}{more}"
 
 
-def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str, taken: set[str]) -> str:
+def _is_table(file: FileSummary) -> bool:
+    """Whether its fields have no topic: a table, or the episodes of a dataset, which are those of one entry."""
+    return file.reader == LeRobotReader().name or (
+        len(file.streams) == 1 and not file.streams[0].kind and file.reader in TABLES
+    )
+
+
+def _listed(file: FileSummary) -> list[StreamSummary]:
+    """The streams of which fields are listed: all but bodies and markers of a motion capture."""
+    captured = [clock.name for clock in file.streams[0].clocks[:1]] == ["capture"] if file.streams else False
+    return [stream for stream in file.streams if not (captured and (_is_body(stream) or _is_marker(stream)))]
+
+
+def _moving(stream: StreamSummary) -> list[FieldSummary]:
+    """Its fields that change and may be signals."""
+    return [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
+
+
+def _recognised(file: FileSummary, stream: StreamSummary, machine: Machine | None) -> list[str]:
+    """The signals of its fields that are recognised, as often as they are."""
+    topic = "" if _is_table(file) else stream.name
+    lines = [_line(topic, field, machine, stream.kind) for field in _moving(stream) if not _foreign(stream, field)]
+    return [line.signal for line in lines if line.sure]
+
+
+def _foreign(stream: StreamSummary, field: FieldSummary) -> bool:
+    """Whether the unit of a field is that of no signal, as of a temperature or a muscle, and its name is not of a command."""
+    try:
+        return field.unit is not None and si_factor(field.unit)[1] not in _UNITS and not _commands(stream.name, field)
+    except InputError:
+        return False
+
+
+def _commands(topic: str, field: FieldSummary) -> bool:
+    return bool(WORDS["command"] & _words(f"{topic} {field.name}"))
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of a signal.
+
+    Args:
+        sure: whether the signal is recognised, and its line complete.
+    """
+
+    signal: str
+    entry: tuple[str, ...]
+    note: str
+    sure: bool
+
+    def text(self, doubtful: bool) -> str:
+        """The line; commented where it is not sure, or ``doubtful``: others are recognised as the same signal."""
+        note = f"{self.note}; one of several for {self.signal}: choose" if doubtful and self.sure else self.note
+        begin = "" if self.sure and not doubtful else "# "
+        return f"{begin}{toml_value(self.signal)} = {{ {', '.join(self.entry)} }}   # {note}"
+
+
+def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> _Line:
     signal, sure = _signal(topic, field, machine, kind)
     entry = [f"topic = {toml_value(topic)}"] if topic else []
     entry.append(f"field = {toml_value(field.name)}")
     note = f"{field.low:.4g} … {field.high:.4g}{f' {comment(field.unit)}' if field.unit else ''}"
-    outside = signal.endswith(".command") and max(abs(field.low), abs(field.high)) > 1.5
-    if outside and machine is not None and _actuation(signal, machine) == "velocity":
+    command, actuation = signal.endswith(".command"), _actuation(signal, machine)
+    share = actuation == "velocity" or not actuation  # the command is a share of the full one
+    if command and actuation == "velocity" and max(abs(field.low), abs(field.high)) > 1.5:
         entry += ["zero = <neutral>", "span = <from neutral to full>"]
         sure = False
-    elif field.unit is None and (kind == KIND or not signal.endswith(".command")) and not kind.startswith(_SI_PACKAGES):
+    elif field.unit is None and (kind == KIND or not (command and share)) and not kind.startswith(_SI_PACKAGES):
         stated = _unit_in_name(field.name)
         entry.append(f"unit = {toml_value(stated or '<unit>')}")
-        sure = sure and stated is not None
-    sure = sure and signal not in taken
-    if sure:
-        taken.add(signal)
-    return f"{'' if sure else '# '}{toml_value(signal)} = {{ {', '.join(entry)} }}   # {note}"
+        sure = sure and stated is not None and _fits(stated, signal, machine)
+    elif field.unit is not None:
+        sure = sure and _fits(field.unit, signal, machine)
+    return _Line(signal, tuple(entry), note, sure)
+
+
+def _fits(unit: str, signal: str, machine: Machine | None) -> bool:
+    """Whether a signal may be in this unit."""
+    try:
+        si = si_factor(unit)[1]
+    except InputError:
+        return False
+    expected = machine.expected_unit(signal) if machine is not None else None
+    if expected is not None:
+        return si == expected
+    force = signal.endswith(".command") and _actuation(signal, machine) == "force"
+    return si in (("rad/s", "m/s") if signal.endswith(".speed") else ("N", "N·m") if force else ("rad", "m"))
 
 
 def _unit_in_name(name: str) -> str | None:
@@ -248,45 +357,72 @@ def _unit_in_name(name: str) -> str | None:
     return match[1]
 
 
-def _actuation(signal: str, machine: Machine) -> str:
-    return next((axis.actuation for axis in machine.axes if signal.startswith(f"{axis.name}.")), "")
+def _actuation(signal: str, machine: Machine | None) -> str:
+    axes = machine.axes if machine is not None else ()
+    return next((axis.actuation for axis in axes if signal.startswith(f"{axis.name}.")), "")
 
 
 def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> tuple[str, bool]:
     """The likely signal of a field, and whether both axis and quantity were found in its name."""
     words = _words(f"{topic} {field.name}")
     axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
-    found = [quantity for quantity, names in _WORDS.items() if names & words]
-    if kind == KIND:
-        found = (
-            ["command"] if field.name.startswith("action") else ["joint"] if field.name.startswith("observation.state") else []
-        )
-    if kind.endswith("JointState"):  # its arrays say what they are, whatever words the topic and the names of joints have
-        if field.name.startswith("position") and not found:
-            found = ["joint"]
-        elif field.name.startswith("velocity"):
-            found = ["speed"]
-        elif field.name.startswith("effort"):
-            found = []
     axis = axes[0] if len(axes) == 1 else None
-    rate = "speed" in found and "command" not in found
-    if rate:
-        of = [quantity for quantity in found if quantity in _POSITIONS]
-        # The rate of a joint that a cylinder moves is not a signal; only the rate of what the command drives is.
-        found = [] if axis is not None and of and axis.drives not in of else ["speed"]
-    elif axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
-        found = ["joint"]  # a wire sensor along a prismatic joint without a cylinder
-    elif axis is not None and "joint" in found and "cylinder" in found:
-        found = [axis.drives]
+    beside = words - _words(axis.name) if axis is not None else words
+    words = beside if said(beside) else words  # an axis may be called a valve
+    if kind == KIND:
+        quantity = (
+            "command" if field.name.startswith("action") else "joint" if field.name.startswith("observation.state") else ""
+        )
+    elif kind.endswith("JointState") and field.name.partition("[")[0] in ("position", "velocity", "effort"):
+        quantity = _of_joint_state(_words(topic), field.name.partition("[")[0], axis)
+    else:
+        quantity = _said_quantity(words, axis)
     name = axis.name if axis is not None else "<axis>"
-    quantity = found[0] if len(found) == 1 else "<command, cylinder, joint or speed>"
-    return f"{name}.{quantity}", axis is not None and len(found) == 1
+    return f"{name}.{quantity or '<command, cylinder, joint or speed>'}", axis is not None and bool(quantity)
 
 
-def words_of(text: str) -> list[str]:
-    """``/valves/boomCommand[2]`` → valves, boom, command, 2."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
+def _of_joint_state(words: set[str], array: str, axis: Axis | None) -> str:
+    """The quantity of an array of a ``JointState``, whose name says what it is, whatever words the names of joints have."""
+    quantities = said(words)
+    if "command" in quantities and words & WORDS["command"] - VAGUE:
+        return "command" if axis is None or _COMMANDED[axis.actuation] == array else ""
+    if array == "position":
+        return "cylinder" if "cylinder" in quantities and not _slides(axis) else "joint"
+    return "speed" if array == "velocity" and not _of_other_end(words, axis) else ""
+
+
+def _said_quantity(words: set[str], axis: Axis | None) -> str:
+    """The quantity that the words of a topic and field say; empty where they say none, or two."""
+    quantities = said(words)
+    if "operator" in quantities:
+        return ""
+    if "command" in quantities:
+        measured = words & WORDS["measured"] - JOINTS - POSITIONS
+        rate = "speed" in quantities and axis is not None and axis.actuation != "velocity"
+        force = "force" in quantities and (axis is None or axis.actuation != "force")
+        return "command" if words & WORDS["command"] - VAGUE and not (measured or rate or force) else ""
+    if "force" in quantities:
+        return ""
+    if "speed" in quantities:
+        return "" if _of_other_end(words, axis) else "speed"
+    if "cylinder" in quantities and not _slides(axis):
+        return "cylinder" if not words & JOINTS else axis.drives if axis is not None else ""
+    if words & JOINTS or "cylinder" in quantities:
+        return "joint"
+    return axis.drives if "measured" in quantities and axis is not None and not words & GEOMETRY else ""
+
+
+def _slides(axis: Axis | None) -> bool:
+    """Whether a wire sensor lies along the joint of an axis, which has no cylinder."""
+    return axis is not None and axis.drives == "joint" and axis.stroke is None
+
+
+def _of_other_end(words: set[str], axis: Axis | None) -> bool:
+    """Whether a rate is that of the joint of an axis with a cylinder, or the reverse: only that of what the command drives is a
+    signal.
+    """
+    of = {"joint" if words & JOINTS else "", "cylinder" if "cylinder" in said(words) else ""} - {""}
+    return axis is not None and bool(of) and axis.drives not in of
 
 
 def _words(text: str) -> set[str]:
@@ -307,9 +443,9 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
     """Frame, bodies, points and reference pose of a motion capture."""
     kinematics = machine.kinematics() if machine is not None else None
     links = [joint.child for joint in kinematics.chain] if kinematics is not None else []
-    yield "[streams.frame]              # surveyed pose of the capture frame in the machine's base frame"
-    yield "translation = [0.0, 0.0, 0.0]"
-    yield "rpy = [0.0, 0.0, 0.0]        # Motive counts y upwards: [1.5708, 0.0, 0.0] turns it to z"
+    yield "# [streams.frame]            # surveyed pose of the capture frame in the machine's base frame; else they coincide"
+    yield "# translation = [<x>, <y>, <z>]"
+    yield "# rpy = [<roll>, <pitch>, <yaw>]   # Motive counts y upwards: [1.5708, 0.0, 0.0] turns it to z"
     yield "[streams.points]             # a rigid body, a surveyed point in its frame, or a marker, as ee or tool"
     if bodies:
         yield f"# ee = {{ body = {toml_value(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"

@@ -13,10 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
+from sysid.logs.inspection import GAP, ClockSummary, FieldSummary, FileSummary, StreamSummary
+from sysid.logs.lerobot import LeRobotReader
+from sysid.logs.rosbag import bag_of
 
 #: Readers of files with one table, whose name is that of the file.
 TABLES = ("csv", "parquet", "mat", "npz")
+#: Those of which all streams have the same fields: the episodes of a LeRobot dataset.
+ONE_TABLE = (*TABLES, LeRobotReader().name)
 #: Files of one folder with more than this share of their names of fields in common are recordings of the same device.
 ALIKE = 0.6
 
@@ -45,6 +49,7 @@ def recording_names(
 
     Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals. Files
     with names that repeat in other folders (``left.csv``, ``right.csv``) are devices of one recording; numbered ones are not.
+    The parts of one bag (:func:`bags_of`) are of one recording.
 
     Args:
         in_folders: there are files in sub-folders.
@@ -56,11 +61,14 @@ def recording_names(
     repeated = Counter(file.path.name for file in files)
     single = len(folders) > 1 and any(one in other.parents for one in folders for other in folders)
     single |= not in_folders and len(files) == 1
+    bags = bags_of(files)
     for beside in folders.values():
         for (one, its), (other, others) in combinations(beside, 2):
             numbered = re.sub(r"\d+", "", one.path.stem) == re.sub(r"\d+", "", other.path.stem)
             devices = not numbered and repeated[one.path.name] > 1 and repeated[other.path.name] > 1
             apart = in_folders and not overlap(one, other)  # parts of one log
+            if bags[one.path] == bags[other.path]:
+                continue
             single |= not devices and ((_alike(one, other) and not apart) or bool(its & others))
     if not single:
         return {file.path: file.path.parent.name for file in files}, False
@@ -78,27 +86,87 @@ def layouts_of(
         recordings: file → its recording.
         apart: file → what else separates it from files with the same fields, such as another unit.
     """
-    others = apart or {}
+    others, bags = apart or {}, bags_of(files)
+    parts: dict[Path, list[FileSummary]] = {}
+    for file in files:
+        if file.streams:
+            parts.setdefault(bags[file.path], []).append(file)
+    keys = {file.path: layout_key(merged(own) if len(own) > 1 else file) for own in parts.values() for file in own}
     groups: dict[object, list[FileSummary]] = {}
     for file in files:
         if file.streams:
-            key = layout_key(file)
+            key = keys[file.path]
             beside = [one for one in files if one is not file and one.streams and recordings[one.path] == recordings[file.path]]
-            device = any(layout_key(one) == key and overlap(one, file) for one in beside)  # two sensors of one kind
+            device = any(  # two sensors of one kind
+                keys[one.path] == key and overlap(one, file) and bags[one.path] != bags[file.path] for one in beside
+            )
             groups.setdefault((key, file.path.name if device else "", others.get(file.path, "")), []).append(file)
     places = {file.path: (recordings[file.path], file.path.name) for file in files}
     found = []
     for group in groups.values():
         inside = [places[file.path] for file in group]
         outside = [places[file.path] for file in files if file not in group and file.streams]
-        found.append(Layout(tuple(group), _merged(group), _entries(inside, outside), frozenset(r for r, _ in inside)))
+        entries = _entries(inside, outside)
+        if group[0].reader == LeRobotReader().name and not any(fnmatchcase(name, "*.parquet") for _, name in outside):
+            entries = (("*.parquet", ()),)  # also for episodes that are recorded later
+        found.append(Layout(tuple(group), merged(group), entries, frozenset(r for r, _ in inside)))
     return found
+
+
+def alike(files: Sequence[FileSummary]) -> list[tuple[FileSummary, ...]]:
+    """The files in groups of one layout, in the order of their first files; one without streams is by itself."""
+    groups: dict[object, list[FileSummary]] = {}
+    for file in files:
+        groups.setdefault(layout_key(file) if file.streams and not file.refusal else file.path, []).append(file)
+    return [tuple(group) for group in groups.values()]
+
+
+def bags_of(files: Sequence[FileSummary]) -> dict[Path, Path]:
+    """File → the bag or LeRobot dataset of which it is a part, or itself.
+
+    Parts are listed in the bag's ``metadata.yaml``; or their names differ in a number that counts up (``run_0``, ``run_1``),
+    they have the same fields, but for few, and each continues the one before without a gap.
+    """
+    episodes = LeRobotReader().name
+    found = {f.path: f.path.parents[2] if f.reader == episodes else bag_of(f.path) or f.path for f in files}
+    before: dict[object, FileSummary] = {}
+    for file in sorted(files, key=lambda file: (file.path.parent, _number(file.path))):
+        place, number = (file.path.parent, re.sub(r"\d+", "", file.path.stem), file.path.suffix), _number(file.path)
+        last = before.get((place, number - 1))
+        if found[file.path] == file.path and last is not None and _continues(last, file):
+            found[file.path] = found[last.path]
+        before[place, number] = file
+    return found
+
+
+def _number(path: Path) -> int:
+    """The number at the end of a file's name; -1 where there is none."""
+    match = re.search(r"\d{1,9}$", path.stem)
+    return int(match[0]) if match else -1
+
+
+def _continues(one: FileSummary, other: FileSummary) -> bool:
+    """Whether a bag begins where another ends: its fastest stream goes on without a gap, as :data:`GAP` defines it."""
+    if not _alike(one, other) or one.reader in TABLES:
+        return False
+    ends, begins = _log_clocks(one), _log_clocks(other)
+    name = max(ends, key=lambda name: ends[name].rate_hz, default=None)
+    if name is None or name not in begins or not ends[name].rate_hz > 0.0:
+        return False
+    pause = begins[name].first_ns * 1e-9 - (ends[name].first_ns * 1e-9 + ends[name].seconds)
+    return 0.0 < pause <= GAP / ends[name].rate_hz
+
+
+def _log_clocks(file: FileSummary) -> dict[str, ClockSummary]:
+    """Topic → its clock of the recorder, where it has one with a rate."""
+    clocks = ((stream.name, clock) for stream in file.streams for clock in stream.clocks if clock.name == "log")
+    return {name: clock for name, clock in clocks if np.isfinite(clock.rate_hz)}
 
 
 def layout_key(file: FileSummary) -> object:
     """What files of one layout have in common: reader, suffix, fields with units, and what the recipe has to state."""
-    table = file.reader in TABLES
-    content = tuple(("" if table else s.name, tuple((f.name, f.unit) for f in s.fields)) for s in file.streams)
+    table = file.reader in ONE_TABLE
+    content = tuple(dict.fromkeys(("" if table else s.name, tuple((f.name, f.unit) for f in s.fields)) for s in file.streams))
     captured = file.streams[0].clocks and file.streams[0].clocks[0].name == "capture"
     stated = (tuple(sorted(file.stated.items())), file.columns, len(file.time_units))
     return file.reader, file.path.suffix, () if captured else content, stated
@@ -182,9 +250,9 @@ def _common(texts: Sequence[str]) -> str:
     return texts[0][: sum(1 for _ in takewhile(bool, same))]
 
 
-def _merged(group: Sequence[FileSummary]) -> FileSummary:
+def merged(group: Sequence[FileSummary]) -> FileSummary:
     """The first file, with streams, ranges and missing values of all."""
-    table = group[0].reader in TABLES
+    table = group[0].reader in ONE_TABLE
     streams: dict[str, list[StreamSummary]] = {}
     for file in group:
         for stream in file.streams:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.datasets.channels import Mounts
-from sysid.datasets.discover import RecordingFiles, sha256
+from sysid.datasets.discover import RecordingFiles, all_files, sha256
 from sysid.datasets.recipe import IngestRecipe, check_against_machine, load_recipe
 from sysid.datasets.recording import Source
 from sysid.datasets.resample import GAP_PERIODS
@@ -100,7 +100,7 @@ def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     unique: dict[str, Source] = {}
     known: dict[Path, str] = {}  # of a file with several recordings once
     for recording in found:
-        for path, _ in recording.streams:
+        for path in all_files(recording):
             key = f"{recording.name}/{path.name}"
             if key not in unique:
                 if path not in known:

@@ -96,6 +96,8 @@ class ColumnDecoder:
         known = self._layouts.setdefault(layout.size if layout.whole else _ANY_SIZE, [])
         known.append(layout)
         del known[:-MAX_LAYOUTS]
+        for array, texts in layout.texts.items():
+            self.columns.labels.saw(array, texts)
         fits = sizes[left] == layout.size if layout.whole else sizes[left] >= layout.size
         rest = np.union1d(self._decode(layout, messages, left[fits]), left[~fits])
         return np.asarray(rest, dtype=np.intp)
@@ -122,6 +124,9 @@ class ColumnDecoder:
         same = np.all(data[:, layout.fixed] == layout.template, axis=1)
         everyone = bool(same.all())
         rows = (left if everyone else left[same]) + messages.first
+        if len(rows):
+            for array, texts in layout.texts.items():
+                self.columns.labels.repeated(array, texts, len(rows))
         if len(rows) and layout.numbers:
             records = layout.records(data if everyone else data[same])
             for path, names in layout.names.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy.typing as npt
 from sysid.confined import confined
 from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
+from sysid.logs.labels import without_repeats
 from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
@@ -22,6 +22,7 @@ from sysid.logs.table import TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
 from sysid.numbers import LARGEST_COUNT
+from sysid.units import si_factor, split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
@@ -127,6 +128,7 @@ def inspect_file(
         raise InputError(path, "no such file", "a log file", "Check the path.")
     chosen = reader_named(reader, path) if reader is not None else reader_for(path)
     size = path.stat().st_size
+    si_factor("1")  # loads the unit library here once, not in the process of every file
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
         return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget.limits, _SUMMARIES)
@@ -187,7 +189,7 @@ def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[Strea
         columns, _ = reader.columns(path, ReadOptions(header=header))
     except InputError:
         return ()
-    fields = tuple(_field(name, values, None) for name, values in columns)
+    fields = tuple(_field(*split_header(header), values) for header, values in columns)
     return (StreamSummary(path.stem, "", len(columns[0][1]), (), fields),) if columns else ()
 
 
@@ -213,23 +215,14 @@ def summarise(stream: Stream) -> StreamSummary:
     """Summary of a stream."""
     first = next(iter(stream.stamps.values()))
     clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
-    shadowed = _numbered_twice(stream.columns) | set(stream.columns) & _HEADER
-    fields = tuple(
-        _field(name, values, stream.units.get(name)) for name, values in stream.columns.items() if name not in shadowed
-    )
+    shown = [name for name in without_repeats(stream.columns) if name not in _HEADER]
+    fields = tuple(_field(name, stream.units.get(name), stream.columns[name]) for name in shown)
     return StreamSummary(
         stream.name, stream.kind, len(stream), clocks, fields, max(0, len(stream.fields) - len(stream.columns))
     )
 
 
-def _numbered_twice(columns: Iterable[str]) -> set[str]:
-    """``position[2]`` beside ``position[boom]``: elements by number that elements by name repeat."""
-    elements = [match for name in columns if (match := re.fullmatch(r"(.*)\[([^\[\]]+)\]", name)) is not None]
-    named = {match[1] for match in elements if not match[2].isdecimal()}
-    return {match[0] for match in elements if match[1] in named and match[2].isdecimal()}
-
-
-def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:
+def _field(name: str, unit: str | None, values: npt.NDArray[np.float64]) -> FieldSummary:
     seen = values[np.abs(values) <= LARGEST_COUNT]  # neither missing nor an overflow
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (float("nan"), float("nan"))
     return FieldSummary(name, unit, low, high, 1.0 - len(seen) / max(len(values), 1))

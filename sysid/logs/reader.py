@@ -20,6 +20,7 @@ class ReadOptions:
         streams: names of the streams (topics) to read; None reads all.
         fields: topic → fields to read (bags); None reads all. Only these take memory.
         columns: of a table with one stream (CSV, Parquet, MATLAB): those to read beside the time; None reads all.
+        part: the file is one of several parts of a bag: a wanted topic may have no message in it.
         preview: read all stamps of a bag, but only the values of the first messages of each topic.
         seconds: a reader may skip everything later than this after the first stamp [s].
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
@@ -38,6 +39,7 @@ class ReadOptions:
     streams: frozenset[str] | None = None
     fields: Mapping[str, frozenset[str]] | None = None
     columns: frozenset[str] | None = None
+    part: bool = False
     preview: bool = False
     seconds: float | None = None
     time: str | None = None

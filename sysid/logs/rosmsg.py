@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from sysid.errors import InputError
+from sysid.logs.labels import are_names, identifying
 
 #: Primitive type → NumPy code without byte order; strings apart.
 PRIMITIVES = {
@@ -18,6 +19,8 @@ PRIMITIVES = {
     "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+#: Types of text.
+TEXTS = ("string", "wstring")
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,20 @@ class Definition:
                 return frozenset({f"{path}.sec", f"{path}.nanosec"})
         return frozenset()
 
+    def identity(self, kind: str) -> str | None:
+        """The text of a ``kind`` that identifies it within an array; None where there is none."""
+        return identifying(member.name for member in self.types[kind] if member.length is None and member.kind in TEXTS)
+
+    def has_series(self, kind: str) -> bool:
+        """Whether a ``kind`` contains sequences without names of their own, as the point of a trajectory."""
+        sequences = [member for member in self.types[kind] if member.length == -1]
+        return bool(sequences) and not any(member.kind in TEXTS and are_names(member.name) for member in sequences)
+
+    @property
+    def has_wide_texts(self) -> bool:
+        """Whether any message in it contains a ``wstring``."""
+        return any(member.kind == "wstring" for members in self.types.values() for member in members)
+
     def fixed_size(self, kind: str, phase: int | None) -> int | None:
         """Size of a ``kind`` [bytes], None where it is not fixed.
 
@@ -61,7 +78,7 @@ class Definition:
     def _measure(self, kind: str, phase: int | None) -> int | None:
         position = phase or 0
         for member in self.types[kind]:
-            if member.length == -1 or member.kind in ("string", "wstring"):
+            if member.length == -1 or member.kind in TEXTS:
                 return None
             if member.kind in PRIMITIVES:
                 size = int(PRIMITIVES[member.kind][1])
@@ -77,19 +94,25 @@ class Definition:
         return position - (phase or 0) or None
 
 
+#: Times and durations in ROS 2 and ROS 1.
 _TIME = (Field("sec", "int32"), Field("nanosec", "uint32"))
+_ROS1_TIME = (Field("sec", "uint32"), Field("nanosec", "uint32"))
+_ROS1_DURATION = (Field("sec", "int32"), Field("nanosec", "int32"))
 _MEMBER = re.compile(
     r"^(?P<kind>[A-Za-z][\w/]*)(?P<bound><=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
 
 
-def parse_definition(name: str, text: str, where: object) -> Definition:
-    """Parse the schema of message type ``name``.
+def parse_definition(name: str, text: str, where: object, ros1: bool = False) -> Definition:
+    """Parse the schema of message type ``name``; in ROS 1 a ``byte`` is signed.
 
     Raises:
         InputError: a line that is no member, or a type that is not defined in the schema.
     """
-    types: dict[str, tuple[Field, ...]] = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
+    times = (_ROS1_TIME, _ROS1_DURATION) if ros1 else (_TIME, _TIME)
+    types: dict[str, tuple[Field, ...]] = dict(
+        zip(("builtin_interfaces/Time", "builtin_interfaces/Duration"), times, strict=True)
+    )
     current = _short(name)
     for number, section in enumerate(re.split(r"^={3,}\s*$", text, flags=re.MULTILINE)):
         lines = [line.strip() for line in section.splitlines() if line.strip()]
@@ -98,7 +121,7 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
             lines = lines[1:]
         elif number > 0:
             continue
-        types[current] = tuple(_members(lines, current, where))
+        types[current] = tuple(_members(lines, current, where, ros1))
     root = _short(name)
     if root not in types:
         raise InputError(
@@ -106,7 +129,7 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
         )
     for owner, fields in types.items():
         for member in fields:
-            if member.kind not in PRIMITIVES and member.kind not in ("string", "wstring") and member.kind not in types:
+            if member.kind not in PRIMITIVES and member.kind not in TEXTS and member.kind not in types:
                 raise InputError(f"{where}: schema {name}", f"type {member.kind!r} of {owner}.{member.name} is not defined")
     _check_depth(root, types, (), f"{where}: schema {name}", {})
     return Definition(root, types)
@@ -151,7 +174,7 @@ def _check_depth(
     return known[kind]
 
 
-def _members(lines: list[str], owner: str, where: object) -> list[Field]:
+def _members(lines: list[str], owner: str, where: object, ros1: bool) -> list[Field]:
     members = []
     for line in lines:
         text = line.partition("#")[0].strip()
@@ -166,15 +189,16 @@ def _members(lines: list[str], owner: str, where: object) -> list[Field]:
         if array is not None and len(array) > 12:
             raise InputError(f"{where}: schema {owner}", f"line {line[:80]!r}", "an array of fewer than 10 billion elements")
         length = None if array is None else -1 if array == "[]" or "<" in array else int(array[1:-1])
-        members.append(Field(match["name"], _resolve(match["kind"], owner), length))
+        kind = "int8" if ros1 and match["kind"] == "byte" else _resolve(match["kind"], owner)
+        members.append(Field(match["name"], kind, length))
     return members
 
 
 def _resolve(kind: str, owner: str) -> str:
-    if kind in PRIMITIVES or kind in ("string", "wstring"):
+    if kind in PRIMITIVES or kind in TEXTS:
         return kind
     if kind in ("time", "duration"):
-        return "builtin_interfaces/Time"
+        return f"builtin_interfaces/{kind.title()}"
     if kind == "Header":
         return "std_msgs/Header"  # ROS 1 omits its package
     return _short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.layout import MAX_ELEMENTS, NAME_FIELDS, Bytes
+from sysid.logs.labels import ArrayLabels, are_joint_names, are_names, bracketed, identifying
+from sysid.logs.layout import MAX_ELEMENTS, Bytes
 from sysid.logs.limits import MAX_DEPTH
 from sysid.logs.topic_columns import STAMP_FIELDS, TopicColumns
 
@@ -54,7 +55,7 @@ class RowDecoder:
         for offset, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
             flat: dict[str, float] = {}
             try:
-                flatten(self.parse(buffer[start : start + size].tobytes()), "", flat)
+                flatten(self.parse(buffer[start : start + size].tobytes()), "", flat, labels=self.columns.labels)
             except (ValueError, RecursionError) as error:
                 self.columns.bad.append(first + offset)
                 self.reason = self.reason or str(error).splitlines()[0][:200]
@@ -77,33 +78,69 @@ def _numbers(values: list[float]) -> npt.NDArray[Any]:
     return np.array([float(value) if abs(value) < 1e300 else math.inf for value in values])
 
 
-def flatten(value: Any, path: str, into: dict[str, float], depth: int = 0, names: Sequence[str] = ()) -> None:
+def flatten(
+    value: Any,
+    path: str,
+    into: dict[str, float],
+    depth: int = 0,
+    labelled: str | None = None,
+    joints: Sequence[Sequence[str]] = (),
+    labels: ArrayLabels | None = None,
+) -> None:
     """Numbers of nested dictionaries and lists by their path: ``pose.position.x``, ``position[2]``, ``position[boom]``.
 
-    ``names``: of the elements of arrays, from an object around this one.
+    Args:
+        path, labelled: of ``value``, by indices and by labels (:mod:`sysid.logs.labels`).
+        into: takes the numbers.
+        joints: joint names of the objects around this one.
+        labels: takes the labels of arrays.
     """
+    labelled = path if labelled is None else labelled
     if depth > MAX_DEPTH:
         raise ValueError(f"more than {MAX_DEPTH} levels of objects")
     if isinstance(value, bool | int | float):
         if path:
-            into[path] = int(value) if isinstance(value, bool) else value
+            into[path] = into[labelled] = int(value) if isinstance(value, bool) else value
     elif isinstance(value, dict):
-        names = next((value[key] for key in NAME_FIELDS if _is_names(value.get(key))), names)
-        for name, inner in value.items():
-            flatten(inner, f"{path}.{name}" if path else str(name), into, depth + 1, names)
-        _name_elements(value, path, into, names)
+        own = {key: texts for key, texts in value.items() if _is_names(texts) and are_names(key)}
+        joints = [texts for key, texts in own.items() if are_joint_names(key)] if own else joints
+        names = list(own.values()) or joints
+        for key, inner in value.items():
+            end = f".{key}" if path else str(key)
+            if isinstance(inner, list) and key not in own and 0 < len(inner) <= MAX_ELEMENTS:
+                texts = _texts(inner, names, joints)
+                if labels is not None and any(texts):
+                    labels.saw(path + end, texts)
+                    labels.repeated(path + end, texts)
+                brackets = bracketed(texts) if texts else ()
+                for index, item in enumerate(inner):
+                    label = (brackets[index] if brackets else "") or str(index)
+                    above = f"{labelled}{end}[{label}]"
+                    flatten(item, f"{path}{end}[{index}]", into, depth + 2, above, joints, labels)
+            else:
+                flatten(inner, path + end, into, depth + 1, labelled + end, joints, labels)
     elif isinstance(value, list) and len(value) <= MAX_ELEMENTS:
         for index, inner in enumerate(value):
-            flatten(inner, f"{path}[{index}]", into, depth + 1, names)
+            flatten(inner, f"{path}[{index}]", into, depth + 1, f"{labelled}[{index}]", joints, labels)
 
 
-def _name_elements(value: dict[str, Any], path: str, into: dict[str, float], names: Sequence[str]) -> None:
-    prefix = f"{path}." if path else ""
-    for key, array in value.items():
-        if isinstance(array, list) and 0 < len(array) == len(names) <= MAX_ELEMENTS:
-            for name, element in zip(names, array, strict=True):
-                if isinstance(element, int | float) and not name.isdecimal():
-                    into[f"{prefix}{key}[{name}]"] = element
+def _texts(elements: list[Any], names: Sequence[Sequence[str]], joints: Sequence[Sequence[str]]) -> Sequence[str]:
+    """The text that labels each element of a list; none where nothing does."""
+    objects = [element for element in elements if isinstance(element, dict)]
+    if len(objects) == len(elements):
+        key = identifying(key for key, text in objects[0].items() if isinstance(text, str))
+        texts = [element.get(key) for element in objects] if key is not None else []
+        own = [text for text in texts if isinstance(text, str)]
+        if own and len(own) == len(texts):
+            return own
+    series = any(_has_series(element) for element in objects)
+    return next((own for own in names if len(own) == len(elements) and not (series and own in joints)), ())
+
+
+def _has_series(value: dict[str, Any]) -> bool:
+    """As :meth:`sysid.logs.rosmsg.Definition.has_series`."""
+    lists = {key: inner for key, inner in value.items() if isinstance(inner, list)}
+    return bool(lists) and not any(_is_names(inner) and are_names(key) for key, inner in lists.items())
 
 
 def _is_names(value: object) -> bool:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sysid.errors import InputError, nearest
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -44,3 +46,15 @@ class Stream:
         """The columns without numbers, as sentences; of many the first three and the number of the others."""
         found = tuple(f"column {name!r} left out: {reason}" for name, reason in self.unread.items())
         return found if len(found) <= 4 else (*found[:3], f"{len(found) - 3} more columns without numbers left out")
+
+    def on_clock(self, clock: str | None) -> npt.NDArray[np.int64]:
+        """The stamps of a clock, (n,) [ns]; None: of the first.
+
+        Raises:
+            InputError: the stream does not have that clock.
+        """
+        if clock is not None and clock not in self.stamps:
+            why = next((f" ({loss})" for loss in self.losses if f"no clock {clock!r}" in loss), "")
+            remedy = f'Set `clock = "{next(iter(self.stamps))}"` in the recipe.'
+            raise InputError(f"{self.source}: {self.name}", f"no {clock!r} stamps{why}", nearest(clock, self.stamps), remedy)
+        return self.stamps[clock if clock is not None else next(iter(self.stamps))]

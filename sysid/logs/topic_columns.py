@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.logs.growing import GrowingArray, Rows, Values
+from sysid.logs.labels import ArrayLabels
 
 #: Fields of one topic: names that change from message to message would otherwise fill the memory.
 MAX_FIELDS = 4096
@@ -41,6 +42,7 @@ class TopicColumns:
     total: int = 0
     bad: array[int] = field(default_factory=lambda: array("q"))
     fields: dict[str, None] = field(default_factory=dict)
+    labels: ArrayLabels = field(default_factory=ArrayLabels)
     crowded: bool = False
     #: Number of messages of a preview, of which the values are read; None: all.
     previewed: int | None = None

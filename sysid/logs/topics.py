@@ -64,7 +64,8 @@ def make_decoder(
     match message_encoding, schema_encoding:
         case "ros1", "ros1msg":
             text = schema.decode("utf-8", errors="replace")
-            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, packed=True, cells=cells)
+            definition = parse_definition(kind, text, where, ros1=True)
+            return ColumnDecoder(definition, wanted, preview, packed=True, cells=cells)
         case "cdr", "ros2msg":
             text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, cells=cells)
@@ -104,7 +105,7 @@ class Topic:
         self.log.expected = self.publish.expected = columns.stated
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
-        """The stream. Clocks: ``header`` where the messages have a stamp, ``log``, ``publish`` where the file has it."""
+        """The stream. Clocks: ``header`` where a stamp is set in the messages, ``log``, ``publish`` where the file has it."""
         found = self.decoder.columns
         stamps: dict[str, npt.NDArray[np.int64]] = {}
         header = found.header_stamps()
@@ -114,7 +115,7 @@ class Topic:
         if self.publish.found:
             stamps["publish"] = self.publish.whole(found.total)
         columns = found.release()
-        losses = list(losses)
+        losses = [*losses, *(f"{path.name}: {self.name}: {loss}" for loss in found.labels.losses)]
         if found.bad:
             readable = found.readable()
             stamps = {clock: values[readable] for clock, values in stamps.items()}
@@ -124,6 +125,11 @@ class Topic:
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
             )
+        set_once = stamps["header"] if "header" in stamps else stamps["log"][:0]
+        if len(set_once) and (set_once == set_once[0]).all() and (len(set_once) > 1 or not set_once[0]):
+            del stamps["header"]  # a recorder that never sets it
+            text = f"header.stamp is {set_once[0] * 1e-9:g} in all {len(set_once)} messages: they have no clock 'header'"
+            losses.append(f"{path.name}: {self.name}: {text}")
         if found.crowded:
             losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
         return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(found.fields), self.kind)
@@ -142,13 +148,20 @@ def finished(
     """The streams of a bag; the losses of topics without a readable message go to the others.
 
     Raises:
-        InputError: a wanted topic is missing or unreadable, or no message could be read.
+        InputError: a wanted topic is missing or unreadable, a wanted field is not the same thing in every message, or no
+            message could be read.
     """
     check_topics(options, known, path, losses)
+    topics = list(topics)
+    for topic in topics:
+        for wanted in sorted((options.fields or {}).get(topic.name, ())):
+            topic.decoder.columns.labels.check(wanted, topic.decoder.columns.fields, f"{path}: {topic.name}")
     streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.columns.total)
     readable = tuple(stream for stream in streams if len(stream))
     unreadable = tuple(dict.fromkeys(loss for stream in streams if not len(stream) for loss in stream.losses))
     named = [stream.name for stream in streams if not len(stream) and stream.name in (options.streams or ())]
+    if options.part and not unreadable:
+        return readable
     if not readable or named:
         where = f"{path}: {named[0]}" if named and readable else path
         lost = [*unreadable, *losses]
@@ -160,6 +173,6 @@ def check_topics(options: ReadOptions, known: Iterable[str], path: Path, losses:
     """Raise where a wanted topic is not among the known ones; the error names the first loss."""
     names = set(known)
     for topic in sorted(options.streams or ()):
-        if topic not in names:
+        if topic not in names and not options.part:
             lost = next((f" ({loss})" for loss in losses), "")
             raise InputError(path, f"no topic {topic!r}{lost}", nearest(topic, names), "Correct `topic` in the recipe.")

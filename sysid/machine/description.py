@@ -259,8 +259,8 @@ class Machine(Strict):
         return files
 
 
-def load_machine(path: Path) -> Machine:
-    """Read and check ``machine.toml``.
+def load_machine(path: Path, unfinished: bool = False) -> Machine:
+    """Read and check ``machine.toml``; ``unfinished``: the strokes of cylinders may be missing.
 
     Raises:
         SettingsError: an unknown key, a missing file, a name that does not exist, a linkage that does not close.
@@ -273,7 +273,7 @@ def load_machine(path: Path) -> Machine:
         if not urdf_path.is_file():
             raise SettingsError(f"{path}: urdf", f"no such file {values['urdf']!r}", "a URDF file relative to machine.toml")
         urdf_text = settings_text(urdf_path, "a URDF file")
-    return _build(values, text, urdf_text, where=path)
+    return _build(values, text, urdf_text, path, unfinished)
 
 
 def machine_from_files(files: dict[str, str], where: object) -> Machine:
@@ -289,12 +289,12 @@ def machine_from_files(files: dict[str, str], where: object) -> Machine:
     return _build(values, files["machine.toml"], files.get(urdf) if isinstance(urdf, str) else None, where)
 
 
-def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: object) -> Machine:
+def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: object, unfinished: bool = False) -> Machine:
     for key in ("text", "urdf_text"):
         if key in values:
             raise SettingsError(where, f"unknown key {key!r}", "the keys of machine.toml", "Remove it.")
     machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
-    _check_axes(machine, where)
+    _check_axes(machine, where, unfinished)
     if machine.urdf is not None:
         if urdf_text is None:
             raise SettingsError(f"{where}: urdf", f"no file {shown(machine.urdf)}", "the URDF beside machine.toml")
@@ -313,7 +313,7 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
     return machine
 
 
-def _check_axes(machine: Machine, where: object) -> None:
+def _check_axes(machine: Machine, where: object, unfinished: bool) -> None:
     if not machine.axes:
         raise SettingsError(where, "no axes", "at least one [[axes]] entry")
     check_file_name(machine.name, f"{where}: name")
@@ -324,8 +324,9 @@ def _check_axes(machine: Machine, where: object) -> None:
             raise SettingsError(place, "a name that no signal can have", _LETTERS)
         if names[axis.name] > 1 or axis.name in RESERVED:
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
-        if axis.drives == "cylinder" and axis.stroke is None:
-            raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
+        if axis.drives == "cylinder" and axis.stroke is None and not unfinished:
+            expected = "stroke = [lo, hi] [m] for an axis that drives a cylinder"
+            raise SettingsError(place, "no stroke", expected, "`sysid ingest --inspect LOGS` proposes it from the logs.")
 
 
 def _check_inertias(machine: Machine, where: object) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import resource
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,10 +17,12 @@ import pytest
 from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from sysid.datasets.draft import draft_recipe
 from sysid.datasets.recipe import load_recipe
 from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary, inspect_file
+from sysid.machine import load_machine
 
 
 def inspected(capsys: pytest.CaptureFixture[str], *args: str | Path) -> dict[str, Any]:
@@ -133,7 +138,7 @@ def test_the_draft_for_a_recording_in_its_folder_is_accepted(
     assert "stamp.sec" not in text
     assert run("--workspace", tmp_path / "ws", "ingest", tmp_path) == 2
     assert "recording run1: no signal of the machine; expected commands or sensors. Map fields" in capsys.readouterr().err
-    lines = {"/odom": "pose.pose.position.x", "/tf": "transforms[0].transform.translation.y"}
+    lines = {"/odom": "pose.pose.position.x", "/tf": "transforms[odom].transform.translation.y"}
     for (topic, field), signal in zip(lines.items(), ("drive.joint", "drive.cylinder"), strict=True):
         entry = f'{{ topic = "{topic}", field = "{field}"'
         found = re.search(rf'^# "[^"]*" = {re.escape(entry)}', text, flags=re.MULTILINE)
@@ -238,3 +243,151 @@ def test_logs_that_need_a_named_reader_are_found_with_it(tmp_path: Path, capsys:
     seen = inspected(capsys, tmp_path, "--reader", "json")
     assert seen["files"][0]["streams"][0]["samples"] == 20
     assert tomllib.loads(seen["recipe"])["streams"][0]["reader"] == "json"
+
+
+AXES = {
+    "valve": ("velocity", "cylinder", "stroke = [0.0, 1.0]"),
+    "arm": ("velocity", "joint", "limits = [-3.0, 3.0]"),
+    "servo": ("position", "joint", "limits = [-3.0, 3.0]"),
+    "motor": ("force", "joint", "inertia = 1.0\nlimits = [-3.0, 3.0]"),
+}
+MACHINE = 'schema = 1\nname = "rig"\nrate_hz = 50.0\n' + "".join(
+    f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "{drives}"\n{rest}\n'
+    for name, (actuation, drives, rest) in AXES.items()
+)
+
+
+def offered(folder: Path, columns: list[str]) -> dict[str, tuple[str, bool]]:
+    """Column → the signal for which the draft offers it, and whether its line is used as it is."""
+    (folder / "machine.toml").write_text(MACHINE)
+    table = {"time": np.arange(100) / 50.0, **{name: np.sin(np.arange(100) / 9.0 + k) for k, name in enumerate(columns)}}
+    pd.DataFrame(table).to_csv(folder / "log.csv", index=False)
+    description = load_machine(folder / "machine.toml")
+    text = draft_recipe([inspect_file(folder / "log.csv")], description)
+    lines = re.findall(r'^(# )?"([^"]*)" = \{ field = "([^"]*)"', text, flags=re.MULTILINE)
+    return {field: (signal, not commented) for commented, signal, field in lines}
+
+
+@pytest.mark.parametrize(
+    ("column", "signal", "sure"),
+    [
+        ("servo_goal_position [rad]", "servo.command", True),
+        ("goal_pos_servo [deg]", "servo.command", True),
+        ("goal_pos_servo", "servo.command", False),  # its unit is not known
+        ("present_position_servo [rad]", "servo.joint", True),
+        ("servo present pos (deg)", "servo.joint", True),
+        ("valve desired", "valve.command", True),
+        ("valve measured [mm]", "valve.cylinder", True),
+        ("valve actual [rad]", "valve.cylinder", False),  # not a length
+        ("motor target torque [N·m]", "motor.command", True),
+        ("motor torque [N·m]", "motor.<command, cylinder, joint or speed>", False),
+        ("arm velocity command", "arm.command", True),
+        ("servo velocity command [rad/s]", "servo.<command, cylinder, joint or speed>", False),
+        ("arm command feedback", "arm.<command, cylinder, joint or speed>", False),
+        ("arm joystick", "arm.<command, cylinder, joint or speed>", False),
+        ("arm pose position x [m]", "arm.<command, cylinder, joint or speed>", False),
+    ],
+)
+def test_names_of_goals_and_of_what_is_there(tmp_path: Path, column: str, signal: str, sure: bool) -> None:
+    assert list(offered(tmp_path, [column]).values()) == [(signal, sure)]
+
+
+def test_two_candidates_are_a_question(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = offered(tmp_path, ["arm cmd", "arm setpoint", "valve cmd", "arm angle [rad]"])
+    assert found == {
+        "arm cmd": ("arm.command", False), "arm setpoint": ("arm.command", False), "valve cmd": ("valve.command", True),
+        "arm angle": ("arm.joint", True),
+    }  # fmt: skip
+    text = inspected(capsys, tmp_path / "log.csv")["recipe"]
+    assert text.count("one of several for arm.command: choose") == 2
+
+
+def test_muscles_and_temperatures_are_no_signals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(offered(tmp_path, ["arm biceps [mV]", "arm oil [degC]", "valve command [V]", "arm cmd"])) == {
+        "valve command",
+        "arm cmd",
+    }
+    text = inspected(capsys, tmp_path / "log.csv")["recipe"]
+    assert "# no unit of a signal: arm biceps [mV], arm oil [degC]" in text
+
+
+def test_the_pose_of_the_capture_frame_is_not_known(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = inspected(capsys, shared_data / "mocap_files/markers.trc")["recipe"]
+    assert "# translation = [<x>, <y>, <z>]" in text
+    assert "frame" not in tomllib.loads(text)["streams"][0]
+
+
+def test_a_header_with_a_unit_is_drafted_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    table = pd.DataFrame({"arm.command": np.sin(np.arange(900) / 9.0), "arm.joint [rad]": np.cos(np.arange(900) / 9.0)})
+    table.to_csv(tmp_path / "log.csv", index=False)  # without a time
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", tmp_path / "log.csv", "--draft", draft) == 0
+    draft.write_text(draft.read_text("utf-8").replace("# rate_hz = <rate>", "rate_hz = 50.0"), "utf-8")
+    assert set(load_recipe(draft).streams[0].signals) == {"arm.command", "arm.joint"}
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
+    as_in_the_file = draft.read_text("utf-8").replace('field = "arm.joint"', 'field = "arm.joint [rad]", unit = "rad"')
+    draft.write_text(as_in_the_file, "utf-8")
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
+
+
+def test_files_of_one_layout_are_shown_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(73):
+        table = pd.DataFrame({"time": np.arange(50 + number) / 50.0, "arm cmd": np.sin(np.arange(50 + number) / 9.0) * number})
+        table.to_csv(tmp_path / f"run{number}.csv", index=False)
+    pd.DataFrame({"time": np.arange(50) / 50.0, "boom": np.arange(50.0)}).to_csv(tmp_path / "other.csv", index=False)
+    assert run("ingest", "--inspect", tmp_path, "--draft", tmp_path / "r.toml") == 0
+    shown = capsys.readouterr().out
+    assert len(shown.splitlines()) < 60
+    assert "73 files of one layout" in shown
+    assert f"{sum(range(50, 123))}" in shown
+    assert len(inspected(capsys, tmp_path)["files"]) == 74
+
+
+def test_a_stroke_that_is_missing_is_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    machine = tmp_path / "machine.toml"
+    machine.write_text(MACHINE.replace("stroke = [0.0, 1.0]\n", ""))
+    rows = np.arange(900)
+    pd.DataFrame(
+        {"time": rows / 50.0, "valve cmd": np.sin(rows / 90.0), "valve cyl [mm]": 250.0 + 200.0 * np.cos(rows / 90.0)}
+    ).to_csv(tmp_path / "log.csv", index=False)
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv") == 2
+    assert "axis 'valve': no stroke" in capsys.readouterr().err
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", tmp_path / "log.csv", "--draft", draft) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    proposed = re.search(r"axis 'valve' needs stroke = .*at least (stroke = \[[^\]]*\])", shown)
+    assert proposed is not None
+    machine.write_text(MACHINE.replace("stroke = [0.0, 1.0]", proposed[1]))
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap"])
+def test_looking_costs_no_more_than_ingesting(tmp_path: Path, kind: str) -> None:
+    """Each file is read in a process of its own, which must not load libraries again for every file."""
+    for number in range(24):
+        folder = tmp_path / f"logs/run{number}"
+        folder.mkdir(parents=True)
+        rows = [{"time": k / 50.0, "arm.command": np.sin(k / 9.0 + number), "arm.joint": np.cos(k / 9.0)} for k in range(300)]
+        if kind == "csv":
+            pd.DataFrame(rows).rename(columns={"arm.joint": "arm.joint [rad]"}).to_csv(folder / "log.csv", index=False)
+            continue
+        with (folder / "log.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            channel = writer.register_channel("/arm", "json", 0)
+            for row in rows:
+                stamp = int(1e9 * (1.7e9 + row.pop("time")))
+                writer.add_message(channel, stamp, json.dumps(row).encode(), stamp)
+            writer.finish()
+    (tmp_path / "machine.toml").write_text(MACHINE)
+
+    def seconds(*arguments: str) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "sysid.cli", *arguments], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    logs, machine = str(tmp_path / "logs"), str(tmp_path / "machine.toml")
+    looking = seconds("ingest", "--inspect", logs, "--machine", machine)
+    assert looking <= seconds("--workspace", str(tmp_path / "ws"), "ingest", logs, "--machine", machine)

@@ -45,6 +45,8 @@ def definitions(draw: st.DrawFn) -> Types:
             names = [Field("name", "string", -1), *(Field(f, "float64", -1) for f in ("position", "velocity"))]
             at = draw(st.integers(0, len(members)))
             members[at:at] = draw(st.permutations(names))
+        elif draw(st.booleans()):  # what a transform looks like: a text that identifies it
+            members.insert(draw(st.integers(0, len(members))), Field("child_frame_id", "string"))
         types[f"p/T{number}"] = members
     return types
 
@@ -165,24 +167,34 @@ class Encoder:
                 self.value(member.kind, item)
 
 
-def truth(kind: str, value: Message, types: Types, prefix: str = "", outer: tuple[str, ...] = ()) -> dict[str, float]:
-    """Path → number, by place and by name: the message's own names, else those that the message around it has had so far."""
+def truth(kind: str, value: Message, types: Types, prefix: str = "", labelled: str = "") -> dict[str, float]:
+    """Path → number, by place and by label: of the names beside an array, or of a text in each of its elements."""
     found: dict[str, float] = {}
-    own = any(m.name == "name" for m in types[kind])
-    names = tuple(value["name"]) if own else outer
-    scope = () if own else outer
+    names = value.get("name", [])
     for member in types[kind]:
-        path, inner = prefix + member.name, value[member.name]
-        if member.name == "name":
-            scope = names
-        for place, item in [("", inner)] if member.length is None else [(f"[{i}]", item) for i, item in enumerate(inner)]:
+        path, by_label, inner = prefix + member.name, labelled + member.name, value[member.name]
+        if member.kind == "string":
+            continue
+        if member.length is None:
+            items = [("", "", inner)]
+        else:
+            own = [item.get("child_frame_id") if isinstance(item, dict) else None for item in inner]
+            beside = names if member.length == -1 and len(names) == len(inner) else [""] * len(inner)
+            labels = own if inner and own[0] is not None else beside
+            items = [(f"[{i}]", label_of(labels, i), item) for i, item in enumerate(inner)]
+        for place, label, item in items:
             if member.kind in types:
-                found |= truth(member.kind, item, types, f"{path}{place}.", scope)
-            elif member.kind != "string":
-                found[path + place] = float(item)
-        if member.kind in FORMATS and member.length is not None and len(inner) == len(names):
-            found |= {f"{path}[{name}]": float(item) for name, item in zip(names, inner, strict=True) if not name.isdecimal()}
+                found |= truth(member.kind, item, types, f"{path}{place}.", f"{by_label}{label}.")
+            else:
+                found |= {path + place: float(item), by_label + label: float(item)}
     return found
+
+
+def label_of(labels: list[Any], index: int) -> str:
+    label = str(labels[index])
+    if not label or labels.count(label) > 1:
+        return f"[{index}]"
+    return f'["{label}"]' if label.isdecimal() else f"[{label}]"
 
 
 def columns_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,25 @@ def test_a_dataset_needs_a_recipe_that_can_be_drafted(tmp_path: Path, capsys: py
     assert '# "pan.command" = { field = "action[shoulder_pan.pos]", unit = "<unit>" }' in text
     assert '# "elbow.joint" = { field = "observation.state[elbow_flex.pos]", unit = "<unit>" }' in text
     assert text.count("action[elbow_flex.pos]") == 1, "an entry is for all episodes"
+
+
+@pytest.mark.parametrize(("version", "files"), [("v2.1", 12), ("v3.0", 2), ("v3.0", 1)])
+def test_the_draft_has_one_entry_for_all_episodes(tmp_path: Path, version: str, files: int) -> None:
+    """Version 2 has a file an episode, version 3 several episodes a file."""
+    folder = write_lerobot(tmp_path / "wave", episodes(12), MOTORS, files, version)
+    if version == "v2.1":
+        for path in (folder / "data/chunk-000").iterdir():
+            path.rename(path.with_name(f"episode_000{path.stem[-3:]}.parquet"))
+    (tmp_path / "machine.toml").write_text(MACHINE, "utf-8")
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", folder, "--draft", draft) == 0
+    text = draft.read_text("utf-8")
+    assert text.count("[[streams]]") == 1
+    assert len(text.splitlines()) < 30
+    filled = re.sub(r'^# ("(pan|elbow)\.[^<]*unit = )"<unit>"', r'\1"deg"', text, flags=re.MULTILINE)
+    draft.write_text(filled, "utf-8")
+    dataset = ingest([folder], tmp_path / "ws", recipe=draft)
+    assert [recording.name for recording in dataset.recordings] == [f"episode-{k:06d}" for k in range(12)]
 
 
 def test_damaged_datasets(tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def test_messages_that_do_not_follow_their_schema_are_left_out_and_reported(tmp_
         writer.start()
         schema = writer.register_schema("p/msg/M", "ros2msg", b"float64 x")
         channel = writer.register_channel("/m", "cdr", schema)
-        for index, data in enumerate([good, good[:9], good, b"", b"\x00\x07\x00\x00" + good[4:]]):
+        for index, data in enumerate([good, good[:9], good, b"", b"\x00\x09\x00\x00" + good[4:]]):
             writer.add_message(channel, log_time=index, publish_time=index, data=data)
         writer.finish()
     (stream,) = McapReader().read(path, ReadOptions())

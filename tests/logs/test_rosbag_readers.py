@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
+from sysid.datasets.discover import discover
+from sysid.datasets.plan import sources_of
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.limits import Budget
@@ -202,3 +205,65 @@ def test_any_damage_to_a_bag_ends_in_streams_or_a_reason(tmp_path: Path, data: s
     path.write_bytes(bytes(damaged))
     streams, refusal = attempt(InputError, lambda: read(path))
     assert streams is not None or "log.bag" in refusal
+
+
+def recorder_killed(folder: Path, mode: str, kept: int, total: int) -> Path:
+    """A bag whose recorder was killed: ``kept`` messages are in the file, the others in the write-ahead log or the journal."""
+    folder.mkdir()
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    path = folder / "live.db3"
+    old_bag(path, JOINTS)
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("DELETE FROM messages")
+        database.execute(f"PRAGMA journal_mode={mode}")
+        database.execute("PRAGMA wal_autocheckpoint=0")
+        database.execute("PRAGMA cache_size=1")  # pages go to the file before the transaction ends
+        for index, state in enumerate(joint_states(store, total)):
+            if index == kept:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+                database.execute("BEGIN")
+            data = bytes(store.serialize_cdr(state, JOINTS))
+            database.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", [index, index, data])
+        if mode == "WAL":
+            database.execute("COMMIT")
+        copy = folder / "killed" / "bag_0.db3"
+        copy.parent.mkdir()
+        for name in ("live.db3", "live.db3-wal", "live.db3-journal"):
+            if (folder / name).exists():
+                (copy.parent / name.replace("live", "bag_0")).write_bytes((folder / name).read_bytes())
+    return copy
+
+
+def test_messages_in_the_write_ahead_log_are_read_and_nothing_is_changed(tmp_path: Path) -> None:
+    path = recorder_killed(tmp_path / "bag", "WAL", 100, 300)
+    before = {file: file.read_bytes() for file in path.parent.iterdir()}
+    assert len(before) == 2
+    (stream,) = read(path)
+    np.testing.assert_array_equal(stream.stamps["log"], np.arange(300))
+    assert {file: file.read_bytes() for file in path.parent.iterdir()} == before
+    log = Path(f"{path}-wal")
+    for end in (len(before[log]) // 2, 40, 0):  # torn where the recorder died: whole transactions remain
+        log.write_bytes(before[log][:end])
+        np.testing.assert_array_equal(read(path)[0].stamps["log"], np.arange(100))
+    log.unlink()
+    log.symlink_to(path)
+    with pytest.raises(InputError, match=r"bag_0\.db3-wal: a link; expected the write-ahead log"):
+        read(path)
+
+
+def test_an_interrupted_transaction_is_refused_with_a_remedy_that_works(tmp_path: Path) -> None:
+    path = recorder_killed(tmp_path / "bag", "DELETE", 100, 300)
+    with pytest.raises(InputError, match=r'a transaction that was interrupted .*sqlite3 bag_0\.db3 "PRAGMA integrity_check"'):
+        read(path)
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    np.testing.assert_array_equal(read(path)[0].stamps["log"], np.arange(100))
+
+
+def test_the_write_ahead_log_is_part_of_the_content(tmp_path: Path) -> None:
+    path = recorder_killed(tmp_path / "bag", "WAL", 100, 300)
+    (found,) = discover([path.parent], None)
+    assert {source.path for source in sources_of([found])} == {"killed/bag_0.db3", "killed/bag_0.db3-wal"}
+    Path(f"{path}-wal").write_bytes(b"")
+    with pytest.raises(InputError, match=r"bag_0\.db3-wal: written while it was read"):
+        found.check_unchanged()

@@ -37,9 +37,6 @@ WRAPS = {
 }
 
 
-_COARSE = "If they are no repetitions, log stamps with more digits; `rate_hz` in the recipe reads evenly spaced rows of a table"
-
-
 @dataclass(frozen=True)
 class ContinuedClock:
     """Stamps (n,) in the order of the file, continued over every step back.
@@ -96,8 +93,7 @@ def continued(stamps: Stamps) -> ContinuedClock:
 
 
 def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine: bool) -> tuple[Stream, ...]:
-    """Streams of one file with a continued ``clock`` (the default one if None); their losses report the changes, and the rows
-    of equal stamps, of which one is kept.
+    """Streams of one file with a continued ``clock`` (the default one if None); their losses report the changes.
 
     The machine's own clock is only unwrapped, because after a reset of it the elapsed time is unknown.
     """
@@ -109,23 +105,13 @@ def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine:
         if stamps is None:
             result.append(stream)
             continue
-        texts = _repeated(stamps, stream.name if len(streams) > 1 else "")
-        if _seldom_back(stamps):
-            found = done.setdefault(stamps.tobytes(), continued(stamps))
-            if found.stamps is not stamps and (not machine or all(found.periods_ns)):
-                stamps, texts = found.stamps, (*texts, *found.texts)
-        losses = tuple(dict.fromkeys((*stream.losses, *texts)))
-        result.append(replace(stream, stamps={**stream.stamps, name: stamps}, losses=losses) if texts else stream)
+        found = done.setdefault(stamps.tobytes(), continued(stamps)) if _seldom_back(stamps) else None
+        if found is None or found.stamps is stamps or (machine and not all(found.periods_ns)):
+            result.append(stream)
+            continue
+        losses = tuple(dict.fromkeys((*stream.losses, *found.texts)))
+        result.append(replace(stream, stamps={**stream.stamps, name: found.stamps}, losses=losses))
     return tuple(result)
-
-
-def _repeated(stamps: Stamps, name: str) -> tuple[str, ...]:
-    """Report of the rows with equal stamps in the stream ``name``."""
-    count = int(np.count_nonzero(stamps[1:] == stamps[:-1]))
-    if not count:
-        return ()
-    where = f"{name}: " if name else ""
-    return (f"{where}{count} of {len(stamps)} rows have the stamp of the row before and are dropped. {_COARSE}",)
 
 
 def _seldom_back(stamps: Stamps) -> bool:

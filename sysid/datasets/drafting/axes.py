@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.draft import words_of
 from sysid.datasets.drafting.fields import MAX_SECONDS, Field
 from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
 from sysid.datasets.quality.responses import speed
+from sysid.datasets.words import words_of
 from sysid.errors import SettingsError, nearest
 from sysid.machine import Axis
 from sysid.names import listed, slug

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.draft import words_of
 from sysid.datasets.layouts import TABLES
 from sysid.datasets.quality.noise import is_still
+from sysid.datasets.words import UNITS, WORDS, said, words_of
 from sysid.logs.confined import read_confined
 from sysid.logs.inspection import FileSummary
+from sysid.logs.labels import without_repeats
 from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import reader_named
 from sysid.logs.stream import Stream
@@ -24,29 +25,8 @@ from sysid.numbers import LARGEST_COUNT
 Array = npt.NDArray[np.float64]
 
 
-def _set(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
-
 #: Of longer recordings the first two hours are enough [s].
 MAX_SECONDS = 7200.0
-#: What a word in the name of a column says about its quantity. An operator's stick is not the command of the axis.
-WORDS: Mapping[str, frozenset[str]] = {
-    "operator": _set("js joy joystick operator pilot"),
-    "command": _set(
-        "cmd command commands commanded setpoint sp duty pwm reference ref goal target desired des ctrl control action input "
-        "valve demand signal"
-    ),
-    "speed": _set("speed speeds velocity velocities vel qd qdot qvel dq omega rpm"),
-    "force": _set("torque torques effort efforts current tau force forces load pressure press"),
-    "measured": _set(
-        "ms meas measured measurement pos position positions present actual act state angle angles joint joints encoder enc q "
-        "qpos theta sensor feedback fb observation reading"
-    ),
-    "cylinder": _set("cyl cylinder stroke wire wires displacement disp extension length len"),
-}
-#: Words that belong to no axis.
-_UNITS = _set("deg degs degree degrees rad rads mm cm m s sec nm n percent pct counts raw")
 
 
 @dataclass(frozen=True)
@@ -106,7 +86,8 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
             several = files_of[recordings[file.path]] > 1
             topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
-            for name, values in stream.columns.items():
+            for name in without_repeats(stream.columns):
+                values = stream.columns[name]
                 known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # overflows
                 found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), known))
                 units.setdefault((topic, name), stream.units.get(name))
@@ -120,8 +101,8 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
 
 def _field(topic: str, name: str, table: bool, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
     words = words_of(re.sub(r"\([^()]*\)|\[[^\[\]\d]*\]", " ", f"{topic} {name}"))
-    says = frozenset(quantity for quantity, known in WORDS.items() if known & {*words})
-    known = frozenset().union(*WORDS.values()) | _UNITS | (shared if len(words) > 1 else frozenset())
+    says = said(words)
+    known = frozenset().union(*WORDS.values()) | UNITS | (shared if len(words) > 1 else frozenset())
     axis = "_".join(word for word in words if word not in known)
     return Field(topic, name, table, unit or _unit_in(name), tuple(series), axis, says)
 

@@ -15,7 +15,7 @@ from sysid.datasets.channels import read_streams
 from sysid.datasets.frames.base_frame import FrameProposal
 from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
-from sysid.datasets.frames.bodies import STILL, stamps_of
+from sysid.datasets.frames.bodies import STILL
 from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
 from sysid.datasets.recipe import FramePose, IngestRecipe, StreamMap, Survey
 from sysid.errors import InputError, SettingsError, nearest
@@ -65,7 +65,7 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
     for name in names:
         if name not in known:
             raise SettingsError(f"{path}: survey", f"no marker {name!r}", nearest(name, known), "Correct the recipe.")
-    origin = min(int(stamps_of(known[name], mapping).min()) for name in names)
+    origin = min(int(known[name].on_clock(mapping.clock).min()) for name in names)
     places = {name: _places(known[name], mapping, survey, origin) for name in names}
     if survey.axis is not None:
         point, direction = axis_line(machine, survey.axis)
@@ -107,7 +107,7 @@ def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey
     """Positions of a marker; of a rigid body, which may be on the axis, also of points :data:`LEVER` along its axes."""
     if not has_rotation(stream):
         return {name: places}
-    stamps = stamps_of(stream, mapping)
+    stamps = stream.on_clock(mapping.clock)
     order, _ = in_order(stamps, f"{stream.source}: {name}")
     poses = body_poses(stream, FramePose())[order][_within(seconds(stamps[order], origin), survey)]
     return {name: places} | {
@@ -125,7 +125,7 @@ def _within(at: Array, survey: Survey) -> npt.NDArray[np.bool_]:
 
 def _places(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> Array:
     """Positions within the seconds of the survey, in order, (n, 3)."""
-    stamps = stamps_of(stream, mapping)
+    stamps = stream.on_clock(mapping.clock)
     order, _ = in_order(stamps, f"{stream.source}: {stream.name}")
     places = marker_places(stream)[order]
     return np.asarray(places[_within(seconds(stamps[order], origin), survey)])
