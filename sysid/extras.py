@@ -18,6 +18,8 @@ EXTRAS: dict[str, str] = {
     "serial": "runner",
     "rosbags": "bags",
     "asammdf": "mf4",
+    "pyulog": "flight",
+    "pymavlink": "flight",
     "pinocchio": "dynamics",
     "mujoco": "mujoco",
     "fmpy": "export",

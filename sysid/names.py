@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -130,3 +130,8 @@ def check_file_name(name: Any, role: str) -> str:
         expected = f"the name of one file: no '/', '\\' or control character, at most {MAX_BYTES} bytes"
         raise SettingsError(role, shown(name), expected)
     return str(name)
+
+
+def uncut_name(name: str, names: Container[str]) -> str:
+    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
+    return name if name in names or "#" not in name else name.rpartition("#")[0]

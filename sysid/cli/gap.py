@@ -161,7 +161,7 @@ def gap(
             out.line()
             out.line("Planned recordings:")
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
-            entry(out, f"{experiment.name}: {experiment.words}", "  ", True)
+            entry(out, f"{experiment.name}: {experiment.words}", "  ")
             out.line(f"    {planned['file']}")
         if result.plant_after:
             show_repair(out, result, dataset, folder, location)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from sysid.gap.result import NearMissResult, WrittenEffect
     from sysid.machine import EffectKey
 
-#: Columns and lines of an entry, unless everything is requested.
-WIDTH, LINES = 80, 2
+#: Columns of a sentence, and names of recordings in one.
+WIDTH, RECORDINGS = 80, 8
 #: Next steps and near misses that are listed, unless everything is requested.
 STEPS, MISSES = 3, 5
 #: Standard deviations between the value of a listed near miss and the simulation.
@@ -55,20 +55,20 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     else:
         out.line(f"A repair (--add) would write {count}:")
     out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
-    entry(out, SHARE, "", True)
+    entry(out, SHARE)
     if links:
-        entry(out, f"{LINKS} {', '.join(links)}.", "", True)
+        entry(out, f"{LINKS} {', '.join(links)}.")
     for effect in result.effects:
         if effect.aliases:
             others = ", ".join(effect_place(name, target, dataset.machine) for name, target in effect.aliases)
             place = effect_place(effect.name, effect.target, dataset.machine)
-            entry(out, f"{place}: {others} in its place changes the recordings in the same way.", "", True)
+            entry(out, f"{place}: {others} in its place changes the recordings in the same way.")
     reasons: dict[str, list[str]] = {}
     for item in shown:
         if item.kind == "adjusted":
             reasons.setdefault(plain_reason(item.why), []).append(effect_place(item.name, item.target, dataset.machine))
     for why, titles in reasons.items():
-        entry(out, f"No name, because {why}: {', '.join(titles)}.", "", True)
+        entry(out, f"No name, because {why}: {', '.join(titles)}.")
 
 
 def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
@@ -88,7 +88,7 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     if rows:
         out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
     if sentence := order_sentence(result.order):
-        entry(out, sentence, "", True)
+        entry(out, sentence)
 
 
 def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
@@ -107,7 +107,7 @@ def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose:
     for miss in shown:
         values = ", ".join(f"{key.replace('_', ' ')} {_miss_text(miss, key, dataset)}" for key in miss.parameters)
         title = effect_place(miss.name, miss.target, dataset.machine)
-        entry(out, f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ", verbose)
+        entry(out, f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ")
     if shown and len(others) > len(shown):
         out.line(f"  ({len(others) - len(shown)} more, less clear: --verbose)")
 
@@ -120,7 +120,7 @@ def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: 
     out.line()
     out.line("Next, the most useful first:" if len(steps) > 1 else "Next:")
     for number, step in enumerate(steps if verbose else steps[:STEPS], 1):
-        entry(out, step, f"  {number}. ", verbose)
+        entry(out, step, f"  {number}. ")
     if not verbose and len(steps) > STEPS:
         out.line(f"  ({len(steps) - STEPS} more: --verbose)")
 
@@ -168,19 +168,10 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     return steps
 
 
-def entry(out: Printer, text: str, bullet: str, whole: bool) -> None:
-    """Text wrapped to :data:`WIDTH` columns, cut after :data:`LINES` lines unless ``whole``."""
-    for line in wrapped(text, bullet, whole):
-        out.line(line)
-
-
-def wrapped(text: str, bullet: str = "", whole: bool = False) -> list[str]:
-    """The lines of :func:`entry`."""
-    limit = None if whole else LINES
-    lines = textwrap.wrap(
-        text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet), max_lines=limit, placeholder=" …"
-    )
-    return [line.rstrip() for line in lines]
+def entry(out: Printer, text: str, bullet: str = "") -> None:
+    """A sentence, wrapped to :data:`WIDTH` columns."""
+    for line in textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet)):
+        out.line(line.rstrip())
 
 
 def plain_reason(why: str) -> str:

@@ -105,7 +105,7 @@ def ingest(
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
     for line in dataset.machine.left_out:
-        entry(out, f"left out of machine.toml: {line}", "", True)
+        entry(out, f"left out of machine.toml: {line}")
     found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")

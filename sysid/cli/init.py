@@ -110,11 +110,11 @@ def init(
     left_out, assumed = ((), ()) if drafted is None else (drafted.left_out, drafted.assumed)
     if drafted is not None:
         count = "1 axis" if len(drafted.axes) == 1 else f"{len(drafted.axes)} axes"
-        entry(out, f"{count}, {listed(drafted.axes)}, to the end effector {drafted.tip}", "", True)
+        entry(out, f"{count}, {listed(drafted.axes)}, to the end effector {drafted.tip}")
     for line in left_out:
-        entry(out, f"left out: {line}", "", True)
+        entry(out, f"left out: {line}")
     for line in assumed:
-        entry(out, f"assumed: {line}", "", True)
+        entry(out, f"assumed: {line}")
     folder = directory / "datasets" / name
     do = "describe" if source is None else "check"
     out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")

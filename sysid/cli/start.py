@@ -149,17 +149,17 @@ def _described(
         found = describe(summaries, folder, name, Answers(given), kind, robot)
     while found.questions and not yes and sys.stdin.isatty():
         for question in found.questions:
-            entry(out, f"{question.why}.", "", True)
+            entry(out, f"{question.why}.")
             choice = click.Choice(question.choices) if question.choices else None
             given[question.key] = click.prompt(question.key, default=question.proposal, type=choice)
         found = describe(summaries, folder, name, Answers(given), kind, robot)
     for axis in found.axes:
         out.line(f"axis  {axis}")
     for line in found.left_out:
-        entry(out, f"left out: {line}", "", True)
+        entry(out, f"left out: {line}")
     for question in found.questions:
         choices = f" ({', '.join(question.choices)})" if question.choices else ""
-        entry(out, f"? {question.why}. Proposed: --set {question.key}={question.proposal}{choices}", "", True)
+        entry(out, f"? {question.why}. Proposed: --set {question.key}={question.proposal}{choices}")
     if found.questions and not yes:
         keys = " ".join(f"--set {q.key}={q.proposal}" for q in found.questions)
         raise SettingsError(f"sysid start {folder}", "open questions", "an answer to each", f"Add {keys}, or --yes.")

@@ -37,6 +37,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
         for recording in dataset.recordings
     ]
     out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    _show_samples(out, dataset)
     for clock in dataset.clocks:
         if clock.applied:
             half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
@@ -49,6 +50,20 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
     for source in dataset.sources:
         for loss in source.losses:
             out.line(f"loss in {source.path}: {loss}")
+
+
+def _show_samples(out: Printer, dataset: Dataset) -> None:
+    """For each signal: samples in the files, those that are used, and why others are not."""
+    from sysid.display import percent
+    from sysid.reports.samples import sample_lines
+
+    rows = [
+        (line.name, line.counts.samples, line.counts.used, percent(line.filled), f"{line.counts.bridged_s:.1f} s", line.lost)
+        for line in sample_lines(dataset)
+    ]
+    if rows:
+        header = ("signal", "samples", "used", "filled", "bridged", "not used")
+        out.table(header, rows, right=(1, 2, 3, 4))
 
 
 def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, float] | None = None) -> None:
@@ -163,6 +178,8 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
+    from sysid.gap.sentences import response_sentences
+    from sysid.names import listed
     from sysid.reports.effect_units import shown_parameters
     from sysid.reports.words import effect_place, effect_sentence
 
@@ -171,19 +188,21 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
         sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
-        gap_tables.entry(out, sentence, "  ", True)
+        gap_tables.entry(out, sentence, "  ")
+    for sentence in response_sentences(result.responses, bool(result.written)):
+        gap_tables.entry(out, sentence, "  ")
     out.line()
     gap_tables.show_written(out, result, dataset)
     gap_tables.show_delays(out, result, dataset)
     for tie in result.ambiguous:
         names = " / ".join(effect_place(name, target, machine) for name, target in tie)
-        gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ", True)
+        gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ")
     for text in gap_tables.unnamed_texts(result, dataset):
-        gap_tables.entry(out, text, "  ", verbose)
+        gap_tables.entry(out, text, "  ")
     show_residual_models(out, result, dataset)
     gap_tables.show_near_misses(out, result, dataset, verbose)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
-    gap_tables.entry(out, f"Held-out recordings: {', '.join(result.held_out_recordings)}", "", verbose)
+    gap_tables.entry(out, f"Held-out recordings: {listed(result.held_out_recordings, gap_tables.RECORDINGS)}.")
     _show_left_out(out, result, dataset)
     gap_tables.show_next_steps(out, result, dataset, verbose)
 
@@ -195,7 +214,7 @@ def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
 
     sentence = left_out_sentence(dataset.machine.left_out)
     if sentence in result.notes:
-        gap_tables.entry(out, sentence, "", True)
+        gap_tables.entry(out, sentence)
 
 
 def show_missing(out: Printer, result: GapResult) -> None:
@@ -204,7 +223,7 @@ def show_missing(out: Printer, result: GapResult) -> None:
     from sysid.gap.sentences import missing_sentences
 
     for sentence in missing_sentences(result.missing):
-        gap_tables.entry(out, sentence, "", True)
+        gap_tables.entry(out, sentence)
 
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -18,22 +18,43 @@ from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
-from sysid.scratch import computed
+from sysid.scratch import chosen, computed
 from sysid.signals import split_signal
 from sysid.units import si_factor
 
 
 @dataclass(frozen=True)
+class RowCounts:
+    """What became of the rows of a field; the samples of its channel are what is left.
+
+    Args:
+        rows: of the stream in the file; of motion capture, its frames.
+        empty: without a value of this field.
+        overflows: beyond :data:`sysid.numbers.LARGEST_COUNT`.
+        repeated: with stamp and value of another row.
+        conflicting: with the stamp of another row, and another value; the first one is kept.
+        late: out of order, sorted.
+    """
+
+    rows: int = 0
+    empty: int = 0
+    overflows: int = 0
+    repeated: int = 0
+    conflicting: int = 0
+    late: int = 0
+
+
+@dataclass(frozen=True)
 class Channel:
-    """Values of one signal with their own stamps.
+    """Samples of one signal with their own stamps: rows of the file without a value of the signal are none.
 
     Args:
         signal: canonical name.
         source: file name in the recording's folder; with ``domain`` it says which clock the stamps are on.
         stamps: int64 nanoseconds, strictly increasing, (n,).
-        values: SI, NaN where the source had none, (n,).
+        values: SI, (n,); of motion capture NaN in frames without the body.
         unit: their SI unit.
-        repaired: number of rows that were out of order or duplicate and have been sorted or dropped.
+        counts: what became of the rows of the file.
         flags: faults found while reading; their seconds count from the first stamp.
         modulus: up to multiples of it the values are known, in ``unit``; None: they did not wrap.
     """
@@ -47,7 +68,7 @@ class Channel:
     primary: bool = True
     interpolation: Literal["linear", "cubic"] = "linear"
     max_gap_s: float | None = None
-    repaired: int = 0
+    counts: RowCounts = field(default_factory=RowCounts)
     flags: tuple[Flag, ...] = ()
     modulus: float | None = None
 
@@ -58,8 +79,9 @@ class Channel:
 
     @functools.cached_property
     def period_s(self) -> float:
-        """Median time between two samples [s]; NaN with fewer than two."""
-        return median_step(self.stamps) * 1e-9 if len(self.stamps) > 1 else float("nan")
+        """Median time between two samples with a value [s]; NaN with fewer than two."""
+        stamps = chosen(self.stamps, ~np.isnan(self.values))
+        return median_step(stamps) * 1e-9 if len(stamps) > 1 else float("nan")
 
 
 @dataclass(frozen=True)
@@ -70,12 +92,14 @@ class Converted:
         values: (n,), NaN where the source had none or an overflow.
         per_raw: change of the SI value per raw one.
         overflows: number of values beyond :data:`sysid.numbers.LARGEST_COUNT`.
+        missing: number of values that the recipe states to be none.
     """
 
     values: npt.NDArray[np.float64]
     unit: str
     per_raw: float
     overflows: int
+    missing: int
 
 
 def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> Converted:
@@ -95,7 +119,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         raise InputError(where, f"the file states [{stated}]", expected, "Correct `unit` in the recipe.")
     factor, unit = _unit(mapping.unit or (None if rescaled else stated), signal, machine, where)
     raw = stream.columns[mapping.field]
-    overflows = 0
+    overflows = missing = 0
 
     def piece(first: int, last: int) -> npt.NDArray[np.float64]:
         values = raw[first:last] - mapping.zero
@@ -103,6 +127,11 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
         values /= mapping.span
         values *= factor
         values += mapping.offset
+        for number in mapping.missing:
+            none = np.isclose(raw[first:last], number, rtol=1e-6, atol=0.0)  # of a float of 32 bits, too
+            nonlocal missing
+            missing += int(np.count_nonzero(none))
+            values[none] = np.nan
         beyond = np.abs(values) > LARGEST_COUNT
         if beyond.any():
             nonlocal overflows
@@ -113,7 +142,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     values = computed(len(raw), piece)
     if len(raw) and np.isnan(values).all():
         raise InputError(where, f"field {mapping.field!r} has no number", "measured values", "Correct the recipe's field.")
-    return Converted(values, unit, mapping.sign * mapping.scale / mapping.span * factor, overflows)
+    return Converted(values, unit, mapping.sign * mapping.scale / mapping.span * factor, overflows, missing)
 
 
 #: Units of signals of an axis for which the machine description leaves rotation or translation open.
@@ -154,7 +183,7 @@ MAX_BACKWARD_SHARE, MAX_BACKWARD_S = 0.01, 1.0
 
 
 def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.intp], int]:
-    """Rows in the order of their stamps without duplicates, and the number of rows out of order or duplicate.
+    """Rows in the order of their stamps, of those with one stamp the first, and the number of rows out of order.
 
     Raises:
         InputError: too many steps back in time, or too large ones, for late messages; the clock was set back.
@@ -176,4 +205,24 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
     order = np.argsort(stamps, kind="stable")
     keep = np.ones(len(order), dtype=bool)
     keep[1:] = np.diff(stamps[order]) > 0
-    return order[keep], int(len(back) + np.count_nonzero(~keep))
+    return order[keep], len(back)
+
+
+def counts_of(
+    stamps: npt.NDArray[np.int64], values: npt.NDArray[np.float64], order: npt.NDArray[np.intp], late: int
+) -> RowCounts:
+    """Rows of which :func:`in_order` keeps ``order``.
+
+    Args:
+        stamps: (n,); ``values``: (n, ...).
+        late: rows out of order.
+    """
+    if len(order) == len(stamps):
+        return RowCounts(rows=len(stamps), late=late)
+    left = np.ones(len(stamps), dtype=bool)
+    left[order] = False
+    dropped = np.flatnonzero(left)
+    own, kept = values[dropped], values[order[np.searchsorted(stamps[order], stamps[dropped])]]
+    equal = ((own == kept) | (np.isnan(own) & np.isnan(kept))).reshape(len(dropped), -1).all(axis=1)
+    repeated = int(np.count_nonzero(equal))
+    return RowCounts(rows=len(stamps), repeated=repeated, conflicting=len(dropped) - repeated, late=late)

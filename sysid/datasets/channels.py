@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, Converted, convert, in_order
+from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.sentinel import ends_of, sentinels
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
 from sysid.datasets.frames.marker_sets import with_marker_sets
@@ -27,6 +29,7 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.confined import read_confined
 from sysid.logs.rosbag import bag_of
+from sysid.logs.table import no_numbers
 from sysid.machine import Machine
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
@@ -117,9 +120,11 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         is_part = parts[id(mapping)] > 1
         streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz, is_part=is_part)
         done(1.0, f"reading {path.name}")
-        lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
+        if mapping is None:
+            streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
+        said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
         absent = _absent(streams, mapping) if mapping is not None and is_part else {}
-        losses[path.name] = tuple(dict.fromkeys((*lost, *absent.values())))
+        losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said, *absent.values())))
         own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
         channels += [channel for channel, _ in own]
         losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
@@ -178,7 +183,7 @@ def _captured(
             primary=item.signal not in mapping.secondary,
             interpolation=mapping.interpolation,
             max_gap_s=mapping.max_gap_s,
-            repaired=item.repaired,
+            counts=replace(item.counts, empty=int(np.count_nonzero(np.isnan(item.values)))),
             flags=item.flags,
         )
         for item in signals
@@ -282,27 +287,42 @@ def _channel(
     path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
 ) -> tuple[Channel, str]:
     converted = convert(stream, entry, signal, machine)
-    values = converted.values
-    stamps = stream.on_clock(mapping.clock)
-    order, repaired = in_order(stamps, f"{path}: {stream.name}")
+    every = stream.on_clock(mapping.clock)  # shared by all signals of a stream
+    stamps, values = every, converted.values
+    there = masked(len(values), lambda first, last: ~np.isnan(values[first:last]))
+    if not there.all():  # a row without a value is no sample: each signal has its own rate and its own gaps
+        stamps, values = scratch.chosen(stamps, there), scratch.chosen(values, there)
+    order, late = in_order(stamps, f"{path}: {stream.name}")
+    counts = counts_of(stamps, values, order, late)
+    repaired = late + len(stamps) - len(order)
     if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
-        found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
+        found = f"{len(stamps)} sample{'s' if len(stamps) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
     channel = Channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stamps[order] if repaired else stamps,  # shared by all signals of a stream
+        stamps=stamps[order] if repaired else stamps,
         values=values[order] if repaired else values,
         unit=converted.unit,
         primary=primary,
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
-        repaired=repaired,
-        flags=tuple(repaired_stamps(signal, stamps)) if repaired else (),
+        counts=replace(
+            counts, rows=len(stream), empty=len(stream) - len(stamps) - converted.overflows, overflows=converted.overflows
+        ),
+        flags=(
+            *sentinels(signal, stream.columns[entry.field], converted.values, every, ends_of(signal, machine)),
+            *(repaired_stamps(signal, stamps) if repaired else ()),
+        ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_overflows(signal, converted), undone)))
+    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
+
+
+def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
+    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
 
 
 def _overflows(signal: str, converted: Converted) -> str:
@@ -315,6 +335,9 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
     domain = (bag_of(path) or path).stem
     channels = []
     for stream in streams:
+        for column, reason in stream.unread.items():
+            if column in machine.signals:
+                raise no_numbers(path, column, reason)
         for column in stream.columns:
             if column not in machine.signals:
                 raise InputError(
@@ -327,6 +350,10 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels
+
+
+def _have_commands(streams: Sequence[Stream]) -> bool:
+    return any(column.endswith(".command") for stream in streams for column in stream.columns)
 
 
 def _one_clock(channels: Sequence[Channel]) -> list[Channel]:
@@ -369,5 +396,4 @@ def concatenate(parts: Sequence[Channel]) -> Channel:
         parts[0],
         stamps=np.concatenate([part.stamps for part in parts], out=scratch.empty(rows, np.int64)),
         values=np.concatenate([part.values for part in parts], out=scratch.empty(rows)),
-        repaired=sum(part.repaired for part in parts),
     )

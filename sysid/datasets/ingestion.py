@@ -20,7 +20,7 @@ from sysid.datasets.quality import describe
 from sysid.datasets.rates import command_notes, rate_notes
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
-from sysid.datasets.splits import split
+from sysid.datasets.splits import copy_notes, split
 from sysid.datasets.tasks.driver import TaskIngest
 from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import PartRecord, digest_of
@@ -195,7 +195,7 @@ def read_and_align(
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     rates = rate_notes(found, readings, plan.machine.rate_hz)
     rates = rates or command_notes(readings, plan.machine.rate_hz)  # the rate of a wrong unit says nothing
-    notes = notes_of(found, plan, mounts, rates, alignment.refused)
+    notes = (*notes_of(found, plan, mounts, rates, alignment.refused), *copy_notes(recordings))
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 

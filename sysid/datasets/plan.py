@@ -16,7 +16,7 @@ from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
 
 #: Part of every digest; to be increased when the same logs give another table.
-INGEST_VERSION = 5
+INGEST_VERSION = 6
 
 
 @dataclass(frozen=True)

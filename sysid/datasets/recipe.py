@@ -31,6 +31,7 @@ class SignalMap(Strict):
         offset: added at the end, in SI.
         modulus: period of the raw values where they wrap, e.g. 360, or 65536 for a counter of 16 bits; None: found from their
             steps; 0: they do not wrap.
+        missing: raw values that stand for "no value", e.g. -9999.
         primary: False for a second source, which is used to align clocks and for checks, but is not in the dataset's tables.
     """
 
@@ -43,6 +44,7 @@ class SignalMap(Strict):
     offset: Finite = 0.0
     sign: Literal[1, -1] = 1
     modulus: NonNegative | None = None
+    missing: tuple[Finite, ...] = ()
     primary: bool = True
 
 

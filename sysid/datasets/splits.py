@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import copied, deviation, known, stretches
+from sysid.datasets.chunked import copied, deviation, known, masked, stretches
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.datasets.roles.assign import Assignment
@@ -24,6 +24,64 @@ from sysid.scratch import computed, filled, pieces
 #: From this length on a recording is cut into two pairs of fit and select blocks, so that both contain early and late
 #: conditions [s].
 LONG_S = 60.0
+
+
+#: Nothing is measured for longer than this [s]: a pause, at which a recording that is cut is cut as well.
+PAUSE_S = 1.0
+#: Rows of a recording by which candidates for a copy are found.
+_COMPARED = 64
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The rows of a recording without its pauses, counted through: stretches of rows ``first`` … ``last`` − 1, each (k,)."""
+
+    first: npt.NDArray[np.intp]
+    last: npt.NDArray[np.intp]
+    rate_hz: float
+
+    @classmethod
+    def of(cls, recording: Recording) -> Measured:
+        """Computed once for a recording."""
+        if "measured rows" not in recording.derived:
+            columns = [recording.values(signal) for signal in recording.signals]
+            there = masked(len(recording), lambda a, b: ~np.all([np.isnan(values[a:b]) for values in columns], axis=0))
+            first, last = stretches(there) if columns else (np.empty(0, np.intp), np.empty(0, np.intp))
+            apart = first[1:] - last[:-1] > PAUSE_S * recording.rate_hz
+            keep = np.concatenate([[True], apart]), np.concatenate([apart, [True]])
+            ends = (first[keep[0]], last[keep[1]]) if len(first) else (first, last)
+            recording.derived["measured rows"] = cls(ends[0], ends[1], recording.rate_hz)
+        found: Measured = recording.derived["measured rows"]
+        return found
+
+    def __len__(self) -> int:
+        return int((self.last - self.first).sum())
+
+    @property
+    def seconds(self) -> float:
+        return len(self) / self.rate_hz
+
+    @property
+    def pauses(self) -> npt.NDArray[np.intp]:
+        """Numbers of the measured rows that follow a pause."""
+        return np.cumsum(self.last - self.first)[:-1]
+
+    def rows(self, numbers: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Rows of the recording; the number after the last one is the row after it."""
+        starts = np.concatenate([[0], self.pauses])
+        stretch = np.searchsorted(starts, numbers, side="right") - 1
+        result: npt.NDArray[np.intp] = self.first[stretch] + numbers - starts[stretch]
+        return result
+
+    def between(self, begin: int, end: int) -> list[tuple[int, int]]:
+        """First row and last + 1 of each stretch of the measured rows ``begin`` … ``end`` − 1."""
+        starts = np.concatenate([[0], self.pauses, [len(self)]])
+        found = []
+        for number, row in enumerate(self.first.tolist()):
+            a, b = max(begin, int(starts[number])), min(end, int(starts[number + 1]))
+            if a < b:
+                found.append((row + a - int(starts[number]), row + b - int(starts[number])))
+        return found
 
 
 @dataclass(frozen=True)
@@ -42,14 +100,15 @@ def split(
     Roles named in the recipe come first. The rest is assigned in order: with three open roles and at least three recordings
     about 50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles each is cut into blocks.
     Where some role then lacks motion of an axis that another assignment gives it, that one is used
-    (:mod:`sysid.datasets.roles.assign`). A recording that is too short to be cut is for the fit.
+    (:mod:`sysid.datasets.roles.assign`). A recording that is too short to be cut is for the fit. A copy of another recording
+    has no role.
 
     Args:
         machine: its axes; without it the order alone decides.
 
     Raises:
         InputError: a recording of ``held_out_last`` is too short to be cut.
-        SettingsError: the recipe names a recording that does not exist, or gives one recording two roles.
+        SettingsError: the recipe names a recording that does not exist, or gives one recording, or a copy of it, two roles.
     """
     motion = [recording for recording in recordings if recording.kind == "motion"]
     roles = _named_roles([r.name for r in recordings], splits, where)
@@ -58,7 +117,13 @@ def split(
             raise SettingsError(f"{where}: held_out_last", f"no recording {name!r}", nearest(name, [r.name for r in motion]))
         if name in roles:
             raise SettingsError(f"{where}: held_out_last", f"{name!r} is {roles[name]} as well", "one role a recording")
-    free = [r for r in motion if r.name not in roles and r.name not in splits.held_out_last]
+    copies = copies_of(motion)
+    for copy, original in copies.items():
+        if roles.get(copy, roles.get(original)) != roles.get(original):
+            found = f"{copy!r} is {roles[copy]} and has the samples of {original!r}"
+            expected = f"one role for the same samples, {roles[original]}" if original in roles else f"a role of {original!r}"
+            raise SettingsError(f"{where}: splits", found, expected, f"Leave {copy!r} out of [splits].")
+    free = [r for r in motion if r.name not in roles and r.name not in splits.held_out_last and r.name not in copies]
     given = set(roles.values()) | (set(ROLES) if splits.held_out_last else set())
     open_roles: list[Role] = [role for role in ROLES if role not in given]
     blocks: dict[str, tuple[SplitBlock, ...]] = {}
@@ -70,7 +135,7 @@ def split(
         roles |= whole
     for name, share in splits.held_out_last.items():
         recording = next(r for r in motion if r.name == name)
-        earlier = block_pattern(["fit", "select"], (1.0 - share) * len(recording) / recording.rate_hz)
+        earlier = block_pattern(["fit", "select"], (1.0 - share) * Measured.of(recording).seconds)
         blocks[name] = (*(SplitBlock(b.role, b.share * (1.0 - share)) for b in earlier), SplitBlock("held_out", share))
     result: list[Recording] = []
     for recording in recordings:
@@ -83,12 +148,48 @@ def split(
     return tuple(result), roles
 
 
+def copies_of(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Recording of motion → an earlier one with the same samples in every signal; without measured motion it is none."""
+    seen: dict[object, list[Recording]] = {}
+    found: dict[str, str] = {}
+    for recording in recordings:
+        measured = [recording.values(signal) for signal in recording.signals if not signal.endswith(".command")]
+        if recording.kind != "motion" or not any(map(_varies, measured)):
+            continue
+        step = max(len(recording) // _COMPARED, 1)
+        some = tuple(values[::step].tobytes() for values in measured)
+        alike = seen.setdefault((len(recording), recording.signals, some), [])
+        for other in alike:
+            if all(_equal(recording.values(signal), other.values(signal)) for signal in recording.signals):
+                found[recording.name] = other.name
+                break
+        else:
+            alike.append(recording)
+    return found
+
+
+def copy_notes(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """A note on each copy."""
+    return tuple(
+        f"{copy} has the same samples as {original}: a copy gets no role" for copy, original in copies_of(recordings).items()
+    )
+
+
+def _varies(values: npt.NDArray[np.float64]) -> bool:
+    there = known(values)
+    return len(there) > 0 and bool(there.min() < there.max())
+
+
+def _equal(one: npt.NDArray[np.float64], other: npt.NDArray[np.float64]) -> bool:
+    return all(np.array_equal(one[a:b], other[a:b], equal_nan=True) for a, b in pieces(len(one)))
+
+
 def _assigned(
     recordings: Sequence[Recording], roles: list[Role], guard_s: float, table: MotionTable | None
 ) -> tuple[dict[str, Role], dict[str, tuple[SplitBlock, ...]]]:
     """Roles of whole recordings, and the blocks of those that are cut."""
     names = [r.name for r in recordings]
-    patterns = [block_pattern(roles, len(r) / r.rate_hz) for r in recordings]
+    patterns = [block_pattern(roles, Measured.of(r).seconds) for r in recordings]
     long = [can_be_cut(r, pattern, guard_s) for r, pattern in zip(recordings, patterns, strict=True)]
     if len(names) >= len(roles):
         shared = _share_out(names, roles)
@@ -124,12 +225,13 @@ def assignment_of(
         amounts[:, k, k], seconds[:, k, k] = every, [m.seconds for m in motion]
     for row, (recording, pattern) in enumerate(zip(recordings, patterns, strict=True)):
         allowed[row, -1] = bool(pattern)
-        guard, begin = guard_s * recording.rate_hz, 0.0
+        guard, begin, measured = guard_s * recording.rate_hz, 0.0, Measured.of(recording)
         for number, block in enumerate(pattern):
-            end = begin + block.share * len(recording)
+            end = begin + block.share * len(measured)
             last = end if number == len(pattern) - 1 else end - guard
             k = list(roles).index(block.role)
-            amounts[row, -1, k] += motion[row].amounts(round(begin), round(last))
+            for stretch in measured.between(round(begin), round(last)):
+                amounts[row, -1, k] += motion[row].amounts(*stretch)
             seconds[row, -1, k] += max(last - begin, 0.0) / recording.rate_hz
             begin = end
     needs = RoleNeeds.of(roles, every.sum(axis=0))
@@ -193,19 +295,21 @@ def block_pattern(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
 
 def can_be_cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float) -> bool:
     """Whether every block has at least :data:`MIN_ROLE_S` beside the guards."""
-    return len(recording) >= least_cut_s(len(blocks), guard_s) * recording.rate_hz
+    return Measured.of(recording).seconds >= least_cut_s(len(blocks), guard_s)
 
 
 def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
-    """``recording`` as ``name#1``, ``name#2`` …; each begins at the least motion nearby, behind the guard.
+    """``recording`` as ``name#1``, ``name#2`` …; each begins behind a pause or at the least motion nearby, behind the guard.
 
-    A free run of a block begins with an estimated state, which rest determines best.
+    A free run of a block begins with an estimated state, which rest determines best. No block contains a pause
+    (:data:`PAUSE_S`): one that would is two of the same role.
 
     Raises:
         InputError: the recording is too short to be cut.
     """
     guard = round(guard_s * recording.rate_hz)
-    rows = len(recording)
+    measured = Measured.of(recording)
+    rows, pauses = len(measured), measured.pauses
     if not can_be_cut(recording, blocks, guard_s):
         raise InputError(
             f"{where}: recording {recording.name!r}",
@@ -223,12 +327,17 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
         reach = int(0.15 * shortest * rows)
         fits = edges[-1] + least, rows - (len(blocks) - number) * least
         low, high = (int(np.clip(round(total * rows) + away, *fits)) for away in (-reach, reach))
-        edges.append(low + int(np.argmin(motion[low : high + 1])))
+        near = pauses[(pauses >= low) & (pauses <= high)]
+        if len(near):
+            edges.append(int(near[np.argmin(np.abs(near - total * rows))]))
+        else:
+            edges.append(low + int(np.argmin(motion[measured.rows(np.arange(low, high + 1))])))
     edges.append(rows)
-    parts = []
-    for number, (block, first, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):
-        last = end if number == len(blocks) else end - guard
-        parts.append((rows_of(recording, f"{recording.name}#{number}", first, last), block.role))
+    parts: list[tuple[Recording, Role]] = []
+    for block, begin, end in zip(blocks, edges[:-1], edges[1:], strict=True):
+        last = end if end == rows or end in pauses else end - guard
+        for first, behind in measured.between(begin, last):
+            parts.append((rows_of(recording, f"{recording.name}#{len(parts) + 1}", first, behind), block.role))
     return parts
 
 

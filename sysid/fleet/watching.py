@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from sysid.config import Strict, parse_settings
 from sysid.datasets.recording import Recording
-from sysid.datasets.versions.manifest import Manifest, contents_of, uncut_name
+from sysid.datasets.versions.manifest import Manifest, contents_of
 from sysid.errors import SettingsError, StoreError
 from sysid.files import json_text, write_durably
 from sysid.fleet.arrivals import QUIET_S, Arrivals, SeenLogs, take_in
@@ -28,7 +28,7 @@ from sysid.fleet.machines import exact_references
 from sysid.fleet.names import name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
 from sysid.foreign import MAX_NAME, visible
-from sysid.names import check_dataset_name
+from sysid.names import check_dataset_name, uncut_name
 from sysid.numbers import NonNegative
 from sysid.parse import parse_json
 from sysid.progress import Progress, part, silent

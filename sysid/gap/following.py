@@ -113,6 +113,7 @@ class Following:
         self.proof = steps.measure(self.study, self.proof.outcome)
         proof, verdict = self.proof, self.verdict
         fields = {"gap": proof.gap, "stage_gap": proof.stage_gap, "traces": proof.traces, "agreement": proof.agreement}
+        fields |= {"responses": proof.responses}
         known = {split_signal(item.target)[0] or item.target for item in proof.outcome.unnamed}
         runs = _unnamed_runs(proof.agreement, known) if verdict == "unnamed" and not self.above else ()
         return {**fields, "verdict": verdict, "unnamed": (*proof.outcome.unnamed, *runs)}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
+from sysid.gap.response_difference import ResponseDifference
 from sysid.gap.statement import Agreement, Verdict, headline
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import Convention
@@ -432,7 +433,8 @@ class GapResult:
     named ones first; ``near_misses`` those that lack one condition for a name.
     ``delays`` has the axes of which a dead time or a lag is known, ``forces`` the force axes that were compared.
     ``missing`` are parts that could not be computed; their fields are empty. ``order`` is None where nothing depends on it.
-    ``agreement`` has every signal on held-out recordings; verdict and ``headline`` follow from it.
+    ``agreement`` has every signal on held-out recordings; verdict and ``headline`` follow from it. ``responses`` are figures
+    that held-out recordings show without a model, where the repaired simulation differs.
     """
 
     dataset: str
@@ -467,6 +469,7 @@ class GapResult:
     missing: tuple[Missing, ...] = ()
     order: CommandOrder | None = None
     agreement: tuple[Agreement, ...] = ()
+    responses: tuple[ResponseDifference, ...] = ()
 
     @property
     def headline(self) -> str:
@@ -503,6 +506,7 @@ class GapResult:
             "gap": asdict(self.gap),
             "stage_gap": asdict(self.stage_gap),
             "agreement": [asdict(item) for item in self.agreement],
+            "responses": [asdict(item) for item in self.responses],
             "floor_source": {item.signal: item.floor_source for item in self.agreement},
             "excitation": [asdict(item) for item in self.excitation],
             "held_out_recordings": list(self.held_out_recordings),

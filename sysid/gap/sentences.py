@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sysid.display import quantity
+from sysid.display import interval, quantity
 
 if TYPE_CHECKING:
+    from sysid.gap.response_difference import ResponseDifference
     from sysid.gap.result import CommandOrder, Missing
 
 
@@ -41,3 +43,29 @@ def order_sentence(order: CommandOrder | None) -> str:
         "named one may be one row longer. If you know the order, state it in machine.toml: "
         f'convention = "{order.convention}".'
     )
+
+
+def response_sentences(differences: Sequence[ResponseDifference], repaired: bool) -> list[str]:
+    """What the recordings show without a model and the simulation does not, one sentence an axis."""
+    whose = "the repaired simulation" if repaired else "the simulation"
+    by_axis: dict[str, list[str]] = {}
+    for item in differences:
+        by_axis.setdefault(item.axis, []).append(_response_text(item))
+    return [f"Without a model {axis} differs from {whose}: {'; '.join(texts)}." for axis, texts in by_axis.items()]
+
+
+def _response_text(item: ResponseDifference) -> str:
+    recorded, simulated = (_range_text(item, values) for values in (item.recorded, item.simulated))
+    if item.quantity == "delay":
+        return f"it follows its command after {recorded}, simulated {simulated}"
+    if item.quantity == "begins":
+        return f"{item.side} commands move it {recorded}, simulated {simulated}"
+    return f"its speed at full {item.side} command is {recorded}, simulated {simulated}"
+
+
+def _range_text(item: ResponseDifference, values: tuple[float, float]) -> str:
+    if item.quantity == "begins":
+        if math.isnan(values[1]):
+            return f"not at all up to {values[0]:.2g}"
+        return f"from less than {values[1]:.2g}" if values[0] == 0.0 else f"from {values[0]:.2g} to {values[1]:.2g}"
+    return quantity(values[0], item.unit) if values[0] == values[1] else interval(*values, item.unit)

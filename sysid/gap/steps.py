@@ -30,6 +30,7 @@ from sysid.gap.held_out import held_out_error
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
+from sysid.gap.response_difference import ResponseDifference, response_differences
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.servo.advice import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
@@ -83,6 +84,7 @@ class Proof:
         stage_gap: the same with each stage driven by its measured input.
         traces: measured, before and after for each held-out recording.
         agreement: of every signal, where it is the least.
+        responses: figures of the recordings that the repaired simulation does not show.
         world: the gap in the PyBullet world, if requested.
     """
 
@@ -91,6 +93,7 @@ class Proof:
     stage_gap: Gap
     traces: tuple[Traces, ...]
     agreement: tuple[Agreement, ...] = ()
+    responses: tuple[ResponseDifference, ...] = ()
     world: WorldGap | None = None
 
 
@@ -192,7 +195,8 @@ def measure(study: Study, outcome: ProofOutcome) -> Proof:
     after = [better(r) for r in held_out]
     pairs = [list(zip(held_out, runs, strict=True)) for runs in (before, after)]
     scores = [disagreement.run_rmse(runs) for runs in pairs]
-    forces = [axis_signal(axis.name, "command") for axis in case.plant.machine.axes if axis.actuation == "force"]
+    machine = case.plant.machine
+    forces = [axis_signal(axis.name, "command") for axis in machine.axes if axis.actuation == "force"]
     whole, floors = run_floors(better, pairs[1], case.noise, case.seed, forces)
     scores.append(whole)
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
@@ -204,7 +208,9 @@ def measure(study: Study, outcome: ProofOutcome) -> Proof:
     free = _with_forces(free, by_stage)
     each = ([disagreement.run_rmse([run]) for run in runs] for runs in pairs)
     runs = list(zip((r.name for r in held_out), *each, floors, strict=True))
-    return Proof(outcome, free, by_stage, traces, agreement(case, free, held_out_of(case), runs))
+    moving = [(r, run) for r, run in pairs[1] if r.kind == "motion"]
+    differences = response_differences([r for r, _ in moving], [run for _, run in moving], machine, case.dataset.units)
+    return Proof(outcome, free, by_stage, traces, agreement(case, free, held_out_of(case), runs), differences)
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:

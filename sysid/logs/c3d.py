@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.logs.c3d_file import C3dFile, read_c3d
-from sysid.logs.capture import length_factor
+from sysid.logs.capture import length_factor, without_lost
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -54,7 +54,7 @@ class C3dReader:
             streams.append(Stream(name, path, stamps, columns, units, losses, kind=kind))
         if trial.analog.size and options.wants(ANALOG):
             streams.append(_analog(path, trial, losses))
-        return tuple(streams)
+        return without_lost(path, streams)
 
 
 def _analog(path: Path, trial: C3dFile, losses: tuple[str, ...]) -> Stream:
@@ -90,12 +90,10 @@ def _model_outputs(trial: C3dFile) -> dict[str, str]:
 
 
 def _losses(path: Path, trial: C3dFile) -> tuple[str, ...]:
-    losses = []
+    losses = [f"{path.name}: {note}" for note in trial.notes]
     frames = len(trial.points)
     if frames < trial.stated:
         losses.append(f"{path.name}: the file is cut off: {frames} of {trial.stated} frames are there")
-    if trial.zeros:
-        losses.append(f"{path.name}: {trial.zeros} points exactly in the origin are treated as not visible")
     rotations = trial.parameters.get("ROTATION:USED")
     if isinstance(rotations, np.ndarray) and rotations.any():
         losses.append(f"{path.name}: rotation matrices (ROTATION) are not read")

@@ -38,19 +38,19 @@ class C3dFile:
     Args:
         rate: frames per second [Hz]; ``first`` is the number of the first one, counted from 0.
         points: (n, p, 3) in the file's units, NaN where a point is not visible.
-        zeros: number of points exactly in the origin that are not marked as missing.
         analog: (n·k, c) scaled to the file's units, k samples a frame.
         parameters: ``GROUP:NAME`` → numbers, or tuple of texts.
         stated: number of frames in the header; ``points`` has fewer where the file is cut off.
+        notes: parameters that contradict the header, and which value counts.
     """
 
     rate: float
     first: int
     points: Array
-    zeros: int
     analog: Array
     parameters: Mapping[str, Any]
     stated: int
+    notes: tuple[str, ...] = ()
 
     def texts(self, name: str) -> tuple[str, ...]:
         """A text parameter with its continuations (``LABELS``, ``LABELS2`` …); empty where there is none."""
@@ -171,12 +171,12 @@ def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, A
     samples = int(words[9])
     header_scale, header_rate = float(coding.floats(data[12:16])[0]), float(coding.floats(data[20:24])[0])
     points = _unsigned(_first(parameters, "POINT:USED", points))
-    scale = _first(parameters, "POINT:SCALE", header_scale)
-    rate = _first(parameters, "POINT:RATE", header_rate)
+    scale, scale_note = _or_header(parameters, "POINT:SCALE", header_scale)
+    rate, rate_note = _or_header(parameters, "POINT:RATE", header_rate)
     if not (np.isfinite(rate) and rate > 0.0):
         raise InputError(path, f"a rate of {rate} frames a second", "more than zero", "The file is damaged.")
-    if not np.isfinite(scale):
-        raise InputError(path, f"a scale of {scale}", "a number", "The file is damaged.")
+    if not np.isfinite(scale) or scale == 0.0:
+        raise InputError(path, f"a scale of {scale}", "a number other than zero", "The file is damaged.")
     channels = _unsigned(_first(parameters, "ANALOG:USED", analog_words / samples if samples else 0))
     if channels * samples != analog_words:
         found = f"{channels} channels of {samples} samples a frame but {analog_words} in the header"
@@ -201,12 +201,11 @@ def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, A
     with np.errstate(all="ignore"):  # damaged floats
         where = np.array(seen[:, :, :3], dtype=np.float64) * (1.0 if scale < 0.0 else scale)
     missing = (seen[:, :, 3] < 0) | ~np.isfinite(where).all(axis=2)
-    zero = ~missing & (where == 0.0).all(axis=2)
-    where[missing | zero] = np.nan
+    where[missing] = np.nan
     with np.errstate(all="ignore"):
         raw = np.array(table[:, 4 * points :], dtype=np.float64).reshape(count * samples, channels)
         analog = _scaled(raw, channels, parameters)
-    return C3dFile(rate, first, where, int(zero.sum()), analog, parameters, stated)
+    return C3dFile(rate, first, where, analog, parameters, stated, (*rate_note, *scale_note))
 
 
 def _range(parameters: Mapping[str, Any], first: int, last: int, available: int) -> tuple[int, int]:
@@ -250,6 +249,21 @@ def _each(parameters: Mapping[str, Any], name: str, count: int, default: float) 
 def _first(parameters: Mapping[str, Any], name: str, default: float) -> float:
     value = parameters.get(name)
     return float(value[0]) if isinstance(value, np.ndarray) and len(value) else float(default)
+
+
+def _or_header(parameters: Mapping[str, Any], name: str, header: float) -> tuple[float, tuple[str, ...]]:
+    """A parameter, or the header's value where it is missing or zero, and a note where both are stated and differ.
+
+    Scales are compared by their sign only, which is the storage: of floats the size of the scale is not used.
+    """
+    value = _first(parameters, name, 0.0)
+    if value == 0.0:
+        stated = isinstance(parameters.get(name), np.ndarray)
+        return header, (f"{name} is 0: {header:g} of the header is used",) if stated and header != 0.0 else ()
+    same = value * header > 0.0 if name.endswith("SCALE") else abs(value - header) <= 1e-4 * abs(value)
+    return value, () if same or header == 0.0 else (
+        f"{name} is {value:g}, the header states {header:g}: the parameter is used",
+    )
 
 
 def _unsigned(value: float) -> int:

@@ -56,16 +56,17 @@ def load_database(path: Path) -> Database:
 
 def decode(message: Message, frames: Frames) -> dict[str, Array]:
     """Signal → values (n,); NaN in frames that are too short or in which the multiplexer selects another signal."""
-    if message.is_container or any(not _is_plain(signal) for signal in message.signals):
+    if message.is_container or any(not is_plain(signal) for signal in message.signals):
         return _decode_each(message, frames)
-    raws = {signal.name: _raw(signal, frames) for signal in message.signals}
+    raws = {signal.name: raw_values(signal, frames) for signal in message.signals}
     return {
         signal.name: np.where(_present(signal, message, frames, raws), _scaled(signal, raws[signal.name]), np.nan)
         for signal in message.signals
     }
 
 
-def _is_plain(signal: Signal) -> bool:
+def is_plain(signal: Signal) -> bool:
+    """Whether NumPy extracts a signal: a float of 16, 32 or 64 bits, or an integer of up to 64."""
     return signal.length in _FLOATS if signal.conversion.is_float else 1 <= signal.length <= 64
 
 
@@ -79,7 +80,7 @@ def _span(signal: Signal) -> tuple[int, int, int]:
     return first // 8, last // 8, 7 - last % 8
 
 
-def _raw(signal: Signal, frames: Frames) -> npt.NDArray[np.uint64]:
+def raw_values(signal: Signal, frames: Frames) -> npt.NDArray[np.uint64]:
     """The bits of a signal as unsigned integers (n,); 0 where the payload is too short."""
     first, last, shift = _span(signal)
     data = frames.data
@@ -101,7 +102,8 @@ def _scaled(signal: Signal, raw: npt.NDArray[np.uint64]) -> Array:
     conversion = signal.conversion
     if conversion.is_float:
         unsigned, floating = _FLOATS[signal.length]
-        values = raw.astype(unsigned).view(floating).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            values = raw.astype(unsigned).view(floating).astype(np.float64)
     elif signal.is_signed:
         unused = 64 - signal.length
         values = ((raw << np.uint64(unused)).view(np.int64) >> np.int64(unused)).astype(np.float64)
@@ -115,11 +117,28 @@ def _present(
 ) -> npt.NDArray[np.bool_]:
     """Mask of the frames whose payload contains ``signal``, (n,)."""
     there = np.asarray(frames.lengths > _span(signal)[1])
-    if signal.multiplexer_ids and signal.multiplexer_signal is not None:
-        switch = message.get_signal_by_name(signal.multiplexer_signal)
+    switch = switch_of(signal, message)
+    if switch is not None:
         selected = np.isin(raws[switch.name], np.array(signal.multiplexer_ids, np.uint64))
         there = there & selected & _present(switch, message, frames, raws)
     return there
+
+
+def switch_of(signal: Signal, message: Message) -> Signal | None:
+    """The multiplexer that selects ``signal``; None where every frame contains it."""
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return None
+    return message.get_signal_by_name(signal.multiplexer_signal)
+
+
+def selected(signal: Signal, message: Message, frames: Frames) -> npt.NDArray[np.bool_]:
+    """Mask of the frames (n,) in which the multiplexers select ``signal``, whether the payload reaches it or not."""
+    switch = switch_of(signal, message)
+    if switch is None:
+        return np.ones(len(frames.lengths), dtype=bool)
+    there = np.asarray(frames.lengths > _span(switch)[1])
+    own = np.isin(raw_values(switch, frames), np.array(signal.multiplexer_ids, np.uint64))
+    return there & own & selected(switch, message, frames)
 
 
 def _decode_each(message: Message, frames: Frames) -> dict[str, Array]:

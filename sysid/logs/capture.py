@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +16,15 @@ import pandas as pd
 from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.reader import ALL, ReadOptions
+from sysid.logs.stream import Stream
 from sysid.logs.table import CUT_ROW, text_chunks, without_line_end
+from sysid.names import listed
 from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
+
+#: Markers in a sentence; the others are counted.
+MOST = 4
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +41,20 @@ def text_lines(path: Path, what: str) -> Iterator[str]:
                 yield line.rstrip("\r\n")
     except UnicodeDecodeError as error:
         raise InputError(path, f"not UTF-8 text ({error.reason})", what) from None
+
+
+def separator_of(line: str) -> str:
+    """The separator of a line: tab, semicolon or comma."""
+    return next((mark for mark in "\t;" if mark in line), ",")
+
+
+def number_of(text: str) -> float:
+    """A number of a head, with a decimal point or comma.
+
+    Raises:
+        ValueError: it is none.
+    """
+    return float(text.replace(",", "."))
 
 
 def number_rows(
@@ -59,7 +80,7 @@ def number_rows(
         options: of the reader.
 
     Raises:
-        InputError: a row that is longer than the head and not ``ragged``; more values than the budget.
+        InputError: a row that is longer than the head and not ``ragged``; more values than the budget; two decimal marks.
     """
     budget = options.budget_of(path, "a text export")
     cells = width + 1  # one more than in the head, empty in every row that fits
@@ -71,12 +92,13 @@ def number_rows(
     expected = _line_count(path) if count is None else count
     budget.check_numbers(path, expected * len(wanted))
     numbers = scratch.empty(expected * len(wanted)).reshape(expected, len(wanted))  # rows that are not there take no memory
-    rows = too_long = 0
+    mark = _decimal_mark(path, first, separator)
+    rows = too_long = texts = 0
     stopped = False
     expected_rows = f"{cells - 1} cells a row"
     for piece in text_chunks(
         path, cells, options.progress, "rows that do not fit the head", expected_rows,
-        sep=separator, skiprows=first, nrows=count, skip_blank_lines=count is None,
+        sep=separator, decimal=mark, skiprows=first, nrows=count, skip_blank_lines=count is None,
     ):  # fmt: skip
         if not len(piece):
             break
@@ -88,7 +110,9 @@ def number_rows(
         too_long += len(longer)
         table = piece[wanted]
         if not all(pd.api.types.is_numeric_dtype(kind) for kind in table.dtypes):
-            table = table.apply(pd.to_numeric, errors="coerce")
+            read = table.apply(lambda column: pd.to_numeric(_with_points(column, mark), errors="coerce"))
+            texts += _texts(path, table, read.isna() & table.notna(), rows, mark)
+            table = read
         numbers[rows : rows + len(table)] = table.to_numpy(dtype=np.float64)
         rows += len(table)
         stopped = stop is not None and numbers[rows - 1, stop[0]] - numbers[0, stop[0]] > stop[1]
@@ -96,11 +120,54 @@ def number_rows(
             break
     if too_long:
         losses.append(f"{path.name}: {too_long} rows are longer than the head; what has no name has been left out")
+    if texts:
+        losses.append(f"{path.name}: {texts} cells are no numbers and are taken as missing")
     numbers = numbers[:rows]
     if whole and len(numbers) and not stopped and without_line_end(path):
         numbers = numbers[:-1]
         losses.append(f"{path.name}: {CUT_ROW}")
     return numbers, tuple(losses)
+
+
+#: A number with a decimal comma, or a decimal point.
+_NUMBER = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+([eE][+-]?\d+)?\s*") for mark in (",", ".")}
+#: Rows in which the decimal mark is looked for.
+_MARK_ROWS = 200
+
+
+def _decimal_mark(path: Path, first: int, separator: str) -> str:
+    """The decimal mark of the rows from line ``first`` on: a comma where the exporting computer writes one."""
+    if separator == ",":
+        return "."
+    for line in islice(text_lines(path, "text"), first, first + _MARK_ROWS):
+        for cell in line.split(separator):
+            for mark, pattern in _NUMBER.items():
+                if pattern.fullmatch(cell):
+                    return mark
+    return "."
+
+
+def _with_points(column: pd.Series[Any], mark: str) -> pd.Series[Any]:
+    """A column with texts, in which the parser leaves decimal commas: with points, and without what has a point."""
+    if mark == "." or pd.api.types.is_numeric_dtype(column.dtype):
+        return column
+    return column.where(~column.astype(str).str.contains(".", regex=False)).str.replace(",", ".", regex=False)
+
+
+def _texts(path: Path, table: pd.DataFrame, texts: pd.DataFrame, rows: int, mark: str) -> int:
+    """Number of cells of ``table`` in the mask ``texts``, which are no numbers; ``rows``: number of rows before them.
+
+    Raises:
+        InputError: one of them is a number with another decimal mark, or with marks between its thousands.
+    """
+    places = np.argwhere(texts.to_numpy())
+    for row, column in places:
+        text = str(table.iat[row, column])
+        if re.fullmatch(r"\s*[+-]?\d[\d.,' ]*([eE][+-]?\d+)?\s*", text):
+            where = f"{path}: row {rows + row + 1} below the head"
+            expected = f"numbers with a decimal {'comma' if mark == ',' else 'point'} as above, without marks between thousands"
+            raise InputError(where, repr(text), expected, "Export it again with one decimal mark.")
+    return len(places)
 
 
 def _line_count(path: Path) -> int:
@@ -127,6 +194,31 @@ def length_factor(path: Path, stated: str, options: ReadOptions, default: str | 
     if si != "m":
         raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
     return factor
+
+
+def without_lost(path: Path, streams: Sequence[Stream]) -> tuple[Stream, ...]:
+    """``streams`` of markers and bodies without the frames in which they lie exactly in the origin, and the loss.
+
+    Programs write zeros for what the cameras have lost; a measured position has digits, so that three exact zeros are none,
+    not even where they fill every frame. Streams without a position [m] (angles and forces of a model) stay as they are.
+    """
+    kept: list[Stream] = []
+    lost: dict[str, int] = {}
+    for stream in streams:
+        zero = np.zeros(len(stream), dtype=bool)
+        if all(stream.units.get(axis) == "m" for axis in "xyz"):
+            zero = np.all([stream.columns[axis] == 0.0 for axis in "xyz"], axis=0)
+        if not zero.any():
+            kept.append(stream)
+            continue
+        lost[stream.name] = int(np.count_nonzero(zero))
+        columns = {key: np.where(zero, np.nan, values) for key, values in stream.columns.items()}
+        kept.append(replace(stream, columns=columns))
+    if not lost:
+        return tuple(kept)
+    names = [f"{name} {count}" for name, count in sorted(lost.items(), key=lambda item: -item[1])]
+    text = f"{path.name}: {sum(lost.values())} points exactly in the origin are treated as not visible: {listed(names, MOST)}"
+    return tuple(replace(stream, losses=(*stream.losses, text)) for stream in kept)
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -8,7 +8,7 @@ row has as many cells as the header; empty ones at its end do not count. Cells t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,14 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError
-from sysid.logs.dialect import REMARKS, STAMP, Dialect, find_dialect, without_line_end
-from sysid.logs.growing import GrowingArray
-from sysid.logs.limits import Budget
+from sysid.logs.cells import CellColumn
+from sysid.logs.dialect import REMARKS, Dialect, find_dialect, without_line_end
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.row_lines import MISSING, RowLines
 from sysid.logs.stream import Stream
-from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks
+from sysid.logs.table import CUT_ROW, Columns, Table, is_time, is_wanted, table_stream, text_chunks
 from sysid.units import split_header
 
-#: Lists that are parsed at a time.
-_LISTS = 2**14
 _WHAT = "a CSV file with one header row"
 #: The number of rows is estimated from this many samples of the file of this size [bytes], and rounded up by a margin.
 _PLACES, _SAMPLE, _MARGIN = 8, 2**17, 1.02
@@ -42,16 +39,21 @@ class CsvReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        columns, losses = self.columns(path, options)
+        table = self.table(path, options)
         known = () if options.columns is None else self.dialect(path, options).headers
-        return (table_stream(path, columns, options, losses, known=known),)
+        return (table_stream(path, table, options, known=known),)
 
     def dialect(self, path: Path, options: ReadOptions = ALL) -> Dialect:
         """The form of the file, also of one without a header row."""
         return find_dialect(path, options, options.budget_of(path, _WHAT, None))
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Header → values of the wanted columns, in the order of the file, and the losses.
+        """Header → numbers of the wanted columns, in the order of the file, and the losses. Raises as :meth:`table`."""
+        table = self.table(path, options)
+        return table.numbers, table.losses
+
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
+        """The wanted columns, in the order of the file.
 
         Raises:
             InputError: no header row, or a row with more or fewer cells than it.
@@ -60,10 +62,19 @@ class CsvReader:
         dialect = self.dialect(path, options)
         dialect.check_named(path)
         headers = dialect.headers
-        wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
         likely = min(_expected_rows(path), budget.rows)
         cells = {
-            i: _Cells(f"{path}: {headers[i]}", budget, dialect.decimal, GrowingArray(np.nan, expected=likely)) for i in wanted
+            i: CellColumn(
+                header,
+                f"{path}: {header}",
+                budget,
+                dialect.decimal,
+                dialect.proven,
+                likely,
+                is_time(split_header(header)[0], options),
+            )
+            for i, header in enumerate(headers)
+            if _is_read(header, options)
         }
         rows = 0
         checked = _CheckedRows(path, dialect)
@@ -73,27 +84,9 @@ class CsvReader:
                 column.take(table[index])
             rows += len(table)
             scratch.leave()
-        losses = [f"{path.name}: {CUT_ROW}"] if cut and rows else []
-        losses += [f"{path.name}: {loss}" for loss in checked.losses]
-        columns: list[tuple[str, npt.NDArray[np.float64]]] = []
-        for index, column in cells.items():
-            header = headers[index]
-            name, unit = split_header(header)
-            if column.are_lists:
-                suffix = "" if unit is None else f" [{unit}]"
-                columns += [(f"{name}[{i}]{suffix}", element.whole(rows)) for i, element in enumerate(column.elements)]
-                for element, count in sorted(column.damaged.items()):
-                    losses.append(f"{path.name}: column {name}[{element}]: {count} elements are not numbers")
-                continue
-            numbers = column.numbers.whole(rows)
-            if column.text and np.isnan(numbers).all():
-                if name in (options.columns or ()) or name == options.time:
-                    raise _no_numbers(path, header, column.example, dialect)
-                continue  # a column of labels
-            if column.text:
-                losses.append(f"{path.name}: column {header!r}: {column.text} cells are not numbers")
-            columns.append((f"{name} [s]" if column.stamps else header, numbers))
-        return columns, tuple(losses)
+        losses = (*((CUT_ROW,) if cut and rows else ()), *checked.losses)
+        found = Table.joined([Table((), losses), *(column.table() for column in cells.values())])
+        return replace(found, losses=tuple(f"{path.name}: {loss}" for loss in found.losses))
 
 
 def _is_read(header: str, options: ReadOptions) -> bool:
@@ -102,84 +95,6 @@ def _is_read(header: str, options: ReadOptions) -> bool:
         return True
     name = split_header(header)[0]
     return any(wanted.startswith(f"{name}[") for wanted in options.columns or ())
-
-
-def _no_numbers(path: Path, header: str, example: str, dialect: Dialect) -> InputError:
-    remedy = "Choose another column in the recipe."
-    if example[:1].isdigit():
-        marks = {".": "points", ",": "commas"}
-        remedy = (
-            f"Decimals are read as {marks[dialect.decimal]} here: state `decimal` in the recipe if that is wrong; write a date "
-            "with time as in ISO 8601 (2026-03-01T12:00:00.5)."
-        )
-    return InputError(f"{path}: column {header!r}", f"text, for example {example!r}", "numbers", remedy)
-
-
-@dataclass
-class _Cells:
-    """One column while it is read. ``text``: cells that are no numbers, ``listed`` of them in chunks of only lists."""
-
-    where: str
-    budget: Budget
-    decimal: str
-    numbers: GrowingArray
-    text: int = 0
-    listed: int = 0
-    filled: int = 0
-    rows: int = 0
-    #: The first cell that is no number, and the number of cells that are dates with time or times of the day.
-    example: str = ""
-    stamps: int = 0
-    #: Of lists: the values of each element, and element → how many of them are no numbers.
-    elements: list[GrowingArray] = field(default_factory=list)
-    damaged: dict[int, int] = field(default_factory=dict)
-
-    def take(self, cells: pd.Series) -> None:
-        """The next rows."""
-        filled = cells.notna().to_numpy()
-        numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.isnan(numbers) & filled
-        text = int(np.count_nonzero(bad))
-        if text:
-            first = str(cells.iloc[int(np.argmax(bad))]).strip()
-            if STAMP.fullmatch(first):
-                numbers = _seconds(cells, first, self.decimal)
-                left = int(np.count_nonzero(np.isnan(numbers) & filled))
-                self.stamps += text - left
-                text = left
-            if text and not self.example:
-                self.example = first
-        self.numbers.extend(numbers)
-        self.text += text
-        self.filled += int(np.count_nonzero(filled))
-        if text and _are_lists(cells):
-            self.listed += text
-            for begin in range(0, len(cells), _LISTS):
-                self._take_lists(cells.iloc[begin : begin + _LISTS], self.rows + begin)
-        elif text:
-            self.elements, self.damaged = [], {}  # a column with text is no column of lists
-        self.rows += len(cells)
-
-    @property
-    def are_lists(self) -> bool:
-        """Whether every cell that is not empty is a list in brackets."""
-        return 0 < self.listed == self.filled
-
-    def _take_lists(self, column: pd.Series, first: int) -> None:
-        """The elements of lists; a shorter list leaves its last ones missing."""
-        cells = column.astype("str").where(column.notna(), "[]").str.strip().str[1:-1]
-        width = int(cells.str.count(",").max()) + 1
-        self.budget.check_columns(self.where, width, "elements of a list")
-        self.budget.check_numbers(self.where, width * (first + len(cells)))
-        parts = cells.str.split(",", expand=True)
-        self.elements += [GrowingArray(np.nan) for _ in range(width - len(self.elements))]
-        for element in range(width):
-            text = parts[element].str.strip().replace("", None)
-            numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-            bad = int(np.count_nonzero(np.isnan(numbers) & text.notna().to_numpy() & (text.str.lower() != "nan").to_numpy()))
-            if bad:
-                self.damaged[element] = self.damaged.get(element, 0) + bad
-            self.elements[element].put(slice(first, first + len(numbers)), numbers)
 
 
 @dataclass
@@ -280,18 +195,6 @@ class _CheckedRows:
         return InputError(f"{self.path}: line {line}", f"{count} value{'s' if count != 1 else ''}", expected, remedy)
 
 
-def _seconds(cells: pd.Series, first: str, decimal: str) -> npt.NDArray[np.float64]:
-    """Dates with time (ISO 8601, UTC where no zone is given) as Unix time, or times of the day [s]; NaN for other text."""
-    text = cells.astype("str").str.strip()
-    if decimal == ",":
-        text = text.str.replace(",", ".", regex=False)
-    if "-" not in first:
-        return np.asarray(pd.to_timedelta(text, errors="coerce").dt.total_seconds(), dtype=np.float64)
-    stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-    epoch = pd.Timestamp(0, tz="UTC")
-    return np.asarray((stamps - epoch) / pd.Timedelta(1, "s"), dtype=np.float64)
-
-
 def _expected_rows(path: Path) -> int:
     """Estimated number of rows, from the line ends in samples of the file."""
     size = path.stat().st_size
@@ -327,11 +230,3 @@ def _pieces(path: Path, dialect: Dialect, cut: bool, progress: Callable[[float],
         before = chunk
     if before is not None:
         yield before.iloc[:-1] if cut else before, True
-
-
-def _are_lists(column: pd.Series) -> bool:
-    """Whether every cell that is not empty is a list in brackets."""
-    if pd.api.types.is_numeric_dtype(column):
-        return False
-    cells = column.dropna().astype(str).str.strip()
-    return len(cells) > 0 and bool((cells.str.startswith("[") & cells.str.endswith("]")).all())

@@ -11,11 +11,13 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import dropwhile
 from pathlib import Path
 
 from sysid.errors import InputError
+from sysid.logs.cells import TWO_READINGS, is_value, plain
 from sysid.logs.limits import MAX_LINE, Budget
 from sysid.logs.reader import ReadOptions
 from sysid.units import si_factor, split_header
@@ -31,20 +33,14 @@ REMARKS = ("#", "%", "//")
 _LINES, _LETTERS = 200, 2**18
 #: Bytes from which the encoding is found.
 _HEAD = 2**16
-_MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
+_ORDER_MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
+_MARKS = {".": ",", ",": "."}
 _NAMES = {",": "','", ";": "';'", "\t": "tab", "|": "'|'", " ": "white space"}
+#: Cells without a value.
 _MISSING = frozenset({"", "-", "--", "na", "n/a", "#n/a", "nan", "none", "null", "-nan", "#div/0!"})
 _TYPES = frozenset(
     {"float", "double", "single", "int", "float32", "float64", "int16", "int32", "int64", "uint8", "bool", "string"}
 )
-_OTHER = r"[+-]?inf(inity)?|true|false|\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]"
-#: Decimal mark → a number, a truth value or a list of numbers.
-_NUMBER = {
-    ".": re.compile(rf"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|{_OTHER}", re.IGNORECASE),
-    ",": re.compile(rf"[+-]?(\d+(,\d+)?|,\d+)(e[+-]?\d+)?|{_OTHER}", re.IGNORECASE),
-}
-#: A date with time in ISO 8601, or a time of the day.
-STAMP = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:?\d\d.*|\d{1,2}:\d\d:\d\d([.,]\d+)?")
 _WHAT = "a CSV file with one header row"
 
 
@@ -54,7 +50,7 @@ class Dialect:
 
     Args:
         delimiter: between cells; a space stands for any white space.
-        decimal: mark before the decimals, ``.`` or ``,``.
+        decimal: mark before the decimals, ``.`` or ``,``; ``proven``: stated, or shown by the first rows.
         headers: names of the columns, with units (``boom.cylinder [mm]``) where a row of units states them.
         width: cells in most rows; ``len(headers)`` in a file without faults.
         header_line: number of the line of the header, from 1; 0: the file has none.
@@ -78,6 +74,7 @@ class Dialect:
     cells: tuple[str, ...] = ()
     first_row: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    proven: bool = True
 
     @property
     def separator(self) -> str:
@@ -133,8 +130,42 @@ def find_dialect(path: Path, options: ReadOptions, budget: Budget) -> Dialect:
         if delimiter == (options.delimiter or stated or delimiter) and decimal == (options.decimal or decimal)
     ] or [(options.delimiter or stated or ",", options.decimal or ".")]
     found = max((_Split.of(table, *form) for form in forms), key=lambda split: split.score)
+    if options.decimal is None:
+        found = _with_decimal(path, found)
     budget.check_columns(path, max(len(row.cells) for row in found.rows))
     return _dialect(path, encoding, found, [line for line in lines if line.is_remark], options)
+
+
+def _with_decimal(path: Path, split: _Split) -> _Split:
+    """``split`` with the decimal mark of its cells, also where all of them can be read in two ways (1,234).
+
+    A point then is the decimal mark, and so is a comma beside the delimiter ``;``, which spreadsheets write where the comma is.
+
+    Raises:
+        InputError: a column has 1,234 or 1.234 beside 999, or commas, and nothing shows which mark it is.
+    """
+    other = replace(split, decimal="," if split.decimal == "." else ".")
+    if other.score != split.score:
+        return split
+    columns: dict[int, list[str]] = {}
+    for row in split.rows:
+        for column, cell in enumerate(row.cells):
+            columns.setdefault(column, []).append(plain(cell))
+    two = {column: [match for cell in cells if (match := TWO_READINGS.fullmatch(cell))] for column, cells in columns.items()}
+    marks = {match[1] for matches in two.values() for match in matches}
+    if not marks:
+        return replace(split, proven=False)
+    decimal = "," if split.delimiter == ";" and "," in marks else "."
+    for column, matches in two.items():
+        short = next((cell for cell in columns[column] if re.fullmatch(r"[+-]?\d{1,3}", cell)), None)
+        mixed = short is not None and split.delimiter == ";"
+        mark = matches[0][1] if matches else decimal
+        if (mixed and matches) or mark != decimal:
+            value = matches[0][0] + (f" beside {short}" if mixed else "")
+            found = f"numbers such as {value}, and no cell that shows whether {mark!r} is the decimal mark"
+            remedy = f'State `decimal = "{mark}"` in the recipe if it is, else `decimal = "{_MARKS[mark]}"`; or export without '
+            raise InputError(f"{path}: column {column + 1}", found, "one way to read them", remedy + "separators of thousands.")
+    return replace(split, decimal=decimal)
 
 
 @dataclass(frozen=True)
@@ -144,6 +175,7 @@ class _Split:
     delimiter: str
     decimal: str
     rows: tuple[_Row, ...]
+    proven: bool = True
 
     @classmethod
     def of(cls, lines: Sequence[_Line], delimiter: str, decimal: str) -> _Split:
@@ -159,11 +191,12 @@ class _Split:
 
     @property
     def score(self) -> float:
-        """Share of rows of equal length, weighted with the share of numbers among the cells."""
+        """Share of rows of equal length, weighted with the share of numbers among the cells below the header."""
         if max(len(row.cells) for row in self.rows) < 2:
             return 0.0
         equal = max(Counter(len(row.cells) for row in self.rows).values()) / len(self.rows)
-        kinds = Counter(_kind(cell, self.decimal) for row in self.rows for cell in row.cells)
+        rows = [[_kind(cell, self.decimal) for cell in row.cells] for row in self.rows]
+        kinds = Counter(kind for row in dropwhile(lambda row: 1 not in row, rows) for kind in row)
         return equal * (0.05 + kinds[1] / max(1, kinds[1] + kinds[2])) * (1.0 if self.width > 1 else 0.1)
 
     @cached_property
@@ -228,6 +261,7 @@ def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line],
         cells=() if header is None else header.cells,
         first_row=split.rows[first].cells if first is not None else (),
         remarks=tuple(notes),
+        proven=split.proven,
     )
 
 
@@ -323,7 +357,7 @@ def _kind(cell: str, decimal: str) -> int:
     """0: a missing value, 1: a number, a list of numbers or a stamp, 2: text."""
     if cell.lower() in _MISSING:
         return 0
-    return 1 if _NUMBER[decimal].fullmatch(cell) or STAMP.fullmatch(cell) else 2
+    return 1 if is_value(cell, decimal) else 2
 
 
 def cells_of(text: str, delimiter: str) -> tuple[str, ...]:
@@ -370,7 +404,7 @@ def _encoding(path: Path) -> tuple[str, int]:
     """The encoding, and the bytes of its mark at the begin."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
-    for mark, encoding in _MARKS:
+    for mark, encoding in _ORDER_MARKS:
         if head.startswith(mark):
             return encoding, len(mark)
     half = max(1, len(head) // 2)

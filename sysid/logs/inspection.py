@@ -21,6 +21,7 @@ from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
+from sysid.numbers import LARGEST_COUNT
 from sysid.units import si_factor, split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
@@ -155,7 +156,7 @@ def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expecte
         return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=str(error))
     except PermissionError:
         return replace(summary, refusal=f"{path}: may not be read (permission denied)")
-    losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
+    losses = tuple(dict.fromkeys(loss for stream in streams for loss in (*stream.losses, *stream.left_out)))
     return replace(summary, streams=tuple(summarise(stream) for stream in streams), losses=losses)
 
 
@@ -222,7 +223,7 @@ def summarise(stream: Stream) -> StreamSummary:
 
 
 def _field(name: str, unit: str | None, values: npt.NDArray[np.float64]) -> FieldSummary:
-    seen = values[np.isfinite(values)]
+    seen = values[np.abs(values) <= LARGEST_COUNT]  # neither missing nor an overflow
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (float("nan"), float("nan"))
     return FieldSummary(name, unit, low, high, 1.0 - len(seen) / max(len(values), 1))
 

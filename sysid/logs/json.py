@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+import pandas as pd
 
 from sysid.errors import InputError
+from sysid.logs.cells import CellColumn
 from sysid.logs.layout import MAX_ELEMENTS
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import table_stream
+from sysid.logs.table import Table, is_time, table_stream
 
 #: Character before a value → memory of the objects after it [B].
 _OBJECT_BYTES = {b",": 72, b"[": 72, b"{": 256}
@@ -27,7 +28,7 @@ _OBJECT_BYTES = {b",": 72, b"[": 72, b"{": 256}
 
 @dataclass(frozen=True)
 class JsonReader:
-    """Numbers and truth values are fields; of nested records by dots (``motor.speed``), of arrays by index (``q[2]``)."""
+    """Numbers, truth values and dates are fields; of inner records by dots (``motor.speed``), of lists by index (``q[2]``)."""
 
     name: str = "json"
     suffixes: tuple[str, ...] = ()
@@ -67,30 +68,52 @@ def _lists(path: Path, document: Any) -> dict[str, list[dict[str, Any]]]:
 
 
 def _stream(path: Path, name: str, records: list[dict[str, Any]], options: ReadOptions, budget: Budget) -> Stream:
-    columns: dict[str, npt.NDArray[np.float64]] = {}
+    where = f"{path}: {name}"
+    columns: dict[str, dict[int, Any]] = {}
     for row, record in enumerate(records):
-        for field, value in _numbers(record, budget.depth):
+        for field, value in _values(record, budget.depth):
             if field not in columns:
-                budget.check_columns(f"{path}: {name}", len(columns) + 1, "fields")
-                budget.check_numbers(f"{path}: {name}", (len(columns) + 1) * len(records))
-                columns[field] = np.full(len(records), np.nan)
+                budget.check_columns(where, len(columns) + 1, "fields")
+                budget.check_numbers(where, (len(columns) + 1) * len(records))
+                columns[field] = {}
             columns[field][row] = value
-    table = table_stream(path, list(columns.items()), options, units_in_headers=False)
-    return Stream(name, path, table.stamps, table.columns, table.units, table.losses)
+    if options.fields is not None:
+        options = replace(options, columns=options.fields.get(name))
+    tables = [_column(f"{where}: {field}", field, values, len(records), options) for field, values in columns.items()]
+    table = table_stream(path, Table.joined(tables), options, units_in_headers=False)
+    return replace(table, name=name)
 
 
-def _numbers(record: Mapping[str, Any], depth: int, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Every number of a record with its path; null is a missing value, text is no field."""
+def _column(where: str, field: str, values: Mapping[int, Any], rows: int, options: ReadOptions) -> Table:
+    """One field of all records: numbers, or stamps and numbers in text; others are missing."""
+    texts = {row: value for row, value in values.items() if isinstance(value, str)}
+    if texts:
+        cells = CellColumn(field, where, Budget.of(0), options.decimal or ".", options.decimal is not None, rows)
+        cells.take(pd.Series(values, dtype=object).reindex(range(rows)).map(_text, na_action="ignore"))
+        return cells.table()
+    if is_time(field, options) and len(values) == rows and all(type(v) is int and abs(v) < 2**63 for v in values.values()):
+        return Table([(field, np.array(list(values.values()), dtype=np.int64))])
+    numbers = np.full(rows, np.nan)
+    numbers[list(values)] = [_float(value) for value in values.values()]
+    return Table([(field, numbers)])
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else repr(_float(value))
+
+
+def _values(record: Mapping[str, Any], depth: int, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every number and text of a record with its path; null is a missing value."""
     for key, value in record.items():
         name = f"{prefix}{key}"
-        if isinstance(value, bool | int | float):
-            yield name, _float(value)
+        if isinstance(value, str | bool | int | float):
+            yield name, value
         elif isinstance(value, Mapping) and depth > 1:
-            yield from _numbers(value, depth - 1, f"{name}.")
+            yield from _values(value, depth - 1, f"{name}.")
         elif isinstance(value, list) and len(value) <= MAX_ELEMENTS:
             for index, element in enumerate(value):
-                if isinstance(element, bool | int | float):
-                    yield f"{name}[{index}]", _float(element)
+                if isinstance(element, str | bool | int | float):
+                    yield f"{name}[{index}]", element
 
 
 def _float(value: float) -> float:

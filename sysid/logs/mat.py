@@ -19,7 +19,7 @@ from sysid.logs.limits import Budget
 from sysid.logs.mat_file import MatError, MatVariable, find_variables, read_variables
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import TIME_NAMES, Columns, is_wanted, table_stream
+from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
 
 _WHAT = "a MATLAB file"
 
@@ -34,25 +34,28 @@ class MatReader:
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT, None)
-        variables = _variables(path, budget)
+        variables, unread = _variables(path, budget)
         chosen = _chosen(variables, options)
-        columns = _columns(path, chosen, _rows(chosen, options), budget, options)
+        rows = _rows(chosen, options)
+        if rows is not None:
+            unread |= {
+                name: f"{_size(v)} numbers instead of {rows} rows" for name, v in variables.items() if rows not in v.shape
+            }
+        table = Table(_columns(path, chosen, rows, budget, options), (), unread)
         known = () if options.columns is None else tuple(variables)
-        return (table_stream(path, columns, options, units_in_headers=False, known=known),)
+        return (table_stream(path, table, options, units_in_headers=False, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Variable → numbers of the vectors of the most frequent length, and the losses: vectors of another length."""
+        """Variable → numbers of the vectors of the most frequent length, and no losses."""
         budget = options.budget_of(path, _WHAT, None)
-        vectors = {name: variable for name, variable in _variables(path, budget).items() if len(variable.shape) == 1}
+        vectors = {name: variable for name, variable in _variables(path, budget)[0].items() if len(variable.shape) == 1}
         usual = _usual_length(vectors)
-        others = [name for name, variable in vectors.items() if variable.count != usual]
-        losses = (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
         same = {name: variable for name, variable in vectors.items() if variable.count == usual}
-        return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], losses
+        return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], ()
 
 
-def _variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
-    """Every numeric variable of the file by its path.
+def _variables(path: Path, budget: Budget) -> tuple[dict[str, MatVariable], dict[str, str]]:
+    """Every numeric variable of the file by its path, and what the others are.
 
     Raises:
         InputError: not a MATLAB file of these versions, or variables that unpack to more than the budget.
@@ -100,6 +103,10 @@ def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | N
     return vectors[time].count if time in vectors else None
 
 
+def _size(variable: MatVariable) -> str:
+    return " × ".join(map(str, variable.shape))
+
+
 def _usual_length(vectors: Mapping[str, MatVariable]) -> int:
     lengths = [variable.count for variable in vectors.values()]
     return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
@@ -107,7 +114,7 @@ def _usual_length(vectors: Mapping[str, MatVariable]) -> int:
 
 def _columns(
     path: Path, variables: Mapping[str, MatVariable], rows: int | None, budget: Budget, options: ReadOptions
-) -> list[tuple[str, npt.NDArray[np.float64]]]:
+) -> TypedColumns:
     """The vectors of the length of the time vector, and the columns of matrices with as many rows."""
     if rows is None:  # table_stream reports the missing time and the names
         return [(name, np.zeros(0)) for name, variable in variables.items() if len(variable.shape) == 1]
@@ -117,7 +124,9 @@ def _columns(
         wanted = {name.rpartition("[")[0] for name in options.columns}
         vectors = {name: v for name, v in vectors.items() if is_wanted(name, options, False)}
         matrices = {name: v for name, v in matrices.items() if name in wanted}
-    columns = [(name, _as_floats(array)) for name, array in _read(path, vectors, budget).items()]
+    columns: list[tuple[str, npt.NDArray[Any]]] = [
+        (name, array if is_time(name, options) else _as_floats(array)) for name, array in _read(path, vectors, budget).items()
+    ]
     for name, variable in matrices.items():
         array = _read(path, {name: variable}, budget)[name]
         table = array if array.shape[0] == rows else array.T

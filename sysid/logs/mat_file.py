@@ -1,8 +1,8 @@
 """The numeric variables of a MATLAB file of version 4 to 7 (``-v4``, ``-v6``, ``-v7``), and those in its structures.
 
 SciPy's reader trusts the sizes that a damaged file states, which can end the process, and reads every variable. This one checks
-sizes and reads only requested variables. Texts, cells, sparse matrices, objects, arrays of structures and imaginary parts are
-skipped.
+sizes and reads only requested variables. Texts, cells, sparse matrices, objects, arrays of structures and complex numbers are
+named only.
 Source: MathWorks, "MAT-File Format", level 5 and level 4.
 """
 
@@ -29,6 +29,12 @@ _MATRIX, _PACKED = 14, 15
 #: Array classes: structure, and the numeric ones.
 _STRUCTURE, _NUMERIC = 2, range(6, 16)
 _MAX_DEPTH = 16
+#: What variables of other classes are.
+_OTHERS = {
+    1: "a cell array", 2: "an array of structures", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function",
+    17: "an object, such as datetime or table",
+}  # fmt: skip
+_COMPLEX, _COMPLEX_FLAG = "complex numbers", 0x800
 #: Sizes, flags, names: longer ones are damage. Bytes that are unpacked at a time.
 _MAX_HEAD, _PIECE = 2**20, 2**20
 
@@ -59,8 +65,8 @@ class MatVariable:
         return math.prod(self.shape)
 
 
-def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
-    """Variable, or ``structure.field`` → position of its numbers.
+def find_variables(path: Path, budget: Budget) -> tuple[dict[str, MatVariable], dict[str, str]]:
+    """Variable, or ``structure.field`` → position of its numbers; and what the variables without numbers are.
 
     Raises:
         MatError: the file is damaged or unpacks to more than its budget.
@@ -68,10 +74,16 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(128)
+        found: dict[str, MatVariable] = {}
+        others: dict[str, str] = {}
         if head[126:128] not in (b"IM", b"MI"):
             file.seek(0)
-            return dict(_version_4(file, size))
-        found: dict[str, MatVariable] = {}
+            for name, variable in _version_4(file, size):
+                if isinstance(variable, MatVariable):
+                    found[name] = variable
+                else:
+                    others[name] = variable
+            return found, others
         order = "<" if head[126:128] == b"IM" else ">"
         left = min(budget.unpacked, max(FREE, size * MAX_RATIO))
         while tag := file.read(8):
@@ -83,14 +95,14 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
                 raise MatError(f"the file is cut off: {size - start} of {extent} bytes of a variable")
             if kind in (_PACKED, _MATRIX):
                 bytes_: _Bytes = _Unpacked(file, start, extent, left) if kind == _PACKED else _Plain(file, start, extent)
-                parser = _Parser(bytes_, order, (start, extent), kind == _PACKED, found)
+                parser = _Parser(bytes_, order, (start, extent), kind == _PACKED, found, others)
                 element = parser.element(2**32 + 8) if kind == _PACKED else _Element(kind, 0, extent)
                 if element.kind == _MATRIX:
                     parser.matrix(element, "", 0)
                 left -= bytes_.position if kind == _PACKED else 0
                 budget.check_columns(path, len(found), "variables")
             file.seek(start + extent)
-    return found
+    return found, others
 
 
 def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str, npt.NDArray[Any]]:
@@ -119,8 +131,8 @@ def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str
 _STORED_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
-def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, MatVariable]]:
-    """Matrices one after the other: type, rows, columns, complex, length of the name; name; numbers."""
+def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, MatVariable | str]]:
+    """Matrices one after the other: type, rows, columns, complex, length of the name; name; numbers, or what else it is."""
     while head := file.read(20):
         for order in "<>":
             kind, rows, columns, is_complex, length = struct.unpack(f"{order}5i", head.ljust(20, b"\xff"))
@@ -136,7 +148,9 @@ def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, MatVar
             raise MatError(f"the file is cut off: {max(size - start, 0)} of {extent} bytes of {name!r}")
         file.seek(start + extent * (2 if is_complex else 1))
         shape = tuple(extent for extent in (rows, columns) if extent != 1)
-        if kind % 10 == 0 and shape:
+        if is_complex or kind % 10:
+            yield name, _COMPLEX if is_complex else _OTHERS[4] if kind % 10 == 1 else _OTHERS[5]
+        elif shape:
             yield name, MatVariable(shape, code, (start, extent), False, 0)
 
 
@@ -233,13 +247,14 @@ class _Element:
 
 @dataclass
 class _Parser:
-    """Parses the elements of a top-level variable; the positions of numbers go into ``found``."""
+    """Parses the elements of a top-level variable; the positions of numbers go into ``found``, all else into ``others``."""
 
     bytes_: _Bytes
     order: str
     source: tuple[int, int]
     packed: bool
     found: dict[str, MatVariable]
+    others: dict[str, str]
 
     def element(self, end: int) -> _Element:
         """The tag of the next element, which has to end before ``end``."""
@@ -291,7 +306,8 @@ class _Parser:
         flags = self._required(end, missing)
         if flags.size < 8:
             raise MatError(missing)
-        array_class = self.integers(flags)[0] & 0xFF
+        word = self.integers(flags)[0]
+        array_class, is_complex = word & 0xFF, word & _COMPLEX_FLAG
         self.leave(flags, end)
         sizes = self._required(end, missing)
         shape = tuple(self.integers(sizes))
@@ -299,10 +315,14 @@ class _Parser:
         title = self._required(end, missing)
         name = self.head(title).decode("latin-1")
         self.leave(title, end)
-        if array_class in _NUMERIC:
+        if array_class in _NUMERIC and not is_complex:
             self.numeric(prefix or name, shape, self._next(end))
         elif array_class == _STRUCTURE and all(size == 1 for size in shape):
             self.structure(prefix or name, end, depth)
+        elif prefix or name:
+            self.others[prefix or name] = (
+                _COMPLEX if is_complex else _OTHERS.get(array_class, f"a variable of class {array_class}")
+            )
 
     def _next(self, end: int) -> _Element | None:
         return self.element(end) if self.bytes_.position + 8 <= end else None

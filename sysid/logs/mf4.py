@@ -6,7 +6,8 @@ The library that reads the format is an extra (``mf4``), because nothing else ne
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,15 @@ from sysid.logs.mdf_links import check_blocks
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
+from sysid.names import listed
 
-#: Channel of a group in which a bus was logged; type of a master channel that holds time.
+#: Channel of a group in which a bus was logged.
 _BUS = "CAN_DataFrame"
+#: What a master channel synchronises by (its synchronisation type); only time is a clock.
 _TIME = 1
+_SYNC = {0: "nothing", _TIME: "time", 2: "an angle", 3: "a distance", 4: "an index"}
+#: Groups and channels in a sentence; the others are counted.
+MOST = 5
 
 
 @dataclass(frozen=True)
@@ -101,34 +107,50 @@ def _streams(path: Path, mdf: Any, options: ReadOptions, budget: Budget) -> tupl
     if not names and not buses:
         raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
     if buses and (options.dbc is not None or not names):
-        return frame_streams(path, _frames(path, mdf, buses, start_ns), options)
+        others = f"{path.name}: channel groups beside the CAN frames left out: {listed(list(names), MOST)}"
+        return _with_losses(frame_streams(path, _frames(path, mdf, buses, start_ns), options), (others,) if names else ())
     options.check_streams(path, names, "channel group", "Correct `topic` in the recipe.")
     chosen = {name: index for name, index in names.items() if options.wants(name)}
     cells = sum(int(mdf.groups[i].channel_group.cycles_nr) * len(mdf.groups[i].channels) for i in chosen.values())
     budget.check_numbers(path, cells)
-    streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]
-    found = [stream for stream in streams if stream is not None]
-    if not found:
-        raise InputError(path, "no numbers in any channel group", "at least one channel with samples", "Record it again.")
-    return tuple(found)
+    streams, left_out = [], []
+    for name, index in chosen.items():
+        found = _group_stream(path, mdf, name, index, start_ns)
+        if isinstance(found, Stream):
+            streams.append(found)
+        else:
+            left_out.append(f"{name}: {found}")
+    if not streams or (left_out and options.streams is not None):
+        remedy = "Record it with a time channel and numbers, or leave this group out of the recipe."
+        raise InputError(path, listed(left_out, MOST), "a channel group of numbers over time", remedy)
+    if buses:
+        left_out.append(f"logged CAN frames of {len(buses)} groups, which need `dbc`")
+    return _with_losses(streams, tuple(f"{path.name}: {text}: left out" for text in left_out))
 
 
-def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) -> Stream | None:
-    """The numeric channels of one group; None where it has none, or no time."""
+def _with_losses(streams: Iterable[Stream], losses: tuple[str, ...]) -> tuple[Stream, ...]:
+    return tuple(replace(stream, losses=(*stream.losses, *losses)) for stream in streams)
+
+
+def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) -> Stream | str:
+    """The numeric channels of one group, or why there are none."""
     group = mdf.groups[index]
     master = mdf.masters_db.get(index)
-    if master is None or group.channels[master].sync_type != _TIME:
-        return None
+    if master is None:
+        return "no master channel, so that its samples have no time"
+    channel = group.channels[master]
+    if channel.sync_type != _TIME:
+        return f"its master channel {channel.name!r} is {_SYNC.get(channel.sync_type, 'of unknown kind')}, not time"
     _check_record(f"{path}: {name}", mdf, group)
     columns: dict[str, npt.NDArray[np.float64]] = {}
     units: dict[str, str] = {}
-    left_out = []
+    left_out, invalid = [], []
     seconds: npt.NDArray[np.float64] | None = None
     for place, channel in enumerate(group.channels):
         if place == master:
             continue
         try:
-            values, times, unit = _samples(mdf, index, place)
+            values, times, unit, marked = _samples(mdf, index, place)
         except Exception as error:
             left_out.append(f"{channel.name} ({type(error).__name__})")
             continue
@@ -139,13 +161,17 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
             continue
         label = f"{channel.name}#{place}" if channel.name in columns else channel.name
         columns[label] = values
+        if marked:
+            invalid.append(f"{label} {marked}")
         if unit:
             units[label] = unit
     if seconds is None or not len(seconds) or not columns:
-        return None
-    losses = (f"{path.name}: {name}: no numbers in {', '.join(left_out[:5])}",) if left_out else ()
+        return f"no numbers in {listed(left_out, MOST)}" if left_out else "no channel beside its time"
+    losses = [f"{path.name}: {name}: no numbers in {listed(left_out, MOST)}"] if left_out else []
+    if invalid:
+        losses.append(f"{path.name}: {name}: samples that the file marks as invalid are missing: {listed(invalid, MOST)}")
     stamps = to_ns(seconds, 1.0, f"{path}: {name}") + start_ns
-    return Stream(name, path, {"log": stamps}, columns, units, losses)
+    return Stream(name, path, {"log": stamps}, columns, units, tuple(losses))
 
 
 def _check_record(where: str, mdf: Any, group: Any) -> None:
@@ -157,18 +183,21 @@ def _check_record(where: str, mdf: Any, group: Any) -> None:
             raise InputError(where, found, f"a place in a record of {size} bytes", "The file is damaged.")
 
 
-def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str]:
-    """Values in the stated unit (raw ones where the file converts them to text), NaN where they are marked invalid."""
+def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str, int]:
+    """Values in the stated unit (raw ones of texts), NaN where they are marked invalid; times, unit, number of marks."""
     signal: Any = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
     if signal.samples.dtype.kind not in "fiub":
         signal = mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True)
     times = np.asarray(signal.timestamps, dtype=np.float64)
     if signal.samples.dtype.kind not in "fiub" or signal.samples.ndim != 1:
-        return None, times, ""
-    values = signal.samples.astype(np.float64)
+        return None, times, "", 0
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        values = signal.samples.astype(np.float64)
+    marked = np.zeros(len(values), dtype=bool)
     if signal.invalidation_bits is not None:
-        values[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
-    return values, times, str(signal.unit or "")
+        marked = np.asarray(signal.invalidation_bits, dtype=bool)
+        values[marked] = np.nan
+    return values, times, str(signal.unit or ""), int(np.count_nonzero(marked))
 
 
 def _frames(path: Path, mdf: Any, buses: list[int], start_ns: int) -> FrameLog:

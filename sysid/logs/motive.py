@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, euler_order, length_factor, number_rows, quaternion_columns
+from sysid.logs.capture import Array, euler_order, length_factor, number_rows, quaternion_columns, without_lost
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
@@ -95,7 +95,7 @@ class MotiveReader:
             values = _values(path, table, own, factor, options.rotation or head.stated.get("Rotation Type"))
             units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
             streams.append(Stream(name, path, stamps, values, units, losses, kind=own[0].kind))
-        return tuple(streams)
+        return without_lost(path, streams)
 
 
 def unstated(path: Path) -> dict[str, str]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, length_factor, quaternion_columns
+from sysid.logs.capture import Array, length_factor, quaternion_columns, without_lost
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
@@ -76,7 +76,7 @@ def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stre
                     table[frame, : len(numbers)] = numbers
                 units = dict.fromkeys("xyz", "m")
                 streams.append(Stream(name, path, stamps, columns(table), units, tuple(losses[-20:]), kind=kind))
-    return tuple(streams)
+    return without_lost(path, streams)
 
 
 def _position(table: Array, factor: float) -> dict[str, Array]:

@@ -21,12 +21,14 @@ from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import TIME_NAMES, Columns, table_stream
+from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
 from sysid.parse import parse_json
 
 _WHAT, _MAPPING, _TIMES = "a NumPy archive", "signal_mapping", "times"
 #: Longest header of an array, and longest text that names the columns [bytes].
 _HEADER, _TEXT = 10_000, 1 << 20
+#: Kinds of arrays without numbers.
+_NO_NUMBERS = {"U": "text", "S": "text", "O": "pickled objects, which are never loaded", "c": "complex numbers"}
 
 
 @dataclass(frozen=True)
@@ -38,41 +40,42 @@ class NpzReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        columns, losses = self.columns(path, options)
-        names = [name for name, _ in columns]
+        table = self.table(path, options)
+        names = [name for name, _ in table.columns]
         if options.time is None and options.rate_hz is None and _TIMES in names and not {*TIME_NAMES} & {*names}:
             options = replace(options, time=_TIMES)
-        wanted = options.columns
-        kept = [(name, values) for name, values in columns if wanted is None or name in wanted or _is_time(name, options)]
-        known = () if wanted is None else tuple(names)
-        return (table_stream(path, kept, options, losses, units_in_headers=False, known=known),)
+        kept = [(name, values) for name, values in table.columns if is_wanted(name, options, False) or values.dtype.kind == "M"]
+        known = () if options.columns is None else tuple(names)
+        return (table_stream(path, replace(table, columns=kept), options, units_in_headers=False, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of every column of the arrays of the most frequent length, and the arrays of another length."""
+        """Name → numbers of every column of the arrays of the most frequent length, and no losses."""
+        table = self.table(path, options)
+        return table.numbers, table.losses
+
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
+        """Every column of the arrays of the most frequent length; others are named only."""
         budget = options.budget_of(path, _WHAT, None)
         try:
-            arrays, mapping = _arrays(path, budget)
+            arrays, mapping, unread = _arrays(path, budget)
         except (zipfile.BadZipFile, zlib.error, ArithmeticError, LookupError, TypeError, ValueError, OSError, EOFError,
                 RuntimeError) as error:  # fmt: skip  # whatever a damaged archive causes
             raise InputError(path, f"not readable as {_WHAT} ({error})", "arrays of numbers, saved by numpy.savez") from None
         lengths = [len(array) for array in arrays.values()]
         usual = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
-        found: list[tuple[str, npt.NDArray[np.float64]]] = []
+        found: list[tuple[str, npt.NDArray[Any]]] = []
         for name, array in arrays.items():
             if len(array) == usual:
-                found += _columns_of(name, array, mapping if name == "data" else {})
+                found += _columns_of(name, array, mapping if name == "data" else {}, options)
         budget.check_columns(path, len(found))
-        others = [name for name, array in arrays.items() if len(array) != usual]
-        return found, (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
+        unread |= {name: f"{len(a)} rows instead of {usual}" for name, a in arrays.items() if len(a) != usual}
+        return Table(found, (), unread)
 
 
-def _is_time(name: str, options: ReadOptions) -> bool:
-    return name == options.time or (options.time is None and options.rate_hz is None and name in TIME_NAMES)
-
-
-def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, list[int]]]:
-    """Name → array (n,) or (n, k), and the columns of ``data`` by name."""
+def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, list[int]], dict[str, str]]:
+    """Name → array (n,) or (n, k); the columns of ``data`` by name; and what other arrays are, which are not read."""
     mapping: dict[str, list[int]] = {}
+    unread: dict[str, str] = {}
     with zipfile.ZipFile(path) as archive:
         members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
         budget.check_columns(path, len(members), "arrays")
@@ -92,14 +95,16 @@ def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Ma
                     raise ValueError(f"{name} states {size} bytes and has {info.file_size}")
                 if name == _MAPPING and kind.kind == "U" and not shape and size <= _TEXT:
                     mapping = _named(file.read(size).decode("utf-32-le"))
-                if kind.kind not in "fiub":
+                if kind.kind not in "fiubmM":
+                    unread[name] = _NO_NUMBERS.get(kind.kind, f"values of type {kind}")
                     continue
                 shape = shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
                 if len(shape) not in (1, 2) or math.prod(shape) == 0:
+                    unread[name] = f"an array of shape {shape}"
                     continue
                 budget.check_numbers(path, math.prod(shape))
                 found[name] = np.frombuffer(file.read(size), kind).reshape(shape)
-    return found, mapping
+    return found, mapping, unread
 
 
 def _header(file: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -122,14 +127,17 @@ def _named(text: str) -> dict[str, list[int]]:
     return {name: [int(k) for k in places] for name, places in pairs if isinstance(places, list)}
 
 
-def _columns_of(name: str, array: npt.NDArray[Any], mapping: Mapping[str, list[int]]) -> Columns:
-    """The columns of an array by name, else by index."""
-    values = array.astype(np.float64)
-    if values.ndim == 1:
-        return [(name, values)]
-    names = {k: f"{name}[{k}]" for k in range(values.shape[1])}
+def _columns_of(name: str, array: npt.NDArray[Any], mapping: Mapping[str, list[int]], options: ReadOptions) -> TypedColumns:
+    """The columns of an array by name, else by index; integers keep their 64 bits only where they may be the time."""
+    if array.dtype.kind in "mM":
+        array = array.astype(f"{array.dtype.kind}8[ns]")
+    elif array.dtype.kind not in "iu" or not is_time(name, options):
+        array = array.astype(np.float64)
+    if array.ndim == 1:
+        return [(name, array)]
+    names = {k: f"{name}[{k}]" for k in range(array.shape[1])}
     for label, places in mapping.items():
         for i, k in enumerate(places):
             if k in names:
                 names[k] = label if len(places) == 1 else f"{label}[{i}]"
-    return [(label, values[:, k].copy()) for k, label in names.items()]
+    return [(label, array[:, k].copy()) for k, label in names.items()]

@@ -1,36 +1,45 @@
-"""Parquet: a plain table with a time column, headers as in CSV."""
+"""Parquet: a plain table with a time column, headers as in CSV; timestamps, durations and times of the day are stamps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from sysid import scratch
 from sysid.errors import InputError
+from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import Columns, is_wanted, table_stream
+from sysid.logs.table import Columns, Table, is_time, is_wanted, table_stream
+from sysid.units import split_header
+
+#: Rows of a row group in which an example of a text is sought.
+_TRIED = 64
 
 
 @dataclass(frozen=True)
 class ParquetReader:
-    """Only numeric columns are read; nulls are missing values."""
+    """Numbers of any type, also decimal and in categories; nulls are missing values. Text, lists and records are not read."""
 
     name: str = "parquet"
     suffixes: tuple[str, ...] = (".parquet",)
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        columns, losses = self.columns(path, options)
-        known = () if options.columns is None else _headers(path)
-        return (table_stream(path, columns, options, losses, known=known),)
+        table, headers = self.table(path, options)
+        return (table_stream(path, table, options, known=() if options.columns is None else headers),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → values of the wanted numeric columns, in the order of the file."""
+        """Name → numbers of the wanted columns, in the order of the file, and the losses."""
+        table, _ = self.table(path, options)
+        return table.numbers, table.losses
+
+    def table(self, path: Path, options: ReadOptions = ALL) -> tuple[Table, tuple[str, ...]]:
+        """The wanted columns, in the order of the file, and the headers of all with numbers or stamps."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -38,39 +47,76 @@ class ParquetReader:
         try:
             with pq.ParquetFile(path) as file:
                 budget.check_columns(path, file.metadata.num_columns)
-                # Texts are not unpacked, because nothing limits their size.
-                headers = [field.name for field in file.schema_arrow if _is_number(field.type)]
-                names = [header for header in headers if is_wanted(header, options)]
+                kinds = {field.name: _kind(field.type) for field in file.schema_arrow}
+                headers = tuple(name for name, kind in kinds.items() if kind)
+                names = [n for n in headers if is_wanted(n, options) or (options.time is None and kinds[n] == "datetime64[ns]")]
                 rows = file.metadata.num_rows  # a few bytes may claim any number
                 budget.check_numbers(path, rows * len(names))
-                columns = [(name, _numbers(file, name, rows)) for name in names]
+                columns = [(name, _values(file, name, kinds[name], rows, options)) for name in names]
+                others = [field for field in file.schema_arrow if not kinds[field.name]]
+                unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
-        return columns, ()
+        return Table(columns, (), unread), headers
 
 
-def _headers(path: Path) -> tuple[str, ...]:
-    import pyarrow.parquet as pq
+def _kind(kind: Any) -> str:
+    """The type of NumPy in which a column is read; empty where it has no numbers."""
+    from pyarrow import types
 
-    return tuple(field.name for field in pq.read_schema(path) if _is_number(field.type))
+    kind = kind.value_type if types.is_dictionary(kind) else kind
+    if types.is_timestamp(kind):
+        return "datetime64[ns]"
+    if types.is_time(kind) or types.is_duration(kind):
+        return "timedelta64[ns]"
+    if types.is_integer(kind):
+        return "int64"
+    return "float64" if types.is_floating(kind) or types.is_boolean(kind) or types.is_decimal(kind) else ""
 
 
-def _numbers(file: Any, name: str, rows: int) -> npt.NDArray[np.float64]:
-    """One column, row group by row group."""
+def _values(file: Any, name: str, kind: str, rows: int, options: ReadOptions) -> npt.NDArray[Any]:
+    """One column, row group by row group. Integers keep their 64 bits only where they may be the time."""
     import pyarrow as pa
 
-    numbers, done = scratch.empty(rows), 0
+    whole = kind == "int64" and is_time(split_header(name)[0], options)
+    kind = kind if kind != "int64" or (whole and not _nulls(file, name)) else "float64"
+    values, done = scratch.empty(rows, kind), 0
     for group in range(file.metadata.num_row_groups):
-        table = file.read_row_group(group, [name])
-        values = table.column(name).cast(pa.float64()).to_numpy()
-        numbers[done : done + len(values)] = values
-        done += len(values)
+        column = file.read_row_group(group, [name]).column(name)
+        if kind in ("int64", "float64"):
+            part = column.cast(getattr(pa, kind)(), safe=False).to_numpy()
+        else:
+            steps = pa.timestamp("ns") if kind == "datetime64[ns]" else pa.duration("ns")
+            if pa.types.is_time(column.type):
+                column = column.cast(pa.time64("ns")).cast(pa.int64())
+            part = column.cast(steps).to_numpy()
+        values[done : done + len(part)] = part
+        done += len(part)
     if done != rows:
         raise ValueError(f"{done} rows instead of {rows}")
-    return numbers
+    return values
 
 
-def _is_number(kind: Any) -> bool:
-    import pyarrow as pa
+def _nulls(file: Any, name: str) -> bool:
+    """Whether a column has a row without a value."""
+    groups = range(file.metadata.num_row_groups)
+    return any(file.read_row_group(group, [name]).column(name).null_count for group in groups)
 
-    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))
+
+def _unread(file: Any, field: Any, budget: Budget) -> str:
+    """What a column has instead of numbers, with its first value where that is text."""
+    from pyarrow import types
+
+    kind = field.type.value_type if types.is_dictionary(field.type) else field.type
+    if not (types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind)):
+        return f"values of type {field.type}"
+    for number in range(file.metadata.num_row_groups):
+        group = file.metadata.row_group(number)
+        packed = next(c for c in map(group.column, range(group.num_columns)) if c.path_in_schema == field.name)
+        # Nothing else limits the size of a text; one row at a time, as rows may share a long one.
+        if budget.too_large(packed.total_compressed_size, packed.total_uncompressed_size):
+            break
+        rows = (batch.column(0)[0].as_py() for batch in islice(file.iter_batches(1, [number], [field.name]), _TRIED))
+        if (first := next(filter(None, rows), None)) is not None:
+            return f"text, for example {first[:80]!r}"
+    return "text"

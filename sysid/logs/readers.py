@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs.ardupilot import ArduPilotReader
 from sysid.logs.c3d import C3dReader
 from sysid.logs.can import CanReader
 from sysid.logs.csv import CsvReader
@@ -21,6 +22,7 @@ from sysid.logs.qualisys import QualisysReader
 from sysid.logs.reader import LogReader
 from sysid.logs.rosbag import Ros1Reader, Rosbag2Reader
 from sysid.logs.trc import TrcReader
+from sysid.logs.ulog import UlogReader
 from sysid.logs.vicon import SECTIONS, ViconReader
 
 READERS: tuple[LogReader, ...] = (
@@ -35,6 +37,8 @@ READERS: tuple[LogReader, ...] = (
     QualisysReader(),
     CanReader(),
     Mf4Reader(),
+    UlogReader(),
+    ArduPilotReader(),
     ParquetReader(),
     LeRobotReader(),
     MatReader(),
@@ -46,6 +50,8 @@ READERS: tuple[LogReader, ...] = (
 SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"\x89MCAP"), "mcap"),
     (re.compile(rb"#ROSBAG"), "rosbag1"),
+    (re.compile(rb"ULog\x01\x12\x35"), "ulog"),
+    (re.compile(rb"\xa3\x95\x80"), "ardupilot"),
     (re.compile(rb"SQLite format 3\0"), "rosbag2"),
     (re.compile(rb'"?Format Version"?,'), "motive"),
     (re.compile(rb"(comment|info|righthanded|lefthanded)\b(.*\n)?info,version,", re.IGNORECASE | re.DOTALL), "motive"),
@@ -128,6 +134,12 @@ def _by_content(path: Path) -> str | None:
     return next((name for pattern, name in SIGNATURES if pattern.match(head)), None)
 
 
+#: Suffixes that many programs use for other files: a log only where its first bytes say so.
+SHARED = (".bin",)
+
+
 def is_log(path: Path) -> bool:
-    """Whether there is a reader for the suffix of ``path``."""
-    return path.is_file() and any(path.suffix.lower() in reader.suffixes for reader in READERS)
+    """Whether there is a reader for the suffix of ``path``, and for the content where other files share the suffix."""
+    suffix = path.suffix.lower()
+    known = path.is_file() and any(suffix in reader.suffixes for reader in READERS)
+    return known and (suffix not in SHARED or _by_content(path) is not None)

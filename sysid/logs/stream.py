@@ -25,6 +25,7 @@ class Stream:
         losses: what could not be read, as sentences for the quality report.
         fields: every field of the file, where only some were read; empty where all were.
         kind: message type, where the file names one.
+        unread: name of a column of a table that has no numbers → what it has instead.
     """
 
     name: str
@@ -35,9 +36,16 @@ class Stream:
     losses: tuple[str, ...] = ()
     fields: tuple[str, ...] = ()
     kind: str = ""
+    unread: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.stamps.values())))
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The columns without numbers, as sentences; of many the first three and the number of the others."""
+        found = tuple(f"column {name!r} left out: {reason}" for name, reason in self.unread.items())
+        return found if len(found) <= 4 else (*found[:3], f"{len(found) - 3} more columns without numbers left out")
 
     def on_clock(self, clock: str | None) -> npt.NDArray[np.int64]:
         """The stamps of a clock, (n,) [ns]; None: of the first.

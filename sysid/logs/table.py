@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +16,7 @@ from sysid import scratch
 from sysid.errors import InputError, nearest
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.time_unit import TimeUnit, as_unit, likely_units
+from sysid.logs.time_unit import FEWEST, SECONDS, TimeUnit, as_unit, days_origin, likely_units
 from sysid.units import si_factor, split_header
 
 #: Names under which a time column is found without a recipe, in this order.
@@ -28,11 +28,56 @@ SLOWEST_HZ, FASTEST_HZ = 0.5, 50e3
 #: Header and values of each column.
 Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
 
+#: Header and values of each column (n,): float64, whole numbers, or stamps in nanoseconds (datetime64, timedelta64).
+TypedColumns: TypeAlias = Sequence[tuple[str, npt.NDArray[Any]]]
+
 #: Stamps that are converted, and cells of a text table that are parsed, at a time.
 _PIECE, CELLS = 2**18, 2**20
 
 #: The loss of a text log whose last row may be cut: it would give a wrong value, not a missing one.
 CUT_ROW = "the last row has no line end and may be cut: left out"
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a reader found in a plain table.
+
+    Args:
+        columns: those with numbers or stamps.
+        losses: as of :class:`sysid.logs.Stream`.
+        unread: name of a column without numbers → what it has instead.
+    """
+
+    columns: TypedColumns = ()
+    losses: tuple[str, ...] = ()
+    unread: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def joined(cls, tables: Sequence[Table]) -> Table:
+        """The columns of several tables beside each other."""
+        return cls(
+            [column for table in tables for column in table.columns],
+            tuple(loss for table in tables for loss in table.losses),
+            {name: reason for table in tables for name, reason in table.unread.items()},
+        )
+
+    @property
+    def numbers(self) -> Columns:
+        """All columns as float64; stamps in seconds, with that unit in the header."""
+        return [
+            (f"{split_header(header)[0]} [s]" if values.dtype.kind in "mM" else header, _floats(values))
+            for header, values in self.columns
+        ]
+
+
+def _floats(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    if values.dtype == np.float64:
+        return values
+    if values.dtype.kind not in "mM":
+        return scratch.computed(len(values), lambda first, last: values[first:last])
+    missing = np.isnat(values)
+    seconds: npt.NDArray[np.float64] = np.where(missing, np.nan, values.view(np.int64) * 1e-9)
+    return seconds
 
 
 def without_line_end(path: Path) -> bool:
@@ -95,33 +140,31 @@ def text_chunks(
 
 def is_wanted(header: str, options: ReadOptions, units_in_headers: bool = True) -> bool:
     """Whether a column is to be read: it is wanted, or may be the time."""
-    if options.columns is None:
-        return True
     name = split_header(header)[0] if units_in_headers else header
-    if name in options.columns or name == options.time:
-        return True
-    return options.time is None and options.rate_hz is None and name in TIME_NAMES
+    return options.columns is None or name in options.columns or is_time(name, options)
+
+
+def is_time(name: str, options: ReadOptions) -> bool:
+    """Whether a column is the time, or may be it."""
+    return name == options.time or (options.time is None and options.rate_hz is None and name in TIME_NAMES)
 
 
 def table_stream(
-    path: Path,
-    columns: Columns,
-    options: ReadOptions,
-    losses: tuple[str, ...] = (),
-    units_in_headers: bool = True,
-    known: Sequence[str] = (),
+    path: Path, table: Table, options: ReadOptions, units_in_headers: bool = True, known: Sequence[str] = ()
 ) -> Stream:
-    """The stream of a plain table of (header, values); headers may carry units (``boom.cylinder [mm]``).
+    """The stream of a plain table; headers may carry units (``boom.cylinder [mm]``).
 
     ``known``: all headers, where only the wanted columns were read.
 
     Raises:
-        InputError: no time column, no rows, a time column with missing values, two columns of one name.
+        InputError: no time column, no rows, a time column with missing values, two columns of one name, or a wanted column
+            without numbers.
     """
-    values: dict[str, npt.NDArray[np.float64]] = {}
+    values: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
+    losses, unread = list(table.losses), dict(table.unread)
     fields = tuple(split_header(header)[0] if units_in_headers else header for header in known)
-    for header, column in columns:
+    for header, column in table.columns:
         name, unit = split_header(header) if units_in_headers else (header, None)
         if name in values:
             raise InputError(path, f"two columns are named {name!r}", "one column a name", "Rename or drop one of them.")
@@ -133,16 +176,73 @@ def table_stream(
         step = 1e9 / options.rate_hz
         stamps = scratch.computed(rows, lambda a, b: np.rint(np.arange(a, b) * step).astype(np.int64), np.int64)
     else:
-        time = _time_name(path, tuple(values), options, fields)
-        if time not in units and options.time_unit is None:
-            _check_unit(path, time, values[time], options)
-        factor, si = si_factor(units.pop(time, options.time_unit or "s"), path)
-        if si != "s":
-            raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
-        stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
+        time = _time_name(path, values, options, fields, unread)
+        stamps, loss = _stamps(path, time, values.pop(time), units.pop(time, None), options)
+        losses += [loss] if loss else []
     if not len(stamps):
         raise InputError(path, "a header but no rows", "at least one row of numbers", "Export the log again.")
-    return Stream(path.stem, path, {"time": stamps}, values, units, losses, fields)
+    for name in [name for name, column in values.items() if column.dtype.kind in "mM"]:
+        unread[name] = "dates or times, which only a time column has"
+        del values[name]
+    for wanted in sorted(options.columns or ()):
+        for name, reason in unread.items():  # also an element or a field of it
+            if wanted == name or (wanted not in values and wanted.startswith((f"{name}[", f"{name}."))):
+                raise no_numbers(path, name, reason)
+    numbers = {name: _floats(column) for name, column in values.items()}
+    units = {name: unit for name, unit in units.items() if name in numbers}
+    return Stream(path.stem, path, {"time": stamps}, numbers, units, tuple(losses), fields, unread=unread)
+
+
+def no_numbers(path: Path, name: str, reason: str) -> InputError:
+    """The refusal of a column that is needed and has no numbers."""
+    remedy = f"Export it as numbers, with their unit in the header (`{name} [mm]`); rename or drop it if it is no measurement."
+    return InputError(f"{path}: column {name!r}", reason, "numbers", remedy)
+
+
+def _stamps(
+    path: Path, time: str, values: npt.NDArray[Any], stated: str | None, options: ReadOptions
+) -> tuple[npt.NDArray[np.int64], str]:
+    """The stamps of a time column [ns], and what was assumed of them."""
+    where = f"{path}: {time}"
+    if values.dtype.kind in "mM":
+        return to_ns(values, 1e-9, where), ""
+    unit = stated or options.time_unit
+    if unit is None:
+        _check_unit(path, time, _floats(values), options)
+    factor, si = si_factor(unit or "s", path)
+    if si != "s":
+        raise InputError(where, f"a unit of [{si}]", "a unit of time such as s, ms or ns")
+    _check_padding(where, values, factor)
+    origin, calendar = (0.0, "") if factor != SECONDS["day"] else days_origin(values)
+    if not calendar:
+        return to_ns(values, factor, where), ""
+    return to_ns(_floats(values) - origin, factor, where), f"{time}: {calendar}, taken as dates in UTC"
+
+
+def _check_padding(where: str, values: npt.NDArray[Any], factor: float) -> None:
+    """Raise InputError for seconds and unpadded nanoseconds with a dot between them: 12.5 for 12 s and 5 ns.
+
+    These go back where the nanoseconds have one digit more than before, in every second from 12.99… to 12.10….
+    """
+    if factor != 1.0 or values.dtype.kind != "f" or not np.isfinite(values).all():
+        return
+    back = np.flatnonzero(values[1:] < values[:-1])
+    if len(back) < FEWEST:
+        return
+    whole = np.floor(values)
+    seconds = 1 + int(np.count_nonzero(whole[1:] != whole[:-1]))
+    tenths = np.floor((values[back + 1] - whole[back + 1]) * 10.0 + 1e-5)
+    # All seconds but the first and the last are complete.
+    if np.count_nonzero(tenths == 1.0) < max(seconds - 2, FEWEST) or np.any(whole[1:] < whole[:-1]):
+        return
+    row = int(back[0])
+    raise InputError(
+        f"{where}: rows {row + 1} and {row + 2}",
+        f"{values[row]:.9f} and {values[row + 1]:.9f}: stamps go back {len(back)} times in {seconds} s, in each to its first "
+        "tenth, as nanoseconds without leading zeros do (12.5 for 12 s and 5 ns)",
+        "nine digits of nanoseconds after the dot (12.000000005)",
+        "Write seconds and nanoseconds as one number: `sec + 1e-9 * nsec`.",
+    )
 
 
 @dataclass(frozen=True)
@@ -194,20 +294,26 @@ def _check_unit(path: Path, time: str, values: npt.NDArray[np.float64], options:
         )
 
 
-def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.NDArray[np.int64]:
-    """Stamps in units of ``factor`` seconds as int64 nanoseconds.
+def to_ns(seconds: npt.NDArray[Any], factor: float, where: str) -> npt.NDArray[np.int64]:
+    """Stamps in units of ``factor`` seconds, or datetime64 and timedelta64 in nanoseconds, as int64 nanoseconds.
 
-    Whole units and fractions are converted separately, so that a Unix time in seconds keeps its float64 precision.
+    Integers are multiplied as such. Of floats, whole units and fractions are converted separately, so that a Unix time in
+    seconds keeps its float64 precision.
     """
     if not np.all(np.isfinite(seconds)):
         bad = int(np.flatnonzero(~np.isfinite(seconds))[0])
         raise InputError(where, f"no time in row {bad + 1}", "a number in every row", "Remove the row or repair the export.")
+    if seconds.dtype.kind in "mM":
+        stamps: npt.NDArray[np.int64] = seconds.view(np.int64)
+        return stamps
     scale = factor * 1e9
-    largest = max(float(np.max(seconds, initial=0.0)), -float(np.min(seconds, initial=0.0))) * scale
+    largest = max(float(np.max(seconds, initial=0)), -float(np.min(seconds, initial=0))) * scale
     if largest > 9.2e18:  # 292 years
         expected = "times that fit into 64 bits of nanoseconds"
         raise InputError(where, f"a time of {largest * 1e-9:.3g} s", expected, "State the right unit of the time column.")
-    stamps: npt.NDArray[np.int64] = scratch.empty(len(seconds), np.int64)
+    if seconds.dtype.kind in "iu" and scale == int(scale):
+        return scratch.computed(len(seconds), lambda a, b: seconds[a:b].astype(np.int64) * int(scale), np.int64)
+    stamps = scratch.empty(len(seconds), np.int64)
     for begin in range(0, len(seconds), _PIECE):
         piece = seconds[begin : begin + _PIECE]
         whole = np.floor(piece)
@@ -216,18 +322,31 @@ def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.ND
     return stamps
 
 
-def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions, known: tuple[str, ...]) -> str:
-    if options.time is not None:
-        if options.time not in names:
-            found, expected = f"no time column {options.time!r}", nearest(options.time, known or names)
-            raise InputError(path, found, expected, "Correct `time` in the recipe.")
-        return options.time
-    for name in TIME_NAMES:
-        if name in names:
+def _time_name(
+    path: Path,
+    values: Mapping[str, npt.NDArray[Any]],
+    options: ReadOptions,
+    known: tuple[str, ...],
+    unread: Mapping[str, str],
+) -> str:
+    """The time column: that of the recipe, one with such a name, or the only one of dates."""
+    named = (options.time,) if options.time is not None else TIME_NAMES
+    for name in named:
+        if name in values:
             return name
+        if name in unread:
+            expected = "seconds, timestamps, or (in CSV and JSON) dates with time in ISO 8601: 2026-03-01T12:00:00.5"
+            remedy = "Write the time as a number of seconds from any origin."
+            raise InputError(f"{path}: column {name!r}", unread[name], expected, remedy)
+    if options.time is not None:
+        found, expected = f"no time column {options.time!r}", nearest(options.time, known or values)
+        raise InputError(path, found, expected, "Correct `time` in the recipe.")
+    dated = [name for name, column in values.items() if column.dtype.kind == "M"]
+    if len(dated) == 1:
+        return dated[0]
     raise InputError(
         path,
         "no time column",
-        f"a column named {TIME_NAMES[0]!r}; found {', '.join(known or names) or 'none'}",
+        f"a column named {TIME_NAMES[0]!r}; found {', '.join(known or (*values, *unread)) or 'none'}",
         'Name the column in the recipe: `time = "<column>"`, or the rate of evenly spaced rows: `rate_hz = …`.',
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +22,10 @@ NEAR = 10.0
 FEWEST = 5
 #: Stamps that are used.
 _STAMPS = 2**16
-#: Unix time from 2000 to 2100 [s]; days of spreadsheets in the same years.
-_UNIX, _DAYS = (946_684_800.0, 4_102_444_800.0), (36_526.0, 73_051.0)
+#: Unix time from 2000 to 2100 [s].
+_UNIX = (946_684_800.0, 4_102_444_800.0)
+#: Counts of days: 1970-01-01 in each, and its name.
+_CALENDARS = ((25_569.0, "days of a spreadsheet (since 1899-12-30)"), (719_529.0, "days of MATLAB's datenum (since year 0)"))
 _NAMES = (
     ("us", r"(^|[^a-z])(us|µs|usec|micros|microseconds)$|(?-i:[a-z]US$)"),
     ("ms", r"(^|[^a-z])(ms|msec|millis|milliseconds)$|(?-i:[a-z]MS$)"),
@@ -70,7 +73,7 @@ def likely_units(values: npt.NDArray[np.float64], name: str = "", expected_hz: f
     named = unit_in_name(name)
     size = float(np.nanmedian(np.abs(values[:_STAMPS])))
     dated = {unit for unit, seconds in SECONDS.items() if unit != "day" and _UNIX[0] <= size * seconds <= _UNIX[1]}
-    dated |= {"day"} if _DAYS[0] <= size <= _DAYS[1] else set()
+    dated |= {"day"} if days_origin(np.array([size]))[1] else set()
     for decisive in ({named}, dated):
         if chosen := [unit for unit in found if unit.unit in decisive]:
             return tuple(chosen)
@@ -82,6 +85,15 @@ def likely_units(values: npt.NDArray[np.float64], name: str = "", expected_hz: f
         near = [unit for unit in found if 1.0 / NEAR <= unit.rate_hz / expected_hz <= NEAR]
         found = near or found
     return tuple(found)
+
+
+def days_origin(values: npt.NDArray[Any]) -> tuple[float, str]:
+    """1970-01-01 in the count of days that gives all ``values`` (n,) a date from 2000 to 2100, and its name; else (0, "")."""
+    for origin, name in _CALENDARS:
+        first, last = (origin + seconds / SECONDS["day"] for seconds in _UNIX)
+        if len(values) and np.all((first <= values) & (values <= last)):
+            return origin, name
+    return 0.0, ""
 
 
 def unit_in_name(name: str) -> str | None:

@@ -1,7 +1,7 @@
 """TRC files of motion capture (Motion Analysis, OpenSim): markers → streams ``x y z`` [m] on the capture clock.
 
 Three head lines (file type; names and values of the settings), the markers' names over three columns each, the axes, an empty
-line; then frame, time and positions, empty or ``nan`` where a marker is not visible. Tabs, or commas from a spreadsheet.
+line; then frame, time and positions, empty or ``nan`` where a marker is not visible. Tabs, or the separator of a spreadsheet.
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import length_factor, number_rows, text_lines, unique_names
+from sysid.logs.capture import length_factor, number_rows, separator_of, text_lines, unique_names, without_lost
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -37,7 +37,7 @@ class TrcReader:
             raise InputError(path, f"first line {head[0][:40] if head else ''!r}", "'PathFileType' as a TRC file begins")
         if len(head) < 5:
             raise InputError(path, f"{len(head)} lines", "five head lines and frames", "Export it again.")
-        separator = "\t" if "\t" in head[0] else ","
+        separator = separator_of(head[0])
         rows = [[cell.strip() for cell in line.split(separator)] for line in head]
         settings = dict(zip(rows[1], rows[2], strict=False))
         factor = length_factor(path, settings.get("Units", ""), options)
@@ -46,7 +46,9 @@ class TrcReader:
             raise InputError(path, "no names of markers", "names over the columns", "Export it again.")
         budget.check_topics(path, len(markers), "markers")
         options.check_streams(path, markers, "marker")
-        table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True, options=options)
+        width = 2 + 3 * len(markers)
+        _check_commas(path, width, separator)
+        table, losses = number_rows(path, width, 5, separator, ragged=True, options=options)
         table = table[~np.isnan(table[:, 1])]
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")
@@ -60,4 +62,17 @@ class TrcReader:
             if options.wants(name):
                 columns = {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")}
                 streams.append(Stream(name, path, stamps, columns, dict.fromkeys("xyz", "m"), losses, kind="Marker"))
-        return tuple(streams)
+        return without_lost(path, streams)
+
+
+def _check_commas(path: Path, width: int, separator: str) -> None:
+    """Raise where commas separate cells and decimals: the rows have two cells for each number but the frame."""
+    if separator != ",":
+        return
+    for number, line in enumerate(islice(text_lines(path, _WHAT), 5, 10), start=6):
+        cells = line.rstrip(", ").count(",") + 1
+        if cells == 1 + 2 * (width - 1):
+            found = f"{cells} cells for {width} numbers: commas separate cells and decimals"
+            raise InputError(
+                f"{path}: line {number}", found, "another separator than the decimal mark", "Export it again with tabs."
+            )

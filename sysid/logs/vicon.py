@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, number_rows, text_lines
+from sysid.logs.capture import Array, number_of, number_rows, separator_of, text_lines, without_lost
 from sysid.logs.cut_off import uneven_sections
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -69,11 +69,9 @@ class ViconReader:
         if not found:
             raise InputError(path, "no frames", f"a section such as {SECTIONS[0]!r} with frames", "Export the trial again.")
         options.check_streams(path, [name for name, _ in found], "marker, segment or device")
-        return tuple(
-            replace(stream, name=name, losses=(*stream.losses, *uneven_sections(path, last_frames)))
-            for name, stream in found
-            if options.wants(name)
-        )
+        losses = uneven_sections(path, last_frames)
+        wanted = [replace(stream, name=name, losses=(*stream.losses, *losses)) for name, stream in found if options.wants(name)]
+        return without_lost(path, wanted)
 
 
 def _sections(path: Path) -> Iterator[_Section]:
@@ -89,14 +87,14 @@ def _sections(path: Path) -> Iterator[_Section]:
             continue
         where = f"{path}: section {kind!r} in line {number + 1}"
         head = [next(lines, (number, ""))[1] for _ in range(4)]
-        separator = "\t" if "\t" in head[2] else ","
+        separator = separator_of(head[2])
         rows = [[cell.strip() for cell in text.split(separator)] for text in head]
         if rows[2][0] != "Frame" or len(rows[2]) < 3:
             raise InputError(
                 where, f"no columns ({head[2][:40]!r})", "'Frame', 'Sub Frame' and axes", "Export the trial again."
             )
         try:
-            rate = float(rows[0][0])
+            rate = number_of(rows[0][0])
         except ValueError:
             rate = 0.0
         if not 0.0 < rate < 1e6:

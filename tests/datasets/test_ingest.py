@@ -271,7 +271,7 @@ def test_few_late_rows_are_sorted_and_reported(folder: Path, tmp_path: Path) -> 
     lines[500], lines[501] = lines[501], lines[500]
     path.write_text("\n".join([*lines[:700], lines[699], *lines[700:]]) + "\n")
     dataset = ingest(folder, tmp_path / "ws")
-    assert dataset.quality["streams"]["run-0"]["log.csv/boom.command"]["repaired_rows"] == 2
+    assert dataset.quality["streams"]["run-0"]["log.csv/boom.command"]["late"] == 1
     np.testing.assert_allclose(dataset.recording("run-0").values("boom.command"), motion(20.0, 0)[1])
 
 

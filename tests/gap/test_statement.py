@@ -14,6 +14,8 @@ from scipy.signal import lfilter
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
+from sysid.gap.response_difference import response_differences
+from sysid.gap.sentences import response_sentences
 from sysid.gap.statement import AGREES, Agreement, FloorSource, headline, verdict_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
@@ -100,12 +102,32 @@ def test_what_remains_after_a_repair_is_said_beside_the_names(effect: KnownEffec
     consistent(found)
 
 
+def test_what_the_recordings_show_without_a_model_is_compared_with_the_simulation() -> None:
+    effects = [
+        KnownEffect("input_delay", "slew", {"delay": 0.12}),
+        KnownEffect("valve_deadband", "boom", {"positive": 0.35, "negative": 0.25}),
+    ]
+    inputs = [arm_inputs(f"run-{k}", 40.0, 60 + k) for k in range(2)]
+    recordings = [measured(nominal(*effects), own, k) for k, own in enumerate(inputs)]
+    machine, units = nominal().machine, {"slew.joint": "rad", "boom.cylinder": "m"}
+    runs = [measured(nominal(), own, k).table for k, own in enumerate(inputs)]
+    found = response_differences(recordings, runs, machine, units)
+    (delay,) = (item for item in found if item.quantity == "delay" and item.axis == "slew")
+    assert delay.recorded[0] - delay.simulated[1] > 0.08
+    begins = {item.side: item for item in found if item.quantity == "begins" and item.axis == "boom"}
+    assert begins["positive"].recorded[0] <= 0.35 <= begins["positive"].recorded[1]
+    sentences = response_sentences(found, repaired=True)
+    assert sentences[0].startswith("Without a model slew differs from the repaired simulation: it follows its command after ")
+    assert any("positive commands move it from 0.3" in sentence for sentence in sentences)
+    assert response_differences(recordings, [recording.table for recording in recordings], machine, units) == ()
+
+
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 24))])
 def test_sealed_machines_with_and_without_what_no_effect_explains(seed: int) -> None:
     """Valves, servos and forces; a random, slow, wave-like or creeping error of a thousandth to a tenth of the motion."""
     plant, data = generated(seed)
     found = find_gap(data, plant)
-    assert (found.verdict, found.effects) == ("no_gap", ())
+    assert (found.verdict, found.effects, found.responses) == ("no_gap", (), ())
     consistent(found)
     found = find_gap(disturbed(data, seed), plant)
     assert found.verdict != "no_gap" or not any(item.differs for item in found.agreement)

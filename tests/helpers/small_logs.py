@@ -15,6 +15,7 @@ import can
 import numpy as np
 import pandas as pd
 from c3d_writer import Writer, trial
+from flight_logs import attitude_dataflash, attitude_ulog
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -264,6 +265,8 @@ LOGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "peak.trc": ("can", _can),
     "candump.log": ("can", _can),
     "log.mf4": ("mf4", _mf4),
+    "flight.ulg": ("ulog", lambda path: path.write_bytes(attitude_ulog(ROWS)) and None),
+    "flight.bin": ("ardupilot", lambda path: path.write_bytes(attitude_dataflash(ROWS)) and None),
     "table.csv": ("csv", lambda path: _table(path).to_csv(path, index=False)),
     "table.parquet": ("parquet", lambda path: _table(path).to_parquet(path)),
     "plain.mat": ("mat", _mat()),

@@ -54,6 +54,63 @@ def test_every_storage_gives_the_same_numbers(processor: str, integers: bool, tm
     np.testing.assert_array_equal(np.diff(volts.stamps["capture"]), 5_000_000)
 
 
+@settings(max_examples=examples(60), deadline=None)
+@given(
+    rates=st.tuples(st.sampled_from([None, 0.0, 25.0, 50.0]), st.sampled_from([0.0, 50.0, 120.0])),
+    zero_scale=st.booleans(),
+    integers=st.booleans(),
+    processor=st.sampled_from(list(PROCESSORS)),
+)
+def test_a_parameter_of_zero_is_not_stated(
+    rates: tuple[float | None, float],
+    zero_scale: bool,
+    integers: bool,
+    processor: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """The header's rate and scale count then, as in ezc3d; a contradiction is said and the parameter counts."""
+    points, analog = trial()
+    path = tmp_path_factory.getbasetemp() / "zero.c3d"
+    parameters: dict[str, Any] = {"POINT:RATE": rates[0]} | ({"POINT:SCALE": 0.0} if zero_scale else {})
+    writer = Writer(processor, integers)
+    data = bytearray(writer.file(points, analog, parameters))
+    data[20:24] = writer.floats([rates[1]])
+    path.write_bytes(data)
+    if not rates[0] and not rates[1]:
+        with pytest.raises(InputError, match=r"zero\.c3d: a rate of 0\.0 frames a second"):
+            read(path)
+        return
+    stream = read(path)["body:Marker1"]
+    rate = rates[0] or rates[1]
+    np.testing.assert_allclose(np.diff(stream.stamps["capture"]), 1e9 / rate, atol=1)
+    np.testing.assert_allclose(stream.columns["x"], points[:, 0, 0] * 1e-3 * (0.5 if integers else 1.0))
+    differ = bool(rates[0] and rates[1] and rates[0] != rates[1])
+    assert [loss.split(": ")[1] for loss in stream.losses] == [
+        *(["POINT:RATE is 0"] if rates[0] == 0.0 else []),
+        *([f"POINT:RATE is {rate:g}, the header states {rates[1]:g}"] if differ else []),
+        *(["POINT:SCALE is 0"] if zero_scale else []),
+    ]
+
+
+def test_a_scale_of_zero_everywhere_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "flat.c3d"
+    data = bytearray(Writer(integers=True).file(*trial(), {"POINT:SCALE": 0.0}))
+    data[12:16] = bytes(4)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"flat\.c3d: a scale of 0\.0; expected a number other than zero"):
+        read(path)
+
+
+def test_zeros_of_a_model_output_are_values(tmp_path: Path) -> None:
+    points, analog = trial()
+    points[3, 1] = 0.0
+    path = tmp_path / "trial.c3d"
+    forces = {"POINT:FORCES": ["body:Marker2"], "POINT:FORCE_UNITS": ["N"]}
+    path.write_bytes(Writer().file(points, analog, forces))
+    stream = read(path)["body:Marker2"]
+    assert (stream.columns["x"][3], stream.losses) == (0.0, ())
+
+
 def test_unsigned_analog_samples(tmp_path: Path) -> None:
     points, analog = trial()
     path = tmp_path / "trial.c3d"
@@ -114,7 +171,7 @@ def test_what_lies_exactly_in_the_origin_was_not_seen(tmp_path: Path) -> None:
     path.write_bytes(Writer().file(points, analog))
     stream = read(path, "body:Marker2")["body:Marker2"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(stream.columns["x"])), [2, 3])
-    assert stream.losses == ("trial.c3d: 2 points exactly in the origin are treated as not visible",)
+    assert stream.losses == ("trial.c3d: 2 points exactly in the origin are treated as not visible: body:Marker2 2",)
 
 
 def test_angles_of_a_model_are_no_lengths(tmp_path: Path) -> None:

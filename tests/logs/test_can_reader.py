@@ -10,7 +10,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from cantools.database.can import Message, Signal
+from cantools.database.can import Database, Message, Signal
 from cantools.database.conversion import BaseConversion
 from examples import examples
 from hypothesis import given, settings
@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.can_frames import FrameLog, Frames, read_frames
+from sysid.logs.can_ranges import is_j1939, measured
 from sysid.logs.can_signals import decode, load_database
 from sysid.logs.limits import Budget
 
@@ -125,6 +126,44 @@ def test_multiplexed_signals_are_missing_where_another_is_selected(dbc: Path) ->
     np.testing.assert_array_equal(columns["fast"], [np.nan, 1.5, np.nan])
 
 
+def test_each_selection_of_a_multiplexer_is_a_stream_with_its_own_stamps(tmp_path: Path, dbc: Path) -> None:
+    path = tmp_path / "bus.blf"
+    with can.BLFWriter(path) as log:
+        for i in range(12):
+            slow = b"\1" + struct.pack("<h", i) + bytes(5)
+            payload = b"\2" + struct.pack("<f", 0.5 * i) + bytes(3) if i % 4 else slow
+            log.on_message_received(message(1.7e9 + 0.01 * i, 512, payload))
+    streams = read(path, dbc)
+    assert {name: len(stream) for name, stream in streams.items()} == {"MODES": 12, "MODES[mode=1]": 3, "MODES[mode=2]": 9}
+    np.testing.assert_array_equal(streams["MODES[mode=1]"].columns["slow"], 0.5 * np.array([0, 4, 8]) + 10.0)
+    np.testing.assert_allclose(np.diff(streams["MODES[mode=1]"].stamps["log"]), 40_000_000, atol=1000)
+    assert list(streams["MODES"].columns) == ["mode"]
+    with pytest.raises(InputError, match=r"no message 'MODES\[mode=3\]'; expected 'MODES\[mode="):
+        read(path, dbc, "MODES[mode=3]")
+    misplaced = ReadOptions(dbc=dbc, streams=frozenset({"MODES"}), fields={"MODES": frozenset({"slow"})})
+    with pytest.raises(InputError, match=r'selects it; expected the stream .*Write `topic = "MODES\[mode=1\]"` in the recipe'):
+        reader_for(path).read(path, misplaced)
+
+
+def test_selections_within_selections_and_of_several_numbers(tmp_path: Path) -> None:
+    """Extended multiplexing: a multiplexer that another one selects, and a signal of several numbers."""
+    dbc, path = tmp_path / "m.dbc", tmp_path / "bus.blf"
+    dbc.write_text(
+        'VERSION ""\nBS_:\nBU_: ECU\nBO_ 512 MODES: 8 ECU\n SG_ mode M : 0|8@1+ (1,0) [0|0] "" ECU\n'
+        ' SG_ page m1M : 8|8@1+ (1,0) [0|0] "" ECU\n SG_ deep m2 : 16|16@1- (1,0) [0|0] "" ECU\n'
+        ' SG_ wide m3 : 16|16@1- (1,0) [0|0] "" ECU\nSG_MUL_VAL_ 512 page mode 1-1;\nSG_MUL_VAL_ 512 deep page 2-2;\n'
+        "SG_MUL_VAL_ 512 wide mode 3-5, 7-7;\n"
+    )
+    with can.BLFWriter(path) as log:
+        for i, (mode, page) in enumerate([(1, 2), (1, 3), (3, 0), (7, 2), (6, 0), (1, 2)]):
+            log.on_message_received(message(1.7e9 + 0.01 * i, 512, struct.pack("<BBh4x", mode, page, i)))
+    streams = read(path, dbc)
+    expected = {"MODES": 6, "MODES[mode=1]": 3, "MODES[mode=1][page=2]": 2, "MODES[mode=3-5,7]": 2}
+    assert {name: len(stream) for name, stream in streams.items()} == expected
+    np.testing.assert_array_equal(streams["MODES[mode=1][page=2]"].columns["deep"], [0, 5])
+    np.testing.assert_array_equal(streams["MODES[mode=3-5,7]"].columns["wide"], [2, 3])
+
+
 def write_log(path: Path, start: float) -> None:
     wires = cantools.database.load_string(DBC).get_message_by_name("WIRES")
     with can.Logger(path) as log:  # type: ignore[attr-defined]
@@ -200,6 +239,103 @@ def test_j1939_messages_are_known_whoever_sends_them(tmp_path: Path, shared_data
     assert set(streams) == {"EEC1@0xCF00400x", "EEC1@0xCF00417x"}
     for stream in streams.values():
         np.testing.assert_array_equal(stream.columns["EngineSpeed"], [1000.0])
+
+
+def described(signals: str, extended: bool = True, protocol: str = "") -> Database:
+    """A database with one message of 8 bytes; ``protocol``: its attributes."""
+    text = f'VERSION ""\nBS_:\nBU_: ECU\nBO_ {(0x80000000 if extended else 0) | 0x100} M: 8 ECU\n{signals}\n{protocol}'
+    database = cantools.database.load_string(text, database_format="dbc", strict=False)
+    assert isinstance(database, Database)
+    return database
+
+
+J1939 = 'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "ProtocolType" "J1939";\n'
+FRAME_FORMAT = (
+    'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+    'BA_DEF_DEF_ "VFrameFormat" "ExtendedCAN";\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("extended", "protocol", "expected"),
+    [
+        (True, J1939, True),
+        (False, J1939, False),
+        (True, "", False),
+        (True, FRAME_FORMAT + 'BA_ "VFrameFormat" BO_ 2147483904 3;\n', True),
+        (True, FRAME_FORMAT + J1939 + 'BA_ "VFrameFormat" BO_ 2147483904 1;\n', False),
+        (True, FRAME_FORMAT + J1939, True),
+    ],
+)
+def test_j1939_is_what_the_database_or_the_message_says(extended: bool, protocol: str, expected: bool) -> None:
+    database = described(' SG_ s : 0|16@1+ (1,0) [0|0] "" ECU', extended, protocol)
+    assert is_j1939(database.messages[0], database) == expected
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(data=st.data(), length=st.integers(1, 40), scale=st.sampled_from([1.0, 0.01, -2.0]), signed=st.booleans())
+def test_the_ranges_of_j1939_decide_what_is_a_value(data: st.DataObject, length: int, scale: float, signed: bool) -> None:
+    """SAE J1939-71: of whole bytes up to 0xFA…, of two bits 0 and 1, of other lengths all but all ones."""
+    raw = data.draw(
+        st.integers(0, 2**length - 1)
+        | st.integers(0, min(6 * 2 ** max(length - 8, 0), 2**length) - 1).map(lambda n: 2**length - 1 - n)
+    )
+    database = described(f' SG_ s : 0|{length}@1{"-" if signed else "+"} ({scale},-7) [0|0] "" ECU', protocol=J1939)
+    frames = frames_of([raw.to_bytes(8, "little")])
+    columns = decode(database.messages[0], frames)
+    result, said = measured(database.messages[0], True, frames, columns)
+    if signed or length == 1:
+        last = 2**length - 1
+    elif length == 2:
+        last = 1
+    elif length in (8, 16, 24, 32):
+        last = 0xFB * 2 ** (length - 8) - 1
+    else:
+        last = 2**length - 2
+    assert np.isnan(result["s"][0]) == (raw > last)
+    assert bool(said) == (raw > last)
+    if raw <= last:
+        assert result["s"][0] == columns["s"][0]
+
+
+def test_what_j1939_has_no_value_for_is_missing_and_counted(tmp_path: Path) -> None:
+    dbc, path = tmp_path / "m.dbc", tmp_path / "l.blf"
+    signals = ' SG_ boom : 0|16@1+ (0.0001,-3.2) [-3.2|3.2] "rad" ECU\n SG_ on : 16|2@1+ (1,0) [0|3] "" ECU\n'
+    dbc.write_text(f'VERSION ""\nBS_:\nBU_: ECU\nBO_ 2566844672 POS: 8 ECU\n{signals}{J1939}')
+    raws = [0, 0xFAFF, 0xFB00, 0xFDFF, 0xFE00, 0xFEFF, 0xFEAA, 0xFF00, 0xFFFF]
+    with can.BLFWriter(path) as log:
+        for i, raw in enumerate(raws):
+            payload = struct.pack("<HB5x", raw, i % 4)
+            log.on_message_received(message(1.7e9 + 0.01 * i, 0x18FEF1AA, payload, extended=True))
+    stream = read(path, dbc)["POS"]
+    np.testing.assert_allclose(stream.columns["boom"], [-3.2, 3.2255, *[np.nan] * 7])
+    np.testing.assert_array_equal(stream.columns["on"], [0, 1, np.nan, np.nan] * 2 + [0])
+    assert stream.losses == (
+        "l.blf: POS: boom: 2 samples 'not available', 3 'error', 2 'indicator or reserved' (SAE J1939-71): missing",
+        "l.blf: POS: boom: 1 value outside of the range -3.2 to 3.2 that the database states: kept",
+        "l.blf: POS: on: 2 samples 'not available', 2 'error' (SAE J1939-71): missing",
+    )
+    one = ReadOptions(dbc=dbc, streams=frozenset({"POS"}), fields={"POS": frozenset({"on"})})
+    (stream,) = reader_for(path).read(path, one)
+    assert len(stream.losses) == 1
+
+
+@settings(max_examples=examples(200), deadline=None)
+@given(length=st.integers(2, 32), share=st.floats(0.0, 1.0), raw=st.integers(0, 2**32 - 1), data=st.data())
+def test_outside_of_a_stated_range_all_ones_are_missing_and_others_kept(
+    length: int, share: float, raw: int, data: st.DataObject
+) -> None:
+    ones = 2**length - 1
+    raw = data.draw(st.sampled_from([ones, raw % 2**length]))
+    highest = int(share * ones)
+    database = described(f' SG_ s : 0|{length}@1+ (1,0) [0|{highest}] "" ECU', extended=False)
+    frames = frames_of([raw.to_bytes(8, "little")])
+    result, said = measured(database.messages[0], False, frames, decode(database.messages[0], frames))
+    outside = raw > highest > 0
+    assert np.isnan(result["s"][0]) == (outside and raw == ones)
+    assert bool(said) == outside
+    if not np.isnan(result["s"][0]):
+        assert result["s"][0] == raw
 
 
 @pytest.mark.parametrize(

@@ -320,6 +320,155 @@ def test_qualisys_heads_that_make_no_sense_are_named(tmp_path: Path) -> None:
             read(write(tmp_path / "m.tsv", *lines))
 
 
+def trc_lines(table: np.ndarray, separator: str = "\t") -> list[str]:
+    rows = [separator.join([str(i + 1), f"{i / 100:.2f}", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [line.replace("\t", separator) for line in TRC[:6]] + rows
+
+
+def vicon_lines(table: np.ndarray, separator: str = ",") -> list[str]:
+    head = "Trajectories", "100", ",,tip,,,end,,", "Frame,Sub Frame,X,Y,Z,X,Y,Z", ",,mm,mm,mm,mm,mm,mm"
+    rows = [",".join([str(i + 1), "0", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [line.replace(",", separator) for line in (*head, *rows)]
+
+
+def qualisys_lines(table: np.ndarray) -> list[str]:
+    rows = ["\t".join([str(i + 1), f"{i / 120:.5f}", *(f"{value:g}" for value in row)]) for i, row in enumerate(table)]
+    return [*qualisys_3d(), *rows]
+
+
+def motive_lines(table: np.ndarray) -> list[str]:
+    head = (
+        "Format Version,1.23,Rotation Type,Quaternion,Length Units,Millimeters,Coordinate Space,Global",
+        "",
+        ",Type" + ",Marker" * 6,
+        ",Name,tip,tip,tip,end,end,end",
+        ",ID,1,1,1,2,2,2",
+        "," + ",Position" * 6,
+        "Frame,Time (Seconds),X,Y,Z,X,Y,Z",
+    )
+    return [*head, *(",".join([str(i), f"{i / 100:.2f}", *(f"{v:g}" for v in row)]) for i, row in enumerate(table))]
+
+
+EXPORTS: dict[str, tuple[str, Callable[[np.ndarray], list[str]]]] = {
+    "trc": ("m.trc", trc_lines), "vicon": ("m.csv", vicon_lines), "qualisys": ("m.tsv", qualisys_lines),
+    "motive": ("m.csv", motive_lines),
+}  # fmt: skip
+
+
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), kind=st.sampled_from(sorted(EXPORTS)), frames=st.integers(1, 6))
+def test_a_marker_exactly_in_the_origin_is_missing_and_counted_in_every_export(
+    tmp_path: Path, data: st.DataObject, kind: str, frames: int
+) -> None:
+    cells = st.lists(st.sampled_from([0.0, 0.0, 1.0, -2.5]), min_size=6 * frames, max_size=6 * frames)
+    table = np.array(data.draw(cells)).reshape(frames, 6)
+    name, lines = EXPORTS[kind]
+    path = write(tmp_path / name, *lines(table))
+    streams = read(path)
+    assert reader_for(path).name == kind
+    lost = 0
+    for number, stream in enumerate(streams.values()):
+        own = table[:, 3 * number : 3 * number + 3]
+        zero = (own == 0.0).all(axis=1)
+        lost += int(zero.sum())
+        np.testing.assert_allclose(positions(stream), np.where(zero[:, None], np.nan, own * 1e-3))
+    said = [loss for stream in streams.values() for loss in stream.losses if "exactly in the origin" in loss]
+    assert bool(said) == bool(lost)
+    assert all(f"{name}: {lost} points exactly in the origin are treated as not visible: " in loss for loss in said)
+
+
+#: Exports whose cells are not separated by commas.
+TABBED: dict[str, Callable[[np.ndarray], list[str]]] = {
+    "m.trc": trc_lines,
+    "semicolons.trc": lambda table: trc_lines(table, ";"),
+    "m.tsv": qualisys_lines,
+    "m.csv": lambda table: vicon_lines(table, "\t"),
+    "semicolons.csv": lambda table: vicon_lines(table, ";"),
+}
+
+
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    name=st.sampled_from(sorted(TABBED)),
+    values=st.lists(st.integers(1, 10**7).map(lambda n: n / 1000), min_size=6, max_size=24),
+    mark=st.sampled_from(",."),
+)
+def test_decimal_commas_are_decimal_marks_in_every_export(tmp_path: Path, name: str, values: list[float], mark: str) -> None:
+    table = np.array(values[: 6 * (len(values) // 6)]).reshape(-1, 6)
+    lines = TABBED[name](np.round(table, 3))
+    head = len(lines) - len(table)
+    path = write(tmp_path / name, *lines[:head], *(line.replace(".", mark) for line in lines[head:]))
+    streams = list(read(path).values())
+    expected = np.array([[float(f"{value:g}") for value in row] for row in np.round(table, 3)])
+    np.testing.assert_allclose(np.hstack([positions(stream) for stream in streams]), 1e-3 * expected, rtol=1e-12)
+    steps = np.diff(streams[0].stamps["capture"])
+    assert np.all(np.abs(steps - (8_333_333 if name == "m.tsv" else 10_000_000)) < 10_000)
+
+
+@pytest.mark.parametrize("name", sorted(TABBED))
+@pytest.mark.parametrize("cell", ["1.234,5", "1,234.5", "12.5", "1 234,5"])
+def test_a_second_decimal_mark_is_refused(tmp_path: Path, name: str, cell: str) -> None:
+    table = np.full((4, 6), 1.5)
+    table[2, 3] = 77.0
+    lines = [line.replace(".", ",") for line in TABBED[name](table)]
+    head = len(lines) - 4
+    path = write(tmp_path / name, *TABBED[name](table)[:head], *(line.replace("77", cell) for line in lines[head:]))
+    with pytest.raises(
+        InputError, match=rf"{name}: row 3 below the head: '{cell}'; expected numbers with a decimal comma as above"
+    ):
+        read(path)
+
+
+def test_commas_that_separate_cells_and_decimals_are_refused(tmp_path: Path) -> None:
+    lines = trc_lines(np.full((3, 6), 1.5), ",")
+    path = write(tmp_path / "x.trc", *lines[:6], *(line.replace(".", ",") for line in lines[6:]))
+    with pytest.raises(
+        InputError, match=r"line 7: 15 cells for 8 numbers: commas separate cells and decimals; .*again with tabs"
+    ):
+        read(path)
+
+
+def test_cells_that_are_no_numbers_are_counted(tmp_path: Path) -> None:
+    lines = trc_lines(np.full((3, 6), 1.5))
+    lines[7] = lines[7].replace("1.5", "lost", 3)
+    stream = read(write(tmp_path / "x.trc", *lines))["tip"]
+    assert np.isnan(positions(stream)[1]).all()
+    assert stream.losses[0] == "x.trc: 3 cells are no numbers and are taken as missing"
+
+
+WORDS = st.sampled_from(["Arm", "X", "Y", "Xtra", "arm_1", "ARM_1", "Time", "Frame", "Z"])
+
+
+@settings(max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    data=st.data(),
+    names=st.lists(st.lists(WORDS, min_size=1, max_size=3).map(" ".join), min_size=1, max_size=4, unique=True),
+    before=st.integers(0, 2),
+    column_names=st.booleans(),
+    last_tab=st.booleans(),
+)
+def test_qualisys_heads_are_read_by_their_structure(
+    tmp_path: Path, data: st.DataObject, names: list[str], before: int, column_names: bool, last_tab: bool
+) -> None:
+    """Any name of a marker; with and without frame, time, names of the columns and a tab behind the last cell."""
+    seen = np.array(data.draw(st.lists(st.booleans(), min_size=3 * len(names), max_size=3 * len(names)))).reshape(3, -1)
+    seen[data.draw(st.integers(0, 2))] = True  # without names of columns the last marker shows where the rows end
+    end = "\t" if last_tab else ""
+    lines = [line for line in qualisys_3d() if not line.startswith("MARKER_NAMES")]
+    lines.append("MARKER_NAMES\t" + "\t".join(names))
+    if column_names:
+        axes = [f"{name} {axis}" for name in names for axis in "XYZ"]
+        lines.append("\t".join([*("Frame", "Time")[:before], *axes]) + end)
+    for row in range(3):
+        cells = [cell for there in seen[row] for cell in (["1.5", "2", "3"] if there else [""] * 3)]
+        lines.append("\t".join([*(str(row + 1), f"{row / 120:.5f}")[:before], *cells]) + end)
+    streams = read(write(tmp_path / "m.tsv", *lines))
+    assert list(streams) == names
+    for number, stream in enumerate(streams.values()):
+        expected = np.where(seen[:, number, None], [0.0015, 0.002, 0.003], np.nan)
+        np.testing.assert_allclose(positions(stream), expected)
+
+
 def damaged_text(draw: Callable[[Any], Any], text: bytes) -> bytes:
     """``text`` with some cells, lines or bytes changed, doubled or gone."""
     lines = text.split(b"\n")

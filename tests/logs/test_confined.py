@@ -32,6 +32,9 @@ def run(work: Callable[[], Any], budget: Budget = SMALL, kinds: tuple[type, ...]
 def test_every_reader_gives_the_same_in_a_process_of_its_own(name: str, tmp_path: Path) -> None:
     if name.endswith(".mf4"):
         pytest.importorskip("asammdf", reason="the extra that reads MDF files is not installed")
+    for suffix, module in ((".ulg", "pyulog"), (".bin", "pymavlink")):
+        if name.endswith(suffix):
+            pytest.importorskip(module, reason="the extra that reads flight logs is not installed")
     path, options = write_log(tmp_path, name), ReadOptions(**STATED.get(name, {}))  # type: ignore[arg-type]
     reader = reader_named(LOGS[name][0], path)
     here, there = reader.read(path, options), read_confined(reader, path, options)

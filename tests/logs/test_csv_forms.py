@@ -55,6 +55,8 @@ FORMS = {
     "other delimiters in quotes": ('time,boom [mm],note\n0,1.5,"a;b;c"\n0.5,2.5,"d;e;f"\n', "utf-8"),
     "dates with time": ("time,boom [mm]\n2026-03-01T12:00:00.0,1.5\n2026-03-01T12:00:00.5,2.5\n", "utf-8"),
     "times of the day": ("time;boom [mm]\n12:00:00,0;1,5\n12:00:00,5;2,5\n", "utf-8"),
+    "whole numbers first": ("time;boom [mm]\n0;1,5\n0,5;2,5\n", "utf-8"),
+    "many columns without values": ("time\tboom [mm]\ta\tb\tc\n0,0\t1,5\t\t\t\n0,5\t2,5\t\t\t\n", "utf-8"),
     "line ends of old systems": ("time,boom [mm]\r0,1.5\r0.5,2.5\r", "utf-8"),
 }
 
@@ -77,9 +79,8 @@ def test_the_recipe_overrides_what_is_found(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv", "time;x\n1;1,234\n2;2,345\n")
     np.testing.assert_array_equal(read(path).columns["x"], [1.234, 2.345])
     stream = read(path, ReadOptions(decimal="."))
-    assert "x" not in stream.columns  # text
-    with pytest.raises(InputError, match=r"column 'x': text, for example '1,234'; expected numbers.*state `decimal`"):
-        read(path, ReadOptions(decimal=".", columns=frozenset({"x"})))
+    np.testing.assert_array_equal(stream.columns["x"], [1234.0, 2345.0])
+    assert stream.losses == ("log.csv: column 'x': 2 cells with separators of thousands, '1,234' is 1234",)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,9 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from examples import examples
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from small_logs import write_log
 
 from sysid.errors import InputError
@@ -66,6 +69,76 @@ def test_logged_frames_are_those_of_the_same_log_in_another_format(tmp_path: Pat
         stream = found[f"0x{identifier:X}{'x' if extended else ''}"]
         np.testing.assert_array_equal(np.column_stack(list(stream.columns.values())), frames.data)
         np.testing.assert_allclose(stream.stamps["log"] - stream.stamps["log"][0], frames.stamps - frames.stamps[0], atol=1000)
+
+
+SYNC = {1: "time", 2: "an angle", 3: "a distance", 4: "an index"}
+
+
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(kinds=st.lists(st.sampled_from(sorted(SYNC)), min_size=1, max_size=4), data=st.data())
+def test_only_time_is_a_clock(tmp_path: Path, kinds: list[int], data: st.DataObject) -> None:
+    """Groups over an angle, a distance or an index are named and left out; one that the recipe asks for is refused."""
+    from asammdf import MDF, Signal
+
+    path = tmp_path / "sync.mf4"
+    with MDF() as mdf:
+        for number, kind in enumerate(kinds):
+            master = ("t" if kind == 1 else "m", kind)
+            mdf.append([Signal(np.arange(5.0), np.arange(5.0), name="a", master_metadata=master)], acq_name=f"g{number}")
+        mdf.save(path, overwrite=True)
+    others = [f"g{number}" for number, kind in enumerate(kinds) if kind != 1]
+    if len(others) == len(kinds):
+        with pytest.raises(InputError, match=rf"sync\.mf4: g0: its master channel 'm' is {SYNC[kinds[0]]}, not time"):
+            read(path)
+        return
+    streams = read(path)
+    assert sorted(streams) == [f"g{number}" for number, kind in enumerate(kinds) if kind == 1]
+    said = [f"g{n}: its master channel 'm' is {SYNC[kind]}, not time" for n, kind in enumerate(kinds) if kind != 1]
+    for stream in streams.values():
+        assert stream.losses == tuple(f"sync.mf4: {text}: left out" for text in said)
+    if others:
+        with pytest.raises(InputError, match=rf"sync\.mf4: {others[0]}: its master channel"):
+            read(path, others[0])
+
+
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(marks=st.lists(st.booleans(), min_size=2, max_size=12))
+def test_samples_that_are_marked_invalid_are_missing_and_counted(tmp_path: Path, marks: list[bool]) -> None:
+    from asammdf import MDF, Signal
+
+    path = tmp_path / "marks.mf4"
+    time = 0.1 * np.arange(len(marks))
+    with MDF() as mdf:
+        first = Signal(np.arange(len(marks)), time, name="a", invalidation_bits=np.array(marks))
+        mdf.append([first, Signal(np.ones(len(marks)), time, name="b")], acq_name="g")
+        mdf.save(path, overwrite=True)
+    (stream,) = read(path).values()
+    np.testing.assert_array_equal(stream.columns["a"], np.where(marks, np.nan, np.arange(len(marks))))
+    assert np.isfinite(stream.columns["b"]).all()
+    text = f"marks.mf4: g: samples that the file marks as invalid are missing: a {sum(marks)}"
+    assert stream.losses == ((text,) if any(marks) else ())
+
+
+def test_frames_beside_channels_are_said(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+
+    writer = can.MF4Writer(tmp_path / "bus.mf4")
+    for i in range(3):
+        writer.on_message_received(
+            can.Message(timestamp=1.7e9 + i, arbitration_id=256, is_extended_id=False, data=b"\1\2", channel=0)
+        )
+    writer.stop()
+    with MDF(tmp_path / "bus.mf4") as mdf:
+        mdf.append([Signal(np.arange(3.0), np.arange(3.0), name="a")], acq_name="wires")
+        mdf.save(tmp_path / "both.mf4")
+    streams = read(tmp_path / "both.mf4")
+    assert "wires" in streams
+    assert any("logged CAN frames of 1 groups, which need `dbc`: left out" in loss for loss in streams["wires"].losses)
+    dbc = tmp_path / "m.dbc"
+    dbc.write_text('VERSION ""\nBS_:\nBU_: ECU\nBO_ 256 M: 2 ECU\n SG_ s : 0|16@1+ (1,0) [0|0] "" ECU\n')
+    (message,) = reader_for(tmp_path / "both.mf4").read(tmp_path / "both.mf4", ReadOptions(dbc=dbc))
+    assert message.name == "M"
+    assert message.losses == ("both.mf4: channel groups beside the CAN frames left out: wires",)
 
 
 @pytest.mark.parametrize(("content", "reason"), [(b"", "empty"), (b"hello, this is text", "starts with b'hello, t'")])

@@ -40,7 +40,7 @@ def test_cells_that_are_no_numbers_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time,x\n0,1\n1,ERR\n2,3\n")
     stream = read(path)
-    assert stream.losses == ("a.csv: column 'x': 1 cells are not numbers",)
+    assert stream.losses == ("a.csv: column 'x': 1 cell is not a number, for example 'ERR': taken as missing",)
     np.testing.assert_array_equal(stream.columns["x"], [1.0, np.nan, 3.0])
 
 
@@ -221,7 +221,9 @@ def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: 
     names = [name for name, _ in whole]
     assert names == ["time", "a [mm]", "b", "list[0]", "list[1]", "mixed", "empty"]
     assert [loss.partition(": ")[2] for loss in losses] == [
-        CUT_ROW, "column 'b': 20 cells are not numbers", "column 'mixed': 49 cells are not numbers"
+        CUT_ROW,
+        "column 'b': 20 cells are not numbers, for example 'x': taken as missing",
+        "column 'mixed': 49 cells are not numbers, for example '[1]': taken as missing",
     ]  # fmt: skip
     assert all(len(values) == 100 for _, values in whole)
     for cells in (1, 70, 96, 500, 800):

@@ -193,6 +193,24 @@ def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord
     return times
 
 
+class Placed:
+    """Channels of a recording on the machine's clock, in seconds from ``start_ns``; signals of one stream share their times."""
+
+    def __init__(self, recording: RecordingClocks, records: Mapping[str, Sequence[ClockRecord]]) -> None:
+        """``records``: of :func:`by_source`."""
+        self.start_ns = recording.start_ns
+        self._records = records
+        self._times: dict[tuple[int, str], Array] = {}
+
+    def times(self, channel: Channel) -> Array:
+        """Stamps of ``channel``, (n,) [s]."""
+        key = (id(channel.stamps), channel.source)
+        if key not in self._times:
+            records = self._records.get(channel.source) if channel.domain != "machine" else None
+            self._times[key] = machine_times(channel, self.start_ns, records)
+        return self._times[key]
+
+
 def by_source(records: Sequence[ClockRecord], recording: str) -> dict[str, tuple[ClockRecord, ...]]:
     """Source file → its records, one a piece, for one recording."""
     found: dict[str, list[ClockRecord]] = {}

@@ -1,7 +1,8 @@
-"""Stamps of a clock that was set back, or overflowed, while it recorded: distinguished from late messages, and continued.
+"""Stamps of a clock that was set back, or rolled over, while it recorded: distinguished from late messages, and continued.
 
-Stamps after a step back are shifted so that they follow the previous ones by one sample period. If the device paused, its
-offset steps there, and the motion shows by how much: see :mod:`sysid.datasets.clocks.resets`.
+Counters overflow, the time of the day begins again at midnight, and that of GPS every week. Stamps after any other step back
+are shifted so that they follow the previous ones by one sample period. If the device paused, its offset steps there, and the
+motion shows by how much: see :mod:`sysid.datasets.clocks.resets`.
 """
 
 from __future__ import annotations
@@ -25,8 +26,15 @@ CROWDED = 1.5
 MAX_LATE_S = 1.0
 #: Stamps that go back in more than this share of the rows are unordered, since no clock is set so often.
 MAX_BACK_SHARE = 0.01
-#: Periods of counters: 16, 24 and 32 bits of nanoseconds, microseconds, tenths of milliseconds and milliseconds [ns].
-WRAPS = tuple(sorted({(1 << bits) * unit for bits in (16, 24, 32) for unit in (1, 1_000, 100_000, 1_000_000)}))
+#: Periods after which stamps begin again [ns] → why: those of clocks, and of counters of 16, 24 and 32 bits of nanoseconds,
+#: microseconds, tenths of milliseconds and milliseconds.
+WRAPS = {
+    3600 * 10**9: "a new hour",
+    43_200 * 10**9: "noon or midnight",
+    86_400 * 10**9: "midnight",
+    604_800 * 10**9: "a new GPS week",
+    **{(1 << bits) * unit: "a counter overflowed" for bits in (16, 24, 32) for unit in (1, 1_000, 100_000, 1_000_000)},
+}
 
 
 @dataclass(frozen=True)
@@ -35,28 +43,29 @@ class ContinuedClock:
 
     Args:
         stamps: including late and duplicate ones.
-        rows: where the clock was set back, or its counter overflowed.
+        rows: where the clock was set back, or rolled over.
         back_ns: size of these steps [ns].
-        wrapped: which of these steps are overflows.
+        periods_ns: after which the clock rolled over there, of :data:`WRAPS` [ns]; 0: it was set.
         stray: number of single stamps far from their neighbours, which were replaced by the previous stamp.
     """
 
     stamps: Stamps
     rows: tuple[int, ...] = ()
     back_ns: tuple[int, ...] = ()
-    wrapped: tuple[bool, ...] = ()
+    periods_ns: tuple[int, ...] = ()
     stray: int = 0
 
     @property
     def texts(self) -> tuple[str, ...]:
         """Report of the changes."""
         texts: list[str] = []
-        for row, back, wrapped in zip(self.rows, self.back_ns, self.wrapped, strict=True):
+        for row, back, period in zip(self.rows, self.back_ns, self.periods_ns, strict=True):
             at = f"row {row + 1}, {(int(self.stamps[row]) - int(self.stamps[0])) * 1e-9:.3f} s after the first"
-            why = "a counter overflowed" if wrapped else "the clock was set"
+            why = WRAPS.get(period, "the clock was set")
             texts.append(f"stamps go back by {back * 1e-9:.3f} s in {at} ({why}): continued")
         if len(texts) > 3:
-            texts = [texts[0], f"and {len(texts) - 1} times more, {sum(self.wrapped)} of all because a counter overflowed"]
+            over = sum(period > 0 for period in self.periods_ns)
+            texts = [texts[0], f"and {len(texts) - 1} times more; in {over} of all the clock rolled over, else it was set"]
         if self.stray:
             texts.append(f"{self.stray} stamps far from their neighbours: their rows are dropped")
         return tuple(texts)
@@ -77,11 +86,10 @@ def continued(stamps: Stamps) -> ContinuedClock:
     for row in rows:
         before = int((unwrapped[:row] + shift[:row]).max())
         shift[row:] += before + round(period) - int(unwrapped[row] + shift[row])
-    steps = sorted([(int(row), True) for row in wraps] + [(int(row), False) for row in rows])
-    back = tuple(int(stamps[row - 1] - stamps[row]) for row, _ in steps)
-    return ContinuedClock(
-        unwrapped + shift, tuple(row for row, _ in steps), back, tuple(w for _, w in steps), int(np.count_nonzero(stray))
-    )
+    steps = sorted([*wraps, *((int(row), 0) for row in rows)])
+    at, periods = tuple(row for row, _ in steps), tuple(period for _, period in steps)
+    back = tuple(int(stamps[row - 1] - stamps[row]) for row in at)
+    return ContinuedClock(unwrapped + shift, at, back, periods, int(np.count_nonzero(stray)))
 
 
 def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine: bool) -> tuple[Stream, ...]:
@@ -94,12 +102,11 @@ def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine:
     for stream in streams:
         name = clock if clock is not None else next(iter(stream.stamps), "")
         stamps = stream.stamps.get(name)
-        if stamps is None or not _seldom_back(stamps):
+        if stamps is None:
             result.append(stream)
             continue
-        key = stamps.tobytes()
-        found = done.setdefault(key, continued(stamps))
-        if found.stamps is stamps or (machine and not all(found.wrapped)):
+        found = done.setdefault(stamps.tobytes(), continued(stamps)) if _seldom_back(stamps) else None
+        if found is None or found.stamps is stamps or (machine and not all(found.periods_ns)):
             result.append(stream)
             continue
         losses = tuple(dict.fromkeys((*stream.losses, *found.texts)))
@@ -130,15 +137,15 @@ def _stray(stamps: Stamps, period: float) -> npt.NDArray[np.bool_]:
     return stray
 
 
-def _unwrapped(stamps: Stamps, period: float) -> tuple[Stamps, list[int]]:
-    """Stamps with overflows of a counter undone, and the rows of the overflows."""
+def _unwrapped(stamps: Stamps, period: float) -> tuple[Stamps, list[tuple[int, int]]]:
+    """Stamps of a clock that does not roll over, and the rows where it did, with its period."""
     steps = np.diff(stamps)
-    added, rows = np.zeros(len(stamps), dtype=np.int64), []
+    added, rows = np.zeros(len(stamps), dtype=np.int64), list[tuple[int, int]]()
     for row in np.flatnonzero(steps < -MAX_LATE_S * 1e9):
         for wrap in WRAPS:
             if 0.0 < steps[row] + wrap <= LATE_PERIODS * period:
                 added[row + 1 :] += wrap
-                rows.append(int(row) + 1)
+                rows.append((int(row) + 1, wrap))
                 break
     return stamps + added, rows
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.chunked import copied, known, masked, median, median_step
-from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
+from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
+from sysid.datasets.flags.sentinel import ends_of
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
@@ -50,14 +51,8 @@ def flag_rows(
     """
     if recording.kind == "poses":
         return []
-    records = by_source(clocks, recording.name)
-    start = recording.start_ns
-    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
-    for channel in recording.channels:
-        key = (id(channel.stamps), channel.source)
-        if key not in times:
-            times[key] = machine_times(channel, start, records.get(channel.source))
-    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
+    placed = Placed(recording, by_source(clocks, recording.name))
+    timed = [(channel, placed.times(channel)) for channel in recording.channels]
     timed = [(channel, at) for channel, at in timed if len(at)]
     commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
     found: list[tuple[str, Flag]] = []
@@ -94,7 +89,7 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
     if signal.endswith(".command"):
         return [*jitter(signal, at), *dropouts(signal, at, values, hold_s)]
     context = _context(signal, at, commands, machine, hold_s)
-    saturated = saturation(signal, at, values, context, _ends(signal, machine), unit)
+    saturated = saturation(signal, at, values, context, ends_of(signal, machine), unit)
     constant = [
         flag
         for flag in stuck(signal, at, values, context, unit)
@@ -108,18 +103,6 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
         *dropouts(signal, at, values, gap_limit(channel)),
         *jitter(signal, at),
     ]
-
-
-def _ends(signal: str, machine: Machine) -> tuple[float, float]:
-    """Range of the axis that ``signal`` measures; infinite where it is not known."""
-    owner, kind = split_signal(signal)
-    for axis in machine.axes:
-        if axis.name == owner:
-            if kind == "joint" and axis.limits is not None:
-                return axis.limits
-            if kind == "cylinder" and axis.stroke is not None:
-                return axis.stroke
-    return (-np.inf, np.inf)
 
 
 def _context(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> SensorContext:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-KINDS = ("outlier", "jump", "marker_swap", "stuck", "saturation", "dropout", "jitter", "stamps")
+KINDS = ("sentinel", "outlier", "jump", "marker_swap", "stuck", "saturation", "dropout", "jitter", "stamps")
 #: More flags of one kind in one signal are merged into one.
 MAX_FLAGS = 20
 

@@ -40,12 +40,13 @@ def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[F
 
 
 def jitter(signal: str, times: Array) -> list[Flag]:
-    """Uneven stamps, as one flag over all of ``times`` (n,) [s], without gaps."""
+    """Uneven stamps, as one flag over all of ``times`` (n,) [s], without gaps; a step over lost samples counts once."""
     steps = differences(times)
     if len(steps) < MIN_INTERVALS:
         return []
-    period = median(steps)
+    period = median(copied(steps))
     regular = chosen(steps, steps < 3.0 * period)
+    regular -= period * np.maximum(np.round(regular / period) - 1.0, 0.0)
     low, high = (float(quantile) for quantile in np.quantile(regular, [0.05, 0.95], overwrite_input=True))
     if high - low <= JITTER_SHARE * period:
         return []

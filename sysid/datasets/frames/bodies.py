@@ -9,12 +9,12 @@ the joint's axis. Poses are arrays (n, 4, 4), NaN where a body is not visible.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.channel import in_order, seconds
+from sysid.datasets.channel import RowCounts, counts_of, in_order, seconds
 from sysid.datasets.flags.flag import Flag
 from sysid.datasets.frames.mistakes import MissingFrames, without_mistakes
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
@@ -38,18 +38,18 @@ class LinkPoses:
 
     stamps: Stamps | None
     poses: Array
-    repaired: int = 0
+    counts: RowCounts = field(default_factory=RowCounts)
     flags: tuple[Flag, ...] = ()
 
 
 @dataclass(frozen=True)
 class CaptureSignal:
-    """A signal from motion capture, with the stamps of its body."""
+    """A signal from motion capture, with the stamps of its body and what became of its frames."""
 
     signal: str
     stamps: Stamps
     values: Array
-    repaired: int
+    counts: RowCounts
     flags: tuple[Flag, ...]
 
 
@@ -129,9 +129,11 @@ def joints_and_points(
     for name in (*mapping.bodies, *(point.body for point in mapping.points.values() if point.body is not None), *markers):
         if name not in tracks:
             stream = _named(streams, name)
-            order, repaired = in_order(stream.on_clock(mapping.clock), f"{stream.source}: {name}")
-            stamps = stream.on_clock(mapping.clock)[order]
+            own = stream.on_clock(mapping.clock)
+            order, late = in_order(own, f"{stream.source}: {name}")
+            stamps = own[order]
             poses = marker_poses(stream, mapping.frame) if name in markers else body_poses(stream, mapping.frame)
+            counts = counts_of(own, poses, order, late)
             errors = stream.columns.get("error")
             cleaned, dropped[name] = without_mistakes(
                 name,
@@ -140,7 +142,7 @@ def joints_and_points(
                 None if errors is None else errors[order],
             )
             swaps = tuple(_swap(item, (int(stamps[0]) - origin) * 1e-9) for item in dropped[name])
-            tracks[name] = LinkPoses(stamps, cleaned, repaired, swaps)
+            tracks[name] = LinkPoses(stamps, cleaned, counts, swaps)
     signals = []
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
@@ -151,21 +153,21 @@ def joints_and_points(
             if parent is not None and child is not None:
                 both = _together(parent, child, mapping.max_gap_s)
                 if both is not None:
-                    stamps, upper, lower, repaired, flags = both
+                    stamps, upper, lower, counts, flags = both
                     values = _joint_values(joint, upper, lower)
-                    signals.append(_signal(f"{axis.name}.joint", stamps, values, repaired, flags))
+                    signals.append(_signal(f"{axis.name}.joint", stamps, values, counts, flags))
     for point, entry in mapping.points.items():
         track = tracks[entry.body or entry.marker or ""]
         places = track.poses @ np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
             if track.stamps is not None:
                 name = f"{point}.{axis_name}"
-                signals.append(_signal(name, track.stamps, places[:, index], track.repaired, track.flags))
+                signals.append(_signal(name, track.stamps, places[:, index], track.counts, track.flags))
     return signals, tuple(item for group in dropped.values() for item in group)
 
 
-def _signal(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> CaptureSignal:
-    return CaptureSignal(signal, stamps, values, repaired, tuple(replace(flag, signal=signal) for flag in flags))
+def _signal(signal: str, stamps: Stamps, values: Array, counts: RowCounts, flags: Sequence[Flag]) -> CaptureSignal:
+    return CaptureSignal(signal, stamps, values, counts, tuple(replace(flag, signal=signal) for flag in flags))
 
 
 def _swap(item: MissingFrames, late_s: float) -> Flag:
@@ -180,17 +182,17 @@ def _moved(track: LinkPoses, by: Array) -> LinkPoses:
 
 def _together(
     parent: LinkPoses, child: LinkPoses, max_gap_s: float | None
-) -> tuple[Stamps, Array, Array, int, tuple[Flag, ...]] | None:
-    """Both at the same instants: stamps, poses of the parent and of the child, repaired rows, flags. None without stamps."""
-    repaired, flags = max(parent.repaired, child.repaired), (*parent.flags, *child.flags)
+) -> tuple[Stamps, Array, Array, RowCounts, tuple[Flag, ...]] | None:
+    """Both at the same instants: stamps, poses of the parent and of the child, counts of rows, flags. None without stamps."""
+    counts, flags = max(parent.counts, child.counts, key=lambda own: own.rows), (*parent.flags, *child.flags)
     if parent.stamps is None or child.stamps is None:
         stamps = child.stamps if child.stamps is not None else parent.stamps
-        return None if stamps is None else (stamps, parent.poses, child.poses, repaired, flags)
+        return None if stamps is None else (stamps, parent.poses, child.poses, counts, flags)
     if np.array_equal(parent.stamps, child.stamps):
-        return child.stamps, parent.poses, child.poses, repaired, flags
+        return child.stamps, parent.poses, child.poses, counts, flags
     if _period(parent.stamps) > _period(child.stamps):
-        return parent.stamps, parent.poses, _at(child, parent.stamps, max_gap_s), repaired, flags
-    return child.stamps, _at(parent, child.stamps, max_gap_s), child.poses, repaired, flags
+        return parent.stamps, parent.poses, _at(child, parent.stamps, max_gap_s), counts, flags
+    return child.stamps, _at(parent, child.stamps, max_gap_s), child.poses, counts, flags
 
 
 def _at(track: LinkPoses, stamps: Stamps, max_gap_s: float | None) -> Array:

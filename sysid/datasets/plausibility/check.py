@@ -20,6 +20,8 @@ from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.plausibility.partial import partial_findings
 from sysid.datasets.plausibility.points import point_findings
 from sysid.datasets.plausibility.roles import STILL, role_findings
+from sysid.datasets.plausibility.samples import sample_findings
+from sysid.datasets.plausibility.sentinels import sentinel_findings
 from sysid.datasets.plausibility.stamps import rates_of, time_findings
 from sysid.datasets.plausibility.swaps import swap_findings
 from sysid.datasets.recording import Dataset, Recording, Role
@@ -32,7 +34,8 @@ def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
     The command line calls it at ingest, for ``--quality`` and before ``gap``; :func:`sysid.gap.find_gap` does not.
     """
     streams = dataset.quality.get("streams", {})
-    return findings_of(dataset.recordings, dataset.machine, dataset.splits, streams, dataset.units)
+    flags = dataset.quality.get("flags", ())
+    return findings_of(dataset.recordings, dataset.machine, dataset.splits, streams, dataset.units, flags)
 
 
 def findings_of(
@@ -41,12 +44,14 @@ def findings_of(
     splits: Mapping[str, Role],
     streams: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
     units: Mapping[str, str] | None = None,
+    flags: Sequence[Mapping[str, Any]] = (),
 ) -> tuple[Finding, ...]:
     """As :func:`check_plausibility`.
 
     Args:
-        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset), for its sample rate.
+        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset): rate, counts.
         units: signal → SI unit that the logs or the recipe state, for joints of a machine without a URDF.
+        flags: ``quality["flags"]`` of a dataset.
     """
     rates = rates_of(streams or {}, recordings)
     found, time_scale = time_findings(rates, recordings, machine.rate_hz)
@@ -60,12 +65,15 @@ def findings_of(
     wrapped = wrap_findings(recordings, machine)
     figures = {name: each for name, each in figures.items() if name not in wrapped}
     found += wrapped.values()
+    sentinels = sentinel_findings(flags)
+    figures = {name: each for name, each in figures.items() if name not in sentinels}
+    found += sentinels.values()
     swaps, exchanged = swap_findings(recordings, figures, time_scale)
     own = [axis_finding(each) for name, each in figures.items() if name not in exchanged]
     single = [finding for finding in own if finding is not None]
     found += swaps
     found += merged(single)
-    unclear = {*wrapped, *exchanged, *(finding.axis for finding in single)}
+    unclear = {*wrapped, *sentinels, *exchanged, *(finding.axis for finding in single)}
     partial = list(
         partial_findings(
             recordings,
@@ -76,6 +84,7 @@ def findings_of(
     found += partial
     found += point_findings(recordings, machine, corrections_of(single), exchanged)
     found += column_findings(recordings, machine)
+    found += sample_findings(streams or {})
     found += [finding for finding in end_stop_findings(recordings, machine) if finding.keys[0].partition(":")[0] not in unclear]
     doubtful = {*ranged(single), *(re.split("[.:]", key)[0] for finding in partial for key in finding.keys)}
     still = {f"{name}:{STILL}" for name in doubtful}

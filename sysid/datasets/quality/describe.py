@@ -12,11 +12,13 @@ import numpy.typing as npt
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import ReadRecording
 from sysid.datasets.chunked import absolute, copied, deviation, known, mean_square, median, stretches
-from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
+from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.quality.noise import noise_of
+from sysid.datasets.quality.samples import sample_counts
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
 from sysid.datasets.recording import ClockRecord, Recording
 from sysid.machine import Machine
+from sysid.names import uncut_name
 from sysid.progress import Progress, part, silent
 from sysid.scratch import chosen, computed, leave
 from sysid.signals import axis_signal
@@ -48,12 +50,13 @@ def describe(
     Returns:
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
         :class:`~sysid.datasets.quality.use.AxisUse`), ``several_axes`` (share of the moving time in which more than one axis
-        is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter, samples, repaired rows.
+        is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter and
+        :class:`~sysid.datasets.quality.samples.SampleCounts`.
         ``cross_checks``: uncut motion recording → secondary signal → difference from the primary one. ``dropped``: uncut
         recording → flagged frames.
     """
     still = {recording.name for recording in recordings if recording.kind == "poses"}
-    streams = _streams(readings, part(progress, 0.0, _STREAMS))
+    streams = _streams(recordings, readings, clocks, part(progress, 0.0, _STREAMS))
     scales = scales_of(recordings, machine) if scales is None else scales
     result: dict[str, Any] = {}
     done, total = 0, max(1, sum(map(len, recordings)))
@@ -64,7 +67,7 @@ def describe(
         result[recording.name] = _recording(recording, machine, scales, own)
         done += len(recording)
     for name, numbers in result.items():
-        uncut = name if name in readings else name.rpartition("#")[0]
+        uncut = uncut_name(name, readings)
         for channel in readings[uncut].channels:
             if channel.primary and channel.signal in numbers["signals"]:
                 numbers["signals"][channel.signal]["noise"] = streams[uncut][_key_of(channel)]["noise"]
@@ -86,15 +89,25 @@ def describe(
     }
 
 
-def _streams(readings: Mapping[str, ReadRecording], progress: Progress) -> dict[str, dict[str, Any]]:
-    channels = [(name, channel) for name, reading in readings.items() for channel in reading.channels]
+def _streams(
+    recordings: Sequence[Recording],
+    readings: Mapping[str, ReadRecording],
+    clocks: Sequence[ClockRecord],
+    progress: Progress,
+) -> dict[str, dict[str, Any]]:
+    parts: dict[str, list[Recording]] = {name: [] for name in readings}
+    for recording in recordings:
+        parts[uncut_name(recording.name, readings)].append(recording)
     streams: dict[str, dict[str, Any]] = {name: {} for name in readings}
-    done, total = 0, max(1, sum(len(channel.stamps) for _, channel in channels))
-    for name, channel in channels:
-        progress(done / total, f"describing {channel.signal}")
-        streams[name][_key_of(channel)] = _stream_figures(channel)
-        done += len(channel.stamps)
-        leave()
+    done, total = 0, max(1, sum(len(channel.stamps) for reading in readings.values() for channel in reading.channels))
+    for name, reading in readings.items():
+        placed = Placed(RecordingClocks(name, "motion", reading.channels), by_source(clocks, name))
+        for channel in reading.channels:
+            progress(done / total, f"describing {channel.signal}")
+            counts = sample_counts(channel, placed.times(channel), parts[name], placed.start_ns)
+            streams[name][_key_of(channel)] = {**_stream_figures(channel), **asdict(counts)}
+            done += len(channel.stamps)
+            leave()
     return streams
 
 
@@ -181,15 +194,14 @@ def _key_of(channel: Channel) -> str:
 
 def _stream_figures(channel: Channel) -> dict[str, Any]:
     steps = computed(max(len(channel.stamps) - 1, 0), lambda a, b: np.diff(channel.stamps[a : b + 1]) * 1e-9)
-    period = median(copied(steps)) if len(steps) else float("nan")
+    period = channel.period_s
     regular = chosen(steps, steps < 2.0 * period)
     return {
         "samples": len(channel.stamps),
         "rate_hz": 1.0 / period if period > 0 else None,
         "jitter_s": deviation(regular) if len(regular) else None,
         "longest_gap_s": float(steps.max()) if len(steps) else None,
-        "missing": float(np.isnan(channel.values).mean()),
-        "repaired_rows": channel.repaired,
+        "late": channel.counts.late,
         "noise": noise_of(channel.values, 1.0 / period) if not channel.signal.endswith(".command") else None,
         "primary": channel.primary,
         "clock": channel.clock,
@@ -199,13 +211,13 @@ def _stream_figures(channel: Channel) -> dict[str, Any]:
 def _cross_checks(name: str, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]) -> dict[str, Any]:
     """Each secondary signal against the primary one, on the machine's clock: bias, RMS and largest difference."""
     primary = {channel.signal: channel for channel in reading.channels if channel.primary}
-    checks = {}
+    checks, placed = {}, Placed(RecordingClocks(name, "motion", reading.channels), clocks)
     for channel in reading.channels:
         other = primary.get(channel.signal)
         if channel.primary or other is None:
             continue
-        times, values = _on_machine(name, channel, reading, clocks)
-        at, reference = _on_machine(name, other, reading, clocks)
+        times, values = placed.times(channel), channel.values
+        at, reference = placed.times(other), other.values
         there = ~np.isnan(reference)
         at, reference = chosen(at, there), chosen(reference, there)
         inside = (times >= at[0]) & (times <= at[-1]) & ~np.isnan(values)
@@ -223,11 +235,3 @@ def _cross_checks(name: str, reading: ReadRecording, clocks: Mapping[str, Sequen
 def _differences(times: Array, values: Array, at: Array, reference: Array) -> Array:
     result: Array = computed(len(times), lambda a, b: values[a:b] - np.interp(times[a:b], at, reference))
     return result
-
-
-def _on_machine(
-    name: str, channel: Channel, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]
-) -> tuple[Array, Array]:
-    start = RecordingClocks(name, "motion", reading.channels).start_ns
-    records = clocks.get(channel.source) if channel.domain != "machine" else None
-    return machine_times(channel, start, records), channel.values

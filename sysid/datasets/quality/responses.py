@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.signal import correlate, savgol_filter
 
 from sysid.datasets.plausibility.response import MAX_DELAY_S
 from sysid.datasets.recording import Dataset, Recording
-from sysid.machine import Axis
+from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -87,17 +87,21 @@ class AxisResponse:
 
 def responses_of(dataset: Dataset) -> tuple[AxisResponse, ...]:
     """One response for every axis with a measured motion."""
-    machine, found = dataset.machine, []
+    return responses_in(dataset.of_kind("motion"), dataset.machine, dataset.units)
+
+
+def responses_in(recordings: Sequence[Recording], machine: Machine, units: Mapping[str, str]) -> tuple[AxisResponse, ...]:
+    """As :func:`responses_of`, in some recordings of motion."""
+    found = []
     for axis in machine.axes:
-        command = axis_signal(axis.name, "command")
-        recordings = [r for r in dataset.of_kind("motion") if {command, axis.driven} <= {*r.signals}]
-        if not recordings:
+        own = [r for r in recordings if {axis_signal(axis.name, "command"), axis.driven} <= {*r.signals}]
+        if not own:
             continue
-        delay, interval, correlation = _delay(recordings, axis)
-        unit = dataset.units.get(axis.driven) or machine.expected_unit(axis.driven) or "1"
+        delay, interval, correlation = _delay(own, axis)
+        unit = units.get(axis.driven) or machine.expected_unit(axis.driven) or "1"
         positive = negative = None
         if axis.actuation == "velocity" and math.isfinite(delay):
-            positive, negative = _directions(recordings, axis, delay)
+            positive, negative = _directions(own, axis, delay)
         found.append(AxisResponse(axis.name, delay, interval, correlation, positive, negative, unit))
     return tuple(found)
 

@@ -20,7 +20,7 @@ from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.datasets.roles.lacks import Lack, lacks_of, role_amounts
 from sysid.datasets.roles.motion import AxisMotion, motion_table
 from sysid.datasets.roles.shortage import ROLES
-from sysid.datasets.splits import SplitBlock, assignment_of, block_pattern, can_be_cut
+from sysid.datasets.splits import Measured, SplitBlock, assignment_of, block_pattern, can_be_cut
 from sysid.quoting import toml_key, toml_value
 
 Array = npt.NDArray[np.float64]
@@ -191,7 +191,7 @@ def _names(splits: Splits, name: str) -> bool:
 
 def _pattern(recording: Recording, guard_s: float) -> tuple[SplitBlock, ...]:
     """Blocks of a recording, for all roles; none for what is a block already, or too short."""
-    blocks = block_pattern(list(ROLES), len(recording) / recording.rate_hz)
+    blocks = block_pattern(list(ROLES), Measured.of(recording).seconds)
     whole = uncut_name(recording.name) == recording.name
     return blocks if whole and can_be_cut(recording, blocks, guard_s) else ()
 

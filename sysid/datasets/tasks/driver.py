@@ -18,6 +18,7 @@ from sysid.datasets.plan import Plan
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
+from sysid.datasets.splits import copy_notes
 from sysid.datasets.tasks.steps import (
     align_recording,
     clock_records,
@@ -28,11 +29,12 @@ from sysid.datasets.tasks.steps import (
 )
 from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading
 from sysid.datasets.versions.files import UNCHANGED, explained
-from sysid.datasets.versions.manifest import Manifest, new_part, uncut_name
+from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import committed, file_name, sample_columns
 from sysid.execution import Executor
 from sysid.location import absolute_location
+from sysid.names import uncut_name
 from sysid.progress import Progress, part
 
 #: Gives roles to recordings and cuts those that have several, see :func:`sysid.datasets.splits.split`.
@@ -111,7 +113,11 @@ class TaskIngest:
             units_of({found[k].name: to_reading(read[k]["reading"]).channels for k in kept}), plan.machine
         )
         clocks = tuple(record for k in kept for record in clock_records(aligned[k]))
-        notes = (*notes_of(found, plan, mounts, [note for own in read for note in own["rates"]], refused), *assumed)
+        notes = (
+            *notes_of(found, plan, mounts, [note for own in read for note in own["rates"]], refused),
+            *copy_notes(tables),
+            *assumed,
+        )
         addition = Dataset(
             name=plan.machine.name,
             version=0,

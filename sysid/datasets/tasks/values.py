@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channel import Channel, RowCounts
 from sysid.datasets.channels import Mounts, ReadRecording
 from sysid.datasets.clocks.estimate import Backlash, Estimate
 from sysid.datasets.clocks.resets import Piece
@@ -24,12 +24,14 @@ _ARRAYS = ("stamps", "values")
 def from_channel(channel: Channel) -> Plain:
     """A channel without its samples, whose number is ``samples``."""
     own = {field.name: getattr(channel, field.name) for field in fields(channel) if field.name not in _ARRAYS}
-    return {**own, "flags": [asdict(flag) for flag in channel.flags], "samples": len(channel.stamps)}
+    flags = [asdict(flag) for flag in channel.flags]
+    return {**own, "counts": asdict(channel.counts), "flags": flags, "samples": len(channel.stamps)}
 
 
 def to_channel(entry: Plain, stamps: Any = None, values: Any = None) -> Channel:
     """The channel with these samples, by default without any."""
     own = {key: value for key, value in entry.items() if key != "samples"}
+    own["counts"] = RowCounts(**entry["counts"])
     own["flags"] = tuple(Flag(**flag) for flag in entry["flags"])
     nothing = stamps is None
     return Channel(**own, stamps=np.empty(0, np.int64) if nothing else stamps, values=np.empty(0) if nothing else values)

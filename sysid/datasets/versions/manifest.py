@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,6 +20,7 @@ from sysid.errors import SettingsError, StoreError
 from sysid.extras import versions_of
 from sysid.files import plain
 from sysid.foreign import MAX_NAME, shown, visible
+from sysid.names import uncut_name
 from sysid.parse import parse_json
 from sysid.release import __version__
 
@@ -65,11 +66,6 @@ class Superseded:
 
     by: Mapping[str, str] = field(default_factory=dict)
     beginnings: Mapping[str, list[list[str]]] = field(default_factory=dict)
-
-
-def uncut_name(name: str, names: Container[str]) -> str:
-    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
-    return name if name in names or "#" not in name else name.rpartition("#")[0]
 
 
 def contents_of(manifest: Manifest) -> dict[str, str]:

@@ -18,8 +18,8 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.versions.files import Files
-from sysid.datasets.versions.manifest import uncut_name
 from sysid.errors import StoreError
+from sysid.names import uncut_name
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 from sysid.scratch import empty, leave

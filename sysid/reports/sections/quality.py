@@ -20,6 +20,7 @@ from sysid.reports.clock_summary import clock_summary
 from sysid.reports.coverage_pictures import command_picture, map_picture
 from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.samples import sample_lines
 
 #: Number of maps shown unfolded, those with the lowest coverage.
 SHOWN = 3
@@ -51,6 +52,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "reference": dataset.reference,
         "implausible": check_plausibility(dataset),
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
+        "samples": sample_lines(dataset),
         "ranges": _ranges(evidence, dataset),
         "clocks": [_clock(clock) for clock in dataset.clocks],
         "clock_summary": clock_summary(

@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 
 from sysid import display
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
-from sysid.gap.sentences import left_out_sentence, missing_sentences, order_sentence
+from sysid.gap.sentences import left_out_sentence, missing_sentences, order_sentence, response_sentences
 from sysid.gap.statement import AGREES
 from sysid.machine import Machine
 from sysid.reports import words
@@ -83,6 +83,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             *(note for note in gap.notes if note == left_out_sentence(machine.left_out)),
             *filter(None, [order_sentence(gap.order)]),
             *missing_sentences(gap.missing),
+            *response_sentences(gap.responses, bool(gap.written)),
         ],
     }
 

@@ -1,0 +1,142 @@
+"""What became of the samples of each signal, from the rows of its file to the rows of the dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.channel import Channel
+from sysid.datasets.chunked import counted, differences
+from sysid.datasets.recording import Recording
+from sysid.datasets.resample import gap_limit
+from sysid.scratch import chosen
+
+Array = npt.NDArray[np.float64]
+
+#: Steps longer than this many sample periods are interpolated over.
+BRIDGED_PERIODS = 1.5
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """The samples of one signal from one file of a recording.
+
+    ``rows = empty + overflows + repeated + conflicting + outside + between + alone + used``
+
+    Args:
+        rows, empty, overflows, repeated, conflicting: see :class:`sysid.datasets.channel.RowCounts`.
+        outside: before the first row of the recording, or after its last.
+        between: left out between the blocks into which a recording is cut.
+        alone: between two gaps that are not bridged, where the dataset has no value.
+        used: the rest.
+        bridged_s: time between samples further apart than :data:`BRIDGED_PERIODS` periods that is interpolated over [s].
+        limit_s: the longest gap that is bridged [s].
+    """
+
+    rows: int
+    empty: int = 0
+    overflows: int = 0
+    repeated: int = 0
+    conflicting: int = 0
+    outside: int = 0
+    between: int = 0
+    alone: int = 0
+    used: int = 0
+    bridged_s: float = 0.0
+    limit_s: float = 0.0
+
+    @property
+    def samples(self) -> int:
+        """Samples in the file: rows with a value, each instant once."""
+        return self.rows - self.empty - self.repeated
+
+    @property
+    def lost(self) -> Mapping[str, int]:
+        """Reason → samples that are not in the dataset, without those between blocks."""
+        reasons = {
+            "with the stamp of another": self.conflicting,
+            "beyond any number": self.overflows,
+            "alone between gaps": self.alone,
+            "outside the recording": self.outside,
+        }
+        return {reason: count for reason, count in reasons.items() if count}
+
+    @property
+    def kept(self) -> float:
+        """Share of the samples within the recording that are used; 0 where none is."""
+        own = self.samples - self.between - self.outside
+        return self.used / own if own > 0 else 0.0
+
+
+def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], start_ns: int) -> SampleCounts:
+    """The counts of one channel.
+
+    Args:
+        times: its stamps on the machine's clock, (n,) [s] from ``start_ns``, increasing.
+        parts: the recording, or the blocks into which it was cut, in their order.
+    """
+    counts, command = channel.counts, channel.signal.endswith(".command")
+    there = ~np.isnan(channel.values)
+    times = chosen(times, there)
+    used, inside, done, ends = 0, 0, 0, (0, 0)
+    moving = [part for part in parts if part.kind == "motion" and len(part)]
+    if not moving:  # a pose is the median of a still phase
+        used = inside = len(times)
+    for part in moving:
+        begin = (part.start_ns - start_ns) * 1e-9
+        first, last = np.searchsorted(times, (begin - 1.0 / part.rate_hz, begin + len(part) / part.rate_hz))
+        first, last = max(int(first), done), max(int(last), done)
+        ends = (first if part is moving[0] else ends[0], last)
+        inside, done = inside + last - first, last
+        values = part.values(channel.signal) if channel.primary else None
+        used += last - first if values is None else _in_table(times[first:last] - begin, values, part.rate_hz)
+    outside = ends[0] + len(times) - ends[1] if moving else 0
+    steps, limit = differences(times), gap_limit(channel)
+    bridged = 0.0
+    if not command and moving and len(steps):
+        bridged = float(chosen(steps, (steps > BRIDGED_PERIODS * channel.period_s) & (steps <= limit + 1e-9)).sum())
+    return SampleCounts(
+        rows=counts.rows,
+        empty=counts.empty,
+        overflows=counts.overflows,
+        repeated=counts.repeated,
+        conflicting=counts.conflicting,
+        outside=outside,
+        between=len(times) - inside - outside,
+        alone=inside - used,
+        used=used,
+        bridged_s=bridged,
+        limit_s=limit if not command else 0.0,
+    )
+
+
+def _in_table(times: Array, values: Array, rate_hz: float) -> int:
+    """Samples beside a row with a value.
+
+    Args:
+        times: from the first row, (m,) [s]; ``values``: of the rows, (n,).
+    """
+
+    def beside(first: int, last: int) -> npt.NDArray[np.bool_]:
+        at = times[first:last] * rate_hz
+        before = np.clip(np.floor(at + 1e-6), 0, len(values) - 1).astype(np.intp)
+        after = np.clip(np.ceil(at - 1e-6), 0, len(values) - 1).astype(np.intp)
+        return ~np.isnan(values[before]) | ~np.isnan(values[after])
+
+    return counted(len(times), beside)
+
+
+def counts_of(figures: Mapping[str, Any]) -> SampleCounts:
+    """The counts in the figures of a stream; of a version that was stored without them, its samples."""
+    known = {name: figures[name] for name in SampleCounts.__dataclass_fields__ if name in figures}
+    return SampleCounts(**known) if "used" in known else SampleCounts(figures["samples"], used=figures["samples"])
+
+
+def together(counts: Sequence[SampleCounts]) -> SampleCounts:
+    """The sum over recordings; the longest bridged gap is the largest of them."""
+    sums = {name: sum(getattr(own, name) for own in counts) for name in SampleCounts.__dataclass_fields__}
+    return SampleCounts(**{**sums, "limit_s": max(own.limit_s for own in counts)})
