@@ -31,6 +31,7 @@ from sysid.logs.confined import read_confined
 from sysid.logs.rosbag import bag_of
 from sysid.logs.table import no_numbers
 from sysid.machine import Machine
+from sysid.names import listed
 from sysid.numbers import LARGEST_COUNT
 from sysid.progress import Progress, part, silent
 from sysid.units import split_header
@@ -123,6 +124,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         if mapping is None:
             streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
         said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
+        said += _mixed_clocks(streams) if mapping is not None and mapping.clock is None else ()
         absent = _absent(streams, mapping) if mapping is not None and is_part else {}
         losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said, *absent.values())))
         own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
@@ -139,6 +141,17 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
+
+
+def _mixed_clocks(streams: Sequence[Stream]) -> tuple[str, ...]:
+    """A note where the first clocks of the streams of a file differ, and the recipe does not choose one."""
+    topics: dict[str, list[str]] = {}
+    for stream in streams:
+        topics.setdefault(next(iter(stream.stamps)), []).append(stream.name)
+    if len(topics) < 2:
+        return ()
+    each = "; ".join(f"{clock} stamps of {listed(names, 3)}" for clock, names in topics.items())
+    return (f"{each} are taken as one clock: state `clock` in the recipe to have one of them",)
 
 
 def _absent(streams: Sequence[Stream], mapping: StreamMap) -> dict[str, str]:

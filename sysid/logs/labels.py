@@ -17,6 +17,7 @@ import re
 from collections import Counter
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from sysid.errors import InputError
 
@@ -27,6 +28,7 @@ _JOINT_NAMES = ("joint_names", "jointNames")
 _IDENTIFYING = tuple(map(re.compile, ("name", "child_frame_id|childFrameId", r".+_name|.*[a-z0-9]Name", "id")))
 
 
+@lru_cache(4096)
 def are_names(member: str) -> bool:
     """Whether an array of texts called ``member`` names the elements of arrays."""
     return _NAMES.fullmatch(member) is not None
@@ -37,13 +39,14 @@ def are_joint_names(member: str) -> bool:
     return member in _JOINT_NAMES
 
 
-def identifying(texts: Iterable[str]) -> str | None:
+@lru_cache(256)
+def identifying(texts: tuple[str, ...]) -> str | None:
     """Of the names of the texts of a message the one that identifies it within an array; None where there is none."""
-    texts = list(texts)
     return next((text for pattern in _IDENTIFYING for text in texts if pattern.fullmatch(text)), None)
 
 
-def bracketed(texts: Sequence[str]) -> tuple[str, ...]:
+@lru_cache(256)
+def bracketed(texts: tuple[str, ...]) -> tuple[str, ...]:
     """What stands in brackets for each element; empty for an element without a label."""
     counts = Counter(texts)
     return tuple(
@@ -74,13 +77,18 @@ class ArrayLabels:
 
     #: Array → the text of each element as it was first seen.
     _first: dict[str, list[str]] = field(default_factory=dict)
+    #: Array → its texts as they were last seen.
+    _last: dict[str, tuple[str, ...]] = field(default_factory=dict)
     #: Array, index → two texts that it had.
     _moved: dict[tuple[str, int], tuple[str, str]] = field(default_factory=dict)
     #: Array, text → number of messages in which two elements had it.
     _repeated: Counter[tuple[str, str]] = field(default_factory=Counter)
 
-    def saw(self, array: str, texts: Sequence[str]) -> None:
+    def saw(self, array: str, texts: tuple[str, ...]) -> None:
         """Note the texts of the elements of an array in a message."""
+        if self._last.get(array) == texts:
+            return
+        self._last[array] = texts
         first = self._first.setdefault(array, list(texts))
         first += texts[len(first) :]
         for index, text in enumerate(texts):

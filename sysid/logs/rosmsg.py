@@ -53,7 +53,7 @@ class Definition:
 
     def identity(self, kind: str) -> str | None:
         """The text of a ``kind`` that identifies it within an array; None where there is none."""
-        return identifying(member.name for member in self.types[kind] if member.length is None and member.kind in TEXTS)
+        return identifying(tuple(m.name for m in self.types[kind] if m.length is None and m.kind in TEXTS))
 
     def has_series(self, kind: str) -> bool:
         """Whether a ``kind`` contains sequences without names of their own, as the point of a trajectory."""

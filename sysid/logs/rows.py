@@ -84,7 +84,7 @@ def flatten(
     into: dict[str, float],
     depth: int = 0,
     labelled: str | None = None,
-    joints: Sequence[Sequence[str]] = (),
+    joints: Sequence[tuple[str, ...]] = (),
     labels: ArrayLabels | None = None,
 ) -> None:
     """Numbers of nested dictionaries and lists by their path: ``pose.position.x``, ``position[2]``, ``position[boom]``.
@@ -102,7 +102,9 @@ def flatten(
         if path:
             into[path] = into[labelled] = int(value) if isinstance(value, bool) else value
     elif isinstance(value, dict):
-        own = {key: texts for key, texts in value.items() if _is_names(texts) and are_names(key)}
+        own = {
+            key: tuple(texts) for key, texts in value.items() if isinstance(texts, list) and are_names(key) and _is_names(texts)
+        }
         joints = [texts for key, texts in own.items() if are_joint_names(key)] if own else joints
         names = list(own.values()) or joints
         for key, inner in value.items():
@@ -124,15 +126,14 @@ def flatten(
             flatten(inner, f"{path}[{index}]", into, depth + 1, f"{labelled}[{index}]", joints, labels)
 
 
-def _texts(elements: list[Any], names: Sequence[Sequence[str]], joints: Sequence[Sequence[str]]) -> Sequence[str]:
+def _texts(elements: list[Any], names: Sequence[tuple[str, ...]], joints: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """The text that labels each element of a list; none where nothing does."""
     objects = [element for element in elements if isinstance(element, dict)]
-    if len(objects) == len(elements):
-        key = identifying(key for key, text in objects[0].items() if isinstance(text, str))
-        texts = [element.get(key) for element in objects] if key is not None else []
-        own = [text for text in texts if isinstance(text, str)]
-        if own and len(own) == len(texts):
-            return own
+    if objects and len(objects) == len(elements):
+        key = identifying(tuple(key for key, text in objects[0].items() if isinstance(text, str)))
+        texts = tuple(text for element in objects if isinstance(text := element.get(key), str)) if key is not None else ()
+        if len(texts) == len(objects):
+            return texts
     series = any(_has_series(element) for element in objects)
     return next((own for own in names if len(own) == len(elements) and not (series and own in joints)), ())
 

@@ -125,14 +125,26 @@ class Topic:
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
             )
-        set_once = stamps["header"] if "header" in stamps else stamps["log"][:0]
-        if len(set_once) and (set_once == set_once[0]).all() and (len(set_once) > 1 or not set_once[0]):
-            del stamps["header"]  # a recorder that never sets it
-            text = f"header.stamp is {set_once[0] * 1e-9:g} in all {len(set_once)} messages: they have no clock 'header'"
-            losses.append(f"{path.name}: {self.name}: {text}")
+        unset = _unset(stamps["header"]) if "header" in stamps else ""
+        if unset:
+            del stamps["header"]
+            losses.append(f"{path.name}: {self.name}: header.stamp is {unset}: they have no clock 'header'")
         if found.crowded:
             losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
         return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(found.fields), self.kind)
+
+
+def _unset(stamps: npt.NDArray[np.int64]) -> str:
+    """Why the header stamps of a topic are no clock: a publisher does not set them, or not yet; empty where they are one.
+
+    A stamp of zero is not set where the others begin later than they last: a simulation or a boot may begin at zero.
+    """
+    if len(stamps) and (stamps == stamps[0]).all() and (len(stamps) > 1 or not stamps[0]):
+        return f"{stamps[0] * 1e-9:g} in all {len(stamps)} messages"
+    others = stamps[stamps != 0]
+    if len(others) == len(stamps) or int(others.min()) <= int(others.max()) - int(others.min()):
+        return ""
+    return f"not set in {len(stamps) - len(others)} of {len(stamps)} messages"
 
 
 def check_held(path: Path, topics: Iterable[Topic], budget: Budget) -> None:

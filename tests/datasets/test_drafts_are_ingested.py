@@ -23,7 +23,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from sysid.datasets import Store
+from sysid.datasets import Store, ingest
 
 JOINTS = "sensor_msgs/msg/JointState"
 DEFINITION = """std_msgs/Header header
@@ -156,3 +156,20 @@ def test_a_draft_is_ingested_as_it_is(
         assert run("--workspace", folder / "ws", "ingest", folder / "logs", "--recipe", draft) == 0, draft.read_text("utf-8")
         found = {str(column) for recording in Store(folder / "ws").load("rig").recordings for column in recording.table.columns}
         assert {signal for stream in named for signal in stream["signals"]} <= found
+
+
+def test_clocks_that_are_mixed_are_said(tmp_path: Path) -> None:
+    """Without `clock` each topic has its first clock: header stamps where they are set, else those of the recorder."""
+    times = [5.0 + k / 50.0 for k in range(900)]
+    rows = {stamped: [(t, t if stamped else 0.0, {"boom": float(np.sin(t))}) for t in times] for stamped in (True, False)}
+    (tmp_path / "rec").mkdir()
+    as_json(tmp_path / "rec/log", Log({"/a": rows[True], "/b": rows[False]}))
+    axis = '[[axes]]\nname = "boom"\nactuation = "velocity"\ndrives = "joint"\n'
+    (tmp_path / "machine.toml").write_text(f'schema = 1\nname = "rig"\nrate_hz = 20.0\n{axis}')
+    for clock in ("", 'clock = "log"\n'):
+        entries = '"boom.command" = { topic = "/a", field = "boom cmd" }\n'
+        entries += '"boom.joint" = { topic = "/b", field = "bodies[boom].angle" }\n'
+        (tmp_path / "recipe.toml").write_text(f'schema = 1\n[[streams]]\nfiles = "*"\n{clock}[streams.signals]\n{entries}')
+        (source,) = ingest([tmp_path], tmp_path / "ws").sources
+        mixed = "header stamps of /a; log stamps of /b are taken as one clock: state `clock` in the recipe to have one of them"
+        assert (mixed in source.losses) == (not clock)

@@ -155,7 +155,19 @@ def test_a_version_of_cdr_that_is_not_read_is_named_with_its_count(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("stamps", "kept"), [([0, 0, 0], False), ([5, 5, 5], False), ([0], False), ([5], True), ([0, 1, 2], True)]
+    ("stamps", "kept"),
+    [
+        ([0, 0, 0], False),
+        ([5, 5, 5], False),
+        ([0], False),
+        ([5], True),
+        ([0, 1, 2], True),
+        ([0, 0, 1, 2, 3], True),
+        ([0, 0, 5000, 5001], False),
+        ([0, 10**9, 10**9 + 1], False),
+        ([5000, 5001], True),
+        ([0, 0, 5000], False),
+    ],
 )
 def test_a_header_stamp_that_is_never_set_is_no_clock(tmp_path: Path, stamps: list[int], kept: bool) -> None:
     path = tmp_path / "log.mcap"
