@@ -419,6 +419,13 @@ def test_a_second_decimal_mark_is_refused(tmp_path: Path, name: str, cell: str) 
         read(path)
 
 
+def test_a_separator_is_the_first_in_its_line(tmp_path: Path) -> None:
+    lines = [TRC[0].replace("x.trc", "a;b.trc"), *TRC[1:]]
+    for separator in ("\t", ","):
+        streams = read(write(tmp_path / "x.trc", *(line.replace("\t", separator) for line in lines)))
+        np.testing.assert_allclose(positions(streams["tip"]), [[1, 2, 3], [1.001, 2, 3]])
+
+
 def test_commas_that_separate_cells_and_decimals_are_refused(tmp_path: Path) -> None:
     lines = trc_lines(np.full((3, 6), 1.5), ",")
     path = write(tmp_path / "x.trc", *lines[:6], *(line.replace(".", ",") for line in lines[6:]))
