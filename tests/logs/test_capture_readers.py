@@ -435,6 +435,20 @@ def test_commas_that_separate_cells_and_decimals_are_refused(tmp_path: Path) -> 
         read(path)
 
 
+def test_a_row_of_commas_that_is_longer_than_the_head_is_refused(tmp_path: Path) -> None:
+    """Its commas may be decimal marks, beside markers that are not visible."""
+    lines = trc_lines(np.full((3, 6), 1.5), ",")
+    lines[7] = "2,0,010,1,500,1,500,1,500,,,"
+    with pytest.raises(InputError, match=r"x\.trc: row 2 below the head: more than 8 cells|rows that do not fit the head"):
+        read(write(tmp_path / "x.trc", *lines))
+
+
+def test_qualisys_counts_a_first_row_in_which_nothing_is_visible(tmp_path: Path) -> None:
+    streams = read(write(tmp_path / "m.tsv", *qualisys_3d(), "\t" * 5, "\t".join(["1", "2", "3", "4", "5", "6"])))
+    np.testing.assert_allclose(positions(streams["tip"]), [[np.nan] * 3, [0.001, 0.002, 0.003]])
+    assert len(streams["tip"]) == 2
+
+
 def test_cells_that_are_no_numbers_are_counted(tmp_path: Path) -> None:
     lines = trc_lines(np.full((3, 6), 1.5))
     lines[7] = lines[7].replace("1.5", "lost", 3)
