@@ -40,7 +40,7 @@ from sysid.datasets.versions.manifest import (
     split_digest,
     to_text,
 )
-from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
+from sysid.datasets.versions.tables import PartTables, is_there, read_batches, read_table, write_channels, write_samples
 from sysid.errors import StorageError, StoreError, nearest
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
@@ -65,10 +65,13 @@ class Store(VersionIndex):
         manifest = self.manifest(reference)
         if recordings is not None:
             manifest = _only(manifest, recordings)
-        needed = {item["part"] for item in manifest["recordings"]}
-        tables = {k: self._table(manifest, part, "samples") for k, part in enumerate(manifest["parts"]) if k in needed}
+        signals: dict[int, set[str]] = {}
+        for item in manifest["recordings"]:
+            signals.setdefault(item["part"], {"recording", "row", "time"}).update(item["signals"])
+        place = f"{manifest['name']}@{manifest['version']}: samples"
+        samples = {k: read_batches(self.files, manifest["parts"][k], "samples", place, own) for k, own in signals.items()}
         try:
-            return dataset_of(manifest, tables)
+            return dataset_of(manifest, samples)
         except (KeyError, ValueError, TypeError, ArithmeticError, NotImplementedError) as error:  # those of Arrow are such, too
             where, found = f"dataset {manifest['name']}@{manifest['version']}", f"{type(error).__name__}: {error}"
             expected = "tables with the columns that the manifest names"

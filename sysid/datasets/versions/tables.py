@@ -7,7 +7,8 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -238,19 +239,51 @@ def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, co
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    tables = []
-    folder = f"{part['folder']}/{which}"
-    try:
-        for path, expected in _files_of(files, folder, part[which]):
-            content = files.read(path)
-            if expected is not None:
-                _check(content, expected)
-            tables.append(pq.read_table(pa.BufferReader(content), columns=None if columns is None else list(columns)))
-    except FileNotFoundError as error:
-        raise _damaged(place, files.uri(folder), f"{error.filename or 'a file'} is gone") from None
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise _damaged(place, files.uri(folder), str(error).splitlines()[0]) from None
+    wanted = None if columns is None else list(columns)
+    with _undamaged(files, part, which, place):
+        tables = [pq.read_table(pa.BufferReader(content), columns=wanted) for content in _contents(files, part, which)]
     return pa.concat_tables(tables, promote_options="default")
+
+
+def read_batches(
+    files: Files, part: Mapping[str, Any], which: str, place: str, columns: Collection[str]
+) -> Iterator[pa.RecordBatch]:
+    """The rows of :func:`read_table`, :data:`ROWS` at a time, with those of ``columns`` that a file has."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with _undamaged(files, part, which, place):
+        for content in _contents(files, part, which):
+            file = pq.ParquetFile(pa.BufferReader(content))
+            wanted = [name for name in file.schema_arrow.names if name in columns]
+            yield from file.iter_batches(batch_size=ROWS, columns=wanted, use_threads=False)
+
+
+def _contents(files: Files, part: Mapping[str, Any], which: str) -> Iterator[bytes]:
+    """The bytes of each file of a table, checked."""
+    for path, expected in _files_of(files, f"{part['folder']}/{which}", part[which]):
+        content = files.read(path)
+        if expected is not None:
+            _check(content, expected)
+        yield content
+
+
+@contextmanager
+def _undamaged(files: Files, part: Mapping[str, Any], which: str, place: str) -> Iterator[None]:
+    """Errors of reading as that of a table.
+
+    Raises:
+        StoreError: a file is missing or was changed.
+    """
+    import pyarrow as pa
+
+    uri = files.uri(f"{part['folder']}/{which}")
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise _damaged(place, uri, f"{error.filename or 'a file'} is gone") from None
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise _damaged(place, uri, str(error).splitlines()[0]) from None
 
 
 def is_there(files: Files, part: Mapping[str, Any], which: str) -> bool:
