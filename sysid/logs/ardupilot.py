@@ -20,7 +20,7 @@ from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.ulog import LARGEST_NS, silent
+from sysid.logs.ulog import LARGEST_NS, MOST, silent
 from sysid.names import listed
 from sysid.units import si_factor
 
@@ -34,8 +34,6 @@ _TIMES = {"TimeUS": 1000, "TimeMS": 1_000_000}
 _NO_STREAMS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
 #: Units of the log that have another name elsewhere.
 _UNITS = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": "", "instance": ""}
-#: Names in a sentence; the others are counted.
-MOST = 5
 
 
 @dataclass(frozen=True)
