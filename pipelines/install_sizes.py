@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
@@ -27,7 +28,8 @@ def main() -> None:
     """Write the table."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = {name: own for name, own in project["optional-dependencies"].items() if name not in INTERNAL}
-    extras["all"] = [text for name, own in extras.items() if name != "all" for text in own]
+    inside = re.findall(r"[\w-]+", extras["all"][0].partition("[")[2])
+    extras["all"] = [text for name in inside for text in extras[name]]
     core = closure(project["dependencies"])
     rows = [row("(none)", {name: installed_size(distribution(name)) for name in core})]
     for name, own in extras.items():

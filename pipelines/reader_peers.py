@@ -192,8 +192,9 @@ def can_log(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
                     data=bytes(data), channel=0,
                 )
             )  # fmt: skip
-    with contextlib.redirect_stderr(io.StringIO()):
-        frames = list(can.LogReader(path))
+    with contextlib.redirect_stderr(io.StringIO()), path.open("rb") as file:
+        # The library leaves a file that it opens itself open.
+        frames = list(can.MF4Reader(file) if path.suffix == ".mf4" else can.LogReader(path))
     streams = streams_of(path, dbc=dbc)
     for message in database.messages:
         own = [frame for frame in frames if frame.arbitration_id == message.frame_id]

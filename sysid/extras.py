@@ -19,7 +19,7 @@ EXTRAS: dict[str, str] = {
     "rosbags": "bags",
     "asammdf": "mf4",
     "pyulog": "flight",
-    "pymavlink": "flight",
+    "pymavlink": "ardupilot",
     "pinocchio": "dynamics",
     "mujoco": "mujoco",
     "fmpy": "export",

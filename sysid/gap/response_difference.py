@@ -26,14 +26,14 @@ class ResponseDifference:
 
     Args:
         quantity: ``delay`` between command and motion [s], the command at which motion ``begins``, speed at ``full`` command.
-        side: direction of the command; None for a delay.
+        side: direction of the command; empty for a delay.
         recorded, simulated: lowest and highest value that each shows; NaN above where no command moves it.
         unit: SI unit.
     """
 
     axis: str
     quantity: Literal["delay", "begins", "full"]
-    side: Literal["positive", "negative"] | None
+    side: Literal["", "positive", "negative"]
     recorded: tuple[float, float]
     simulated: tuple[float, float]
     unit: str
@@ -61,7 +61,7 @@ def _between(recorded: AxisResponse, simulated: AxisResponse, row: float) -> Ite
 
     ours, theirs = recorded.delay95, simulated.delay95
     if _apart(ours, theirs) and abs(recorded.delay - simulated.delay) > row:
-        yield ResponseDifference(recorded.axis, "delay", None, ours, theirs, "s")
+        yield ResponseDifference(recorded.axis, "delay", "", ours, theirs, "s")
     sides: tuple[tuple[Literal["positive", "negative"], Direction | None, Direction | None], ...] = (
         ("positive", recorded.positive, simulated.positive), ("negative", recorded.negative, simulated.negative)
     )  # fmt: skip

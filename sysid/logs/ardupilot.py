@@ -1,6 +1,6 @@
 """DataFlash logs of ArduPilot (``.bin``): every message type is a stream (``ATT``), or each of its instances (``IMU[1]``).
 
-The library that indexes the file and knows its formats, units and multipliers is an extra (``flight``); NumPy takes the numbers
+The library that indexes the file and knows its formats, units and multipliers is an extra (``ardupilot``); NumPy takes the numbers
 of all messages of a type at once. Parameters, texts and descriptions of formats are left out.
 Source: ArduPilot documentation, "Logging: message structure"; ``AP_Logger/LogStructure.h``.
 """
@@ -20,7 +20,7 @@ from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.ulog import LARGEST_NS, silent
+from sysid.logs.ulog import LARGEST_NS, MOST, silent
 from sysid.names import listed
 from sysid.units import si_factor
 
@@ -34,8 +34,6 @@ _TIMES = {"TimeUS": 1000, "TimeMS": 1_000_000}
 _NO_STREAMS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
 #: Units of the log that have another name elsewhere.
 _UNITS = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": "", "instance": ""}
-#: Names in a sentence; the others are counted.
-MOST = 5
 
 
 @dataclass(frozen=True)

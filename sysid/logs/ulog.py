@@ -23,10 +23,13 @@ from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
+from sysid.names import listed
 
 MAGIC = b"ULog\x01\x12\x35"
 _WHAT = "a ULog of PX4"
 _TIME = "timestamp"
+#: Names in a sentence; the others are counted.
+MOST = 5
 #: Largest stamp that 64 bits hold [ns].
 LARGEST_NS = 2**63 - 1
 
@@ -47,9 +50,18 @@ class UlogReader:
             raise InputError(path, f"starts with {head[:7].hex() or 'nothing'}", f"{MAGIC.hex()} as in a ULog")
         log, losses = _parsed(path, budget)
         topics: dict[str, Any] = {}
+        untimed = []
         for data in log.data_list:
             name = f"{data.name}#{data.multi_id}" if data.multi_id else data.name
+            if _TIME not in data.data or data.data[_TIME].dtype != np.uint64:
+                untimed.append(name)
+                continue
             topics[name if name not in topics else f"{name} (message {data.msg_id})"] = data
+        if untimed:
+            losses = (
+                *losses,
+                f"{path.name}: topics without a timestamp of 64 bits have been left out: {listed(untimed, MOST)}",
+            )
         if not topics:
             raise InputError(path, "no messages", "at least one topic with messages", "Record the flight again.")
         budget.check_topics(path, len(topics))
@@ -94,8 +106,6 @@ def _parsed(path: Path, budget: Budget) -> tuple[Any, tuple[str, ...]]:
             with path.open("rb") as head:
                 _check_formats(path, ULog(head, parse_header_only=True).message_formats, budget)
             log = ULog(file)
-        if any(_TIME not in data.data or data.data[_TIME].dtype != np.uint64 for data in log.data_list):
-            raise InputError(path, "a topic without a timestamp of 64 bits", "one in each", "The file is damaged.")
     except InputError:
         raise
     except Exception as error:  # the library raises many unrelated types on a damaged file

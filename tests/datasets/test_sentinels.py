@@ -116,6 +116,23 @@ def test_the_finding_names_the_line_that_removes_it(number: float, tmp_path: Pat
     assert table["a0.joint"].abs().max() < 100.0
 
 
+def test_a_number_among_static_poses_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "machine"
+    path = machine_with(folder, -9999.0)
+    log = pd.read_csv(path)
+    columns = [name for name in log.columns if name != "time"]
+    lines = [f'"{name}" = {{ field = "{name}" }}' for name in columns]
+    recipe = RECIPE.replace("[[streams]]", '[recordings]\nposes = ["r0"]\n[[streams]]')
+    (folder / "recipe.toml").write_text(recipe + "\n".join(lines) + "\n")
+    held = log.iloc[np.repeat(np.arange(0, len(log), 40), 40)[: len(log)]].assign(time=log["time"].to_numpy())
+    held.loc[held.index[100:111], "a0.joint"] = -9999.0
+    held.to_csv(path, index=False)
+    machine = next(folder.glob("machine.toml"), folder / "logs/machine.toml")
+    command = ("ingest", folder / "logs", "--recipe", folder / "recipe.toml", "--machine", machine)
+    assert run("--workspace", tmp_path / "ws", *command) == 0
+    assert "a0.joint: -9999 stands in" in capsys.readouterr().out
+
+
 def test_a_number_of_a_float_of_32_bits_is_found_by_its_decimals(tmp_path: Path) -> None:
     folder = tmp_path / "machine"
     path = machine_with(folder, float(np.float32(-999.9)))

@@ -94,6 +94,14 @@ def test_dropouts_cuts_and_damage_of_a_ulog_are_losses(tmp_path: Path) -> None:
     assert (len(timed), timed.losses) == (10, ("a.ulg: a: 2 messages without a valid time have been left out",))
 
 
+def test_a_topic_without_a_time_is_left_out(tmp_path: Path) -> None:
+    formats = {"a": "uint64_t timestamp;float x;", "b": "uint32_t timestamp;float[2] x;"}
+    messages: list[Any] = [(number, struct.pack("<Qf", 1000 + i, i)) for i in range(4) for number in (0, 1)]
+    streams = read(written(tmp_path / "a.ulg", ulog(formats, messages, [("a", 0), ("b", 0)])))
+    assert list(streams) == ["a"]
+    assert streams["a"].losses == ("a.ulg: topics without a timestamp of 64 bits have been left out: b",)
+
+
 @pytest.mark.parametrize(
     ("formats", "reason"),
     [
@@ -102,7 +110,7 @@ def test_dropouts_cuts_and_damage_of_a_ulog_are_losses(tmp_path: Path) -> None:
             {"a": "uint64_t timestamp;b[300] b;", "b": "c[300] c;", "c": "float[300] x;"},
             r"message 'b': 90000 fields; expected at most",
         ),
-        ({"a": "float x;"}, "a topic without a timestamp|no messages"),
+        ({"a": "float x;"}, "no messages; expected at least one topic"),
     ],
 )
 def test_formats_without_an_end_or_a_time_are_refused(tmp_path: Path, formats: dict[str, str], reason: str) -> None:
@@ -262,7 +270,8 @@ def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytes
     if (module == "pyulog") != (name == "flight.ulg"):
         assert read(path)
         return
-    with pytest.raises(InputError, match=rf"{module} is not installed; .*pip install 'sysid-toolkit\[flight\]' installs it"):
+    extra = {"pyulog": "flight", "pymavlink": "ardupilot"}[module]
+    with pytest.raises(InputError, match=rf"{module} is not installed; .*pip install 'sysid-toolkit\[{extra}\]' installs it"):
         read(path)
 
 

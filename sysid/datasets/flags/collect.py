@@ -42,14 +42,15 @@ def flag_rows(
 ) -> list[dict[str, Any]]:
     """Flags of one recording as JSON values by signal and time, see "What is flagged" in ``docs/recipes.md``.
 
-    Static poses have none: nothing is recorded between them, and a signal that moves within one is missing in its row.
+    Static poses have none but numbers that stand for "no value": nothing is recorded between them, and a signal that moves
+    within one is missing in its row.
 
     Args:
         machine: gives the axes and their ends.
         hold_s: longest hold of a command [s].
         progress: called with the share of the samples that have been checked.
     """
-    if recording.kind == "poses":
+    if recording.kind == "poses" and not any(channel.flags for channel in recording.channels):
         return []
     placed = Placed(recording, by_source(clocks, recording.name))
     timed = [(channel, placed.times(channel)) for channel in recording.channels]
@@ -61,6 +62,9 @@ def flag_rows(
         progress(done / total, f"checking {channel.signal}")
         done += len(at)
         flags = _on_axis(channel, at) if channel.flags else []
+        if recording.kind == "poses":
+            found += [(channel.source, flag) for flag in flags if flag.kind == "sentinel"]
+            continue
         swaps = [flag for flag in flags if flag.kind == "marker_swap"]
         flags += [flag for flag in _of(channel, at, commands, machine, hold_s) if not _is_swap(flag, swaps, channel.period_s)]
         found += [(channel.source, flag) for flag in flags]
