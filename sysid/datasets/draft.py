@@ -10,7 +10,7 @@ from glob import escape
 from pathlib import Path
 
 from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
-from sysid.datasets.words import says_command, signal_of, words_without_numbers
+from sysid.datasets.words import NO_SIGNAL, says_command, signal_of, words_without_numbers
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
@@ -24,8 +24,6 @@ from sysid.units import si_factor
 _SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/", "control_msgs/", "trajectory_msgs/")
 #: SI units that signals have; a command in another one is converted by `zero` and `span`.
 _UNITS = ("1", "rad", "m", "rad/s", "m/s", "N", "N·m")
-#: Fields that change but are no signals.
-_NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$|^((frame|episode|task)_)?index$")
 #: Listed fields of one stream, and of those that are no signals; the others are counted.
 MAX_LINES, MAX_LISTED = 80, 8
 _HEAD = """\
@@ -271,7 +269,7 @@ def _listed(file: FileSummary) -> list[StreamSummary]:
 
 def _moving(stream: StreamSummary) -> list[FieldSummary]:
     """Its fields that change and may be signals."""
-    return [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
+    return [field for field in stream.fields if field.high > field.low and not NO_SIGNAL.search(field.name)]
 
 
 def _recognised(file: FileSummary, stream: StreamSummary, machine: Machine | None) -> list[str]:

@@ -36,6 +36,8 @@ _JOINTS, _POSITIONS = _set("joint joints angle angles encoder enc"), _set("pos p
 _GEOMETRY = _set("x y z w pose poses orientation translation rotation twist linear")
 #: Words that belong to no axis.
 UNITS = _set("deg degs degree degrees rad rads mm cm m s sec nm n percent pct counts raw")
+#: Fields that change but are no signals.
+NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$|^((frame|episode|task)_)?index$")
 #: Which array of a ``JointState`` commands an axis, by its actuation.
 _COMMANDED = {"velocity": "velocity", "position": "position", "servo": "position", "force": "effort"}
 
