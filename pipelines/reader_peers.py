@@ -170,14 +170,14 @@ def no_value(raw: int, signal: Any, j1939: bool, value: float) -> str:
 
 
 def can_log(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
-    """BLF, ASC, PEAK and candump logs with python-can and cantools, frame by frame."""
+    """BLF, ASC, PEAK, candump and MDF logs of a bus with python-can and cantools, frame by frame."""
     import can
     import cantools
 
     dbc = folder / "bus.dbc"
     dbc.write_text(database_text(rng))
     database: Any = cantools.database.load_file(dbc, strict=False)
-    path = folder / f"bus{rng.choice(['.blf', '.asc', '.trc', '.log'])}"
+    path = folder / f"bus{rng.choice(['.blf', '.asc', '.trc', '.log', '.mf4'])}"
     with can.Logger(path) as log:  # type: ignore[attr-defined]
         for row in range(int(rng.integers(1, 40))):
             message = database.messages[int(rng.integers(len(database.messages)))]
@@ -440,6 +440,15 @@ def ros_store(rng: np.random.Generator, stores: str) -> tuple[Any, str, str, lis
     return store, "peers_msgs/msg/Any", text, fields
 
 
+def ros_messages(path: Path, fields: Sequence[tuple[str, str]], theirs: Sequence[tuple[int, Any]], found: Comparison) -> None:
+    """Compare the only topic of a log with (stamp [ns], decoded message) of another library."""
+    stream = streams_of(path)["/any"]
+    found.names("/any", stream.columns, set().union(*(numbers_in(message, fields) for _, message in theirs)))
+    for name, values in stream.columns.items():
+        found.column(name, values, np.array([at(message, name) for _, message in theirs]))
+    found.stamps("/any", stream, np.array([stamp - 10**18 for stamp, _ in theirs]) * 1e-9)
+
+
 def mcap(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
     """MCAP with ROS 2 messages of random types, with mcap-ros2-support."""
     from mcap.reader import make_reader
@@ -457,12 +466,9 @@ def mcap(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
             writer.add_message(channel, log_time=10**18 + row * 10**7, publish_time=0, data=body)
         writer.finish()
     with path.open("rb") as file:
-        theirs = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
-    stream = streams_of(path)["/any"]
-    found.names("/any", stream.columns, set().union(*(numbers_in(each.decoded_message, fields) for each in theirs)))
-    for name, values in stream.columns.items():
-        found.column(name, values, np.array([at(each.decoded_message, name) for each in theirs]))
-    found.stamps("/any", stream, np.array([each.message.log_time - 10**18 for each in theirs]) * 1e-9)
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        theirs = [(each.message.log_time, each.decoded_message) for each in decoded]
+    ros_messages(path, fields, theirs, found)
 
 
 def ros1(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
@@ -481,22 +487,35 @@ def ros1(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
             writer.write(connection, 10**18 + row * 10**7, store.serialize_ros1(ros_message(rng, store, kind, fields), kind))
     with Reader(path) as bag:
         theirs = [(stamp, store.deserialize_ros1(data, kind)) for _, stamp, data in bag.messages()]
-    stream = streams_of(path)["/any"]
-    found.names("/any", stream.columns, set().union(*(numbers_in(message, fields) for _, message in theirs)))
-    for name, values in stream.columns.items():
-        found.column(name, values, np.array([at(message, name) for _, message in theirs]))
-    found.stamps("/any", stream, np.array([stamp - 10**18 for stamp, _ in theirs]) * 1e-9)
+    ros_messages(path, fields, theirs, found)
+
+
+def ros2(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
+    """rosbag2 in sqlite of random message types with rosbags."""
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+    store, kind, _, fields = ros_store(rng, "ROS2_HUMBLE")
+    bag = folder / "bag"
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/any", kind, typestore=store)
+        for row in range(int(rng.integers(1, 30))):
+            writer.write(connection, 10**18 + row * 10**7, store.serialize_cdr(ros_message(rng, store, kind, fields), kind))
+    with Reader(bag) as reader:
+        theirs = [(stamp, store.deserialize_cdr(data, kind)) for _, stamp, data in reader.messages()]
+    (path,) = bag.glob("*.db3")
+    ros_messages(path, fields, theirs, found)
 
 
 #: Format → the libraries beside its reader, and how a file is made and compared.
 FORMATS: dict[str, tuple[str, Callable[[np.random.Generator, Path, Comparison], None]]] = {
     "C3D": ("ezc3d", c3d),
-    "CAN: BLF, ASC, TRC, candump": ("python-can, cantools", can_log),
+    "CAN: BLF, ASC, TRC, candump, MDF": ("python-can, cantools", can_log),
     "MDF 4": ("asammdf", mf4),
     "PX4 ULog": ("pyulog", ulog),
     "ArduPilot DataFlash": ("pymavlink", dataflash),
     "MCAP, ROS 2": ("mcap-ros2-support", mcap),
     "ROS 1 bag": ("rosbags", ros1),
+    "rosbag2 in sqlite": ("rosbags", ros2),
     "Parquet": ("pyarrow", parquet),
 }
 

@@ -44,8 +44,8 @@ def text_lines(path: Path, what: str) -> Iterator[str]:
 
 
 def separator_of(line: str) -> str:
-    """The separator of a line: tab, semicolon or comma."""
-    return next((mark for mark in "\t;" if mark in line), ",")
+    """The separator of a line: the first tab, semicolon or comma in it."""
+    return next((mark for mark in line if mark in "\t;,"), ",")
 
 
 def number_of(text: str) -> float:
@@ -131,6 +131,8 @@ def number_rows(
 
 #: A number with a decimal comma, or a decimal point.
 _NUMBER = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+([eE][+-]?\d+)?\s*") for mark in (",", ".")}
+#: A number with any marks in it.
+_OTHER_MARK = re.compile(r"\s*[+-]?\d[\d.,' ]*([eE][+-]?\d+)?\s*")
 #: Rows in which the decimal mark is looked for.
 _MARK_ROWS = 200
 
@@ -160,14 +162,15 @@ def _texts(path: Path, table: pd.DataFrame, texts: pd.DataFrame, rows: int, mark
     Raises:
         InputError: one of them is a number with another decimal mark, or with marks between its thousands.
     """
-    places = np.argwhere(texts.to_numpy())
-    for row, column in places:
-        text = str(table.iat[row, column])
-        if re.fullmatch(r"\s*[+-]?\d[\d.,' ]*([eE][+-]?\d+)?\s*", text):
+    mask = texts.to_numpy()
+    found = table.to_numpy(dtype=object)[mask].astype(str)
+    for text in np.unique(found):
+        if _OTHER_MARK.fullmatch(text):
+            row = int(np.argwhere(mask)[found == text][0, 0])
             where = f"{path}: row {rows + row + 1} below the head"
             expected = f"numbers with a decimal {'comma' if mark == ',' else 'point'} as above, without marks between thousands"
-            raise InputError(where, repr(text), expected, "Export it again with one decimal mark.")
-    return len(places)
+            raise InputError(where, repr(str(text)), expected, "Export it again with one decimal mark.")
+    return len(found)
 
 
 def _line_count(path: Path) -> int:

@@ -44,6 +44,8 @@ _GROUPED = {
 }
 #: A number that both decimal marks can read, as two values.
 TWO_READINGS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)
+#: Separators of thousands that are no mark.
+_SPACED = r"\d[^\w.,:+-]\d"
 #: A date with time in ISO 8601, or a time of the day.
 _DATE, _DAY_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:?\d\d.*", r"\d{1,2}:\d\d:\d\d(?:[.,]\d+)?"
 STAMP = re.compile(f"{_DATE}|{_DAY_TIME}")
@@ -112,8 +114,9 @@ class CellColumn:
     #: Decimal mark → number of cells that it reads, and the first cell that it does not read; the first of other kinds.
     _read: dict[str, int] = field(default_factory=lambda: {".": 0, ",": 0})
     _example: dict[str, str] = field(default_factory=dict)
-    #: Number of cells with separators of thousands that would be decimals with the other mark (1.234).
+    #: Number of cells with separators of thousands, and whether one would be decimals with the other mark (1.234).
     _thousands: int = 0
+    _doubtful: bool = False
     _numbers: GrowingArray = field(init=False)
     _others: GrowingArray | None = None
     _whole: GrowingArray | None = None
@@ -187,7 +190,9 @@ class CellColumn:
             for kind, some in ((mark, bad & ~stamped & ~united), ("unit", united), ("stamp", stamped)):
                 if kind not in self._example and some.any():
                     self._example[kind] = str(text.iloc[int(np.argmax(some))])
-        thousands = np.abs(numbers) > np.abs(others)
+        decimals_too = np.abs(numbers) > np.abs(others)
+        self._doubtful = self._doubtful or bool(decimals_too.any())
+        thousands = decimals_too | (~np.isnan(numbers) & text.str.contains(_SPACED).to_numpy(dtype=bool))
         if thousands.any():
             self._thousands += int(np.count_nonzero(thousands))
             self._example.setdefault("thousands", str(text.iloc[int(np.argmax(thousands))]))
@@ -216,13 +221,16 @@ class CellColumn:
         return found
 
     def _take_united(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """Keep the numbers with a unit among cells (n,), that of the first (``0.12 rad``); the mask of those cells."""
+        """Keep the numbers with a unit among cells (n,), the first frequent one (``0.12 rad``); the mask of those cells."""
         kept = np.zeros(len(text), dtype=bool)
         if not self._unit:
-            found = re.fullmatch(rf".*\d\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})", str(text.iloc[0]))
-            if found is None or not _is_unit(found[1]):
-                return kept
-            self._unit = found[1]
+            parts = text.str.extract(rf"^(.*\d)\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})$").dropna()
+            for unit in parts[1].mode().head(1):
+                number = str(parts[0][parts[1] == unit].iloc[0])
+                if any(number_of(number, mark) is not None for mark in ".,") and _is_unit(unit):
+                    self._unit = unit
+        if not self._unit:
+            return kept
         places = np.flatnonzero(text.str.endswith(self._unit).to_numpy(dtype=bool))
         shorter = text.iloc[places].str.removesuffix(self._unit).str.rstrip()
         numbers = _numbers(shorter, self.decimal)
@@ -262,7 +270,7 @@ class CellColumn:
         here, there = self._read[self.decimal], self._read[self._other]
         mark = self._other if there > here else self.decimal
         read = self._read[mark]
-        if self._thousands and here == there and not self.proven:
+        if self._doubtful and here == there and not self.proven:
             doubt = "where no cell shows whether the mark is that of decimals (`decimal` in the recipe states it)"
             return Table(unread={name: f"numbers such as {self._example['thousands']!r}, {doubt}"})
         if self._stamps is not None and self._stamps.found > read:

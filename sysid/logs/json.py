@@ -79,16 +79,16 @@ def _stream(path: Path, name: str, records: list[dict[str, Any]], options: ReadO
             columns[field][row] = value
     if options.fields is not None:
         options = replace(options, columns=options.fields.get(name))
-    tables = [_column(f"{where}: {field}", field, values, len(records), options) for field, values in columns.items()]
+    tables = [_column(f"{where}: {field}", field, values, len(records), options, budget) for field, values in columns.items()]
     table = table_stream(path, Table.joined(tables), options, units_in_headers=False)
     return replace(table, name=name)
 
 
-def _column(where: str, field: str, values: Mapping[int, Any], rows: int, options: ReadOptions) -> Table:
+def _column(where: str, field: str, values: Mapping[int, Any], rows: int, options: ReadOptions, budget: Budget) -> Table:
     """One field of all records: numbers, or stamps and numbers in text; others are missing."""
     texts = {row: value for row, value in values.items() if isinstance(value, str)}
     if texts:
-        cells = CellColumn(field, where, Budget.of(0), options.decimal or ".", options.decimal is not None, rows)
+        cells = CellColumn(field, where, budget, options.decimal or ".", options.decimal is not None, rows)
         cells.take(pd.Series(values, dtype=object).reindex(range(rows)).map(_text, na_action="ignore"))
         return cells.table()
     if is_time(field, options) and len(values) == rows and all(type(v) is int and abs(v) < 2**63 for v in values.values()):

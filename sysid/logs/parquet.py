@@ -84,7 +84,7 @@ def _values(file: Any, name: str, kind: str, rows: int, options: ReadOptions) ->
     for group in range(file.metadata.num_row_groups):
         column = file.read_row_group(group, [name]).column(name)
         if kind in ("int64", "float64"):
-            part = column.cast(getattr(pa, kind)(), safe=False).to_numpy()
+            part = column.cast(getattr(pa, kind)(), safe=kind == "int64").to_numpy()
         else:
             steps = pa.timestamp("ns") if kind == "datetime64[ns]" else pa.duration("ns")
             if pa.types.is_time(column.type):
@@ -112,9 +112,9 @@ def _unread(file: Any, field: Any, budget: Budget) -> str:
         return f"values of type {field.type}"
     for number in range(file.metadata.num_row_groups):
         group = file.metadata.row_group(number)
-        packed = next(c for c in map(group.column, range(group.num_columns)) if c.path_in_schema == field.name)
+        parts = [c for c in map(group.column, range(group.num_columns)) if c.path_in_schema == field.name]
         # Nothing else limits the size of a text; one row at a time, as rows may share a long one.
-        if budget.too_large(packed.total_compressed_size, packed.total_uncompressed_size):
+        if any(budget.too_large(part.total_compressed_size, part.total_uncompressed_size) for part in parts):
             break
         rows = (batch.column(0)[0].as_py() for batch in islice(file.iter_batches(1, [number], [field.name]), _TRIED))
         if (first := next(filter(None, rows), None)) is not None:

@@ -88,8 +88,8 @@ def _head(path: Path) -> tuple[dict[str, list[str]], list[str], int]:
             )
         if number > 10_000:
             break
-        if not any(cells):
-            continue
+        if not any(cells) and (len(cells) < 3 or head.keys().isdisjoint(_NAMES.values())):
+            continue  # behind the names it is a row in which nothing is visible
         if all(map(_is_number, filter(None, cells))):
             return head, columns, number
         if re.fullmatch(r"[A-Z0-9]+(_[A-Z0-9]+)+|FREQUENCY|DESCRIPTION|EVENT", cells[0]):

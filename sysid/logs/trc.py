@@ -48,7 +48,7 @@ class TrcReader:
         options.check_streams(path, markers, "marker")
         width = 2 + 3 * len(markers)
         _check_commas(path, width, separator)
-        table, losses = number_rows(path, width, 5, separator, ragged=True, options=options)
+        table, losses = number_rows(path, width, 5, separator, ragged=separator != ",", options=options)
         table = table[~np.isnan(table[:, 1])]
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")

@@ -146,4 +146,5 @@ def _seconds(table: Array, section: _Section) -> Array:
     """Rows of one frame are its sub-frames, at the rate of the section."""
     sub = np.nan_to_num(table[:, 1]) if section.columns[1].lower().startswith("sub") else np.zeros(len(table))
     per_frame = float(np.max(sub)) + 1.0
-    return np.asarray(((table[:, 0] - 1.0) * per_frame + sub) / section.rate)
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers, refused as stamps
+        return np.asarray(((table[:, 0] - 1.0) * per_frame + sub) / section.rate)

@@ -419,6 +419,13 @@ def test_a_second_decimal_mark_is_refused(tmp_path: Path, name: str, cell: str) 
         read(path)
 
 
+def test_a_separator_is_the_first_in_its_line(tmp_path: Path) -> None:
+    lines = [TRC[0].replace("x.trc", "a;b.trc"), *TRC[1:]]
+    for separator in ("\t", ","):
+        streams = read(write(tmp_path / "x.trc", *(line.replace("\t", separator) for line in lines)))
+        np.testing.assert_allclose(positions(streams["tip"]), [[1, 2, 3], [1.001, 2, 3]])
+
+
 def test_commas_that_separate_cells_and_decimals_are_refused(tmp_path: Path) -> None:
     lines = trc_lines(np.full((3, 6), 1.5), ",")
     path = write(tmp_path / "x.trc", *lines[:6], *(line.replace(".", ",") for line in lines[6:]))
@@ -426,6 +433,20 @@ def test_commas_that_separate_cells_and_decimals_are_refused(tmp_path: Path) -> 
         InputError, match=r"line 7: 15 cells for 8 numbers: commas separate cells and decimals; .*again with tabs"
     ):
         read(path)
+
+
+def test_a_row_of_commas_that_is_longer_than_the_head_is_refused(tmp_path: Path) -> None:
+    """Its commas may be decimal marks, beside markers that are not visible."""
+    lines = trc_lines(np.full((3, 6), 1.5), ",")
+    lines[7] = "2,0,010,1,500,1,500,1,500,,,"
+    with pytest.raises(InputError, match=r"x\.trc: row 2 below the head: more than 8 cells|rows that do not fit the head"):
+        read(write(tmp_path / "x.trc", *lines))
+
+
+def test_qualisys_counts_a_first_row_in_which_nothing_is_visible(tmp_path: Path) -> None:
+    streams = read(write(tmp_path / "m.tsv", *qualisys_3d(), "\t" * 5, "\t".join(["1", "2", "3", "4", "5", "6"])))
+    np.testing.assert_allclose(positions(streams["tip"]), [[np.nan] * 3, [0.001, 0.002, 0.003]])
+    assert len(streams["tip"]) == 2
 
 
 def test_cells_that_are_no_numbers_are_counted(tmp_path: Path) -> None:

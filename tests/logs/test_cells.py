@@ -54,6 +54,10 @@ def test_numbers_of_any_locale_are_read_and_other_cells_are_missing_and_counted(
     np.testing.assert_allclose(stream.columns["x"], values, rtol=1e-14)
     np.testing.assert_array_equal(stream.stamps["time"], 100_000_000 * np.arange(len(values)))
     told = [loss for loss in stream.losses if "not a number" in loss or "are not numbers" in loss]
+    separated = [cell for row, cell in enumerate(cells) if thousands and thousands in cell and row not in bad]
+    assert any("separators of thousands" in loss for loss in stream.losses) == any(
+        thousands != other or (cell.count(other) == 1 and decimal not in cell) for cell in separated
+    )
     if bad:
         count = f"{len(bad)} cells are not numbers" if len(bad) > 1 else "1 cell is not a number"
         assert told == [f"log.csv: column 'x': {count}, for example {cells[min(bad)]!r}: taken as missing"]
@@ -138,6 +142,33 @@ def test_a_mark_that_comes_late_is_not_guessed(tmp_path: Path) -> None:
 )
 def test_numbers_with_one_reading(tmp_path: Path, text: str, values: list[float]) -> None:
     np.testing.assert_array_equal(read(tmp_path / "log.csv", text).columns["x"], values)
+
+
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    values=st.lists(st.floats(-1e6, 1e6).map(lambda x: round(x, 3)), min_size=2, max_size=20),
+    unit=st.sampled_from(["rad", "mm", "°", "%", "m/s", "N·m"]),
+    space=st.sampled_from(["", " ", "\u00a0"]),
+    decimal=st.sampled_from([".", ","]),
+    bad=st.sets(st.integers(0, 18)),
+    pieces=st.sampled_from([1, 12, 2**20]),
+)
+def test_a_unit_in_every_cell_is_that_of_the_column(
+    tmp_path: Path, values: list[float], unit: str, space: str, decimal: str, bad: set[int], pieces: int
+) -> None:
+    """Unit × space × decimal mark × place of the cells that are no numbers × size of the pieces."""
+    bad = {row for row in bad if row < len(values) - 1}
+    cells = [f"{value:.3f}{space}{unit}".replace(".", decimal) for value in values]
+    for row in bad:
+        cells[row], values[row] = "ERR", np.nan
+    lines = [f"{row / 10:.1f}".replace(".", decimal) + ";" + cell for row, cell in enumerate(cells)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sysid.logs.table.CELLS", pieces)
+        stream = read(tmp_path / "log.csv", "\n".join(["time;x", *lines]) + "\n")
+    np.testing.assert_array_equal(stream.columns["x"], values)
+    assert stream.units == {"x": unit}
+    assert f"log.csv: column 'x': {len(values) - len(bad)} cells state the unit [{unit}]" in stream.losses
+    assert any("for example 'ERR'" in loss for loss in stream.losses) == bool(bad)
 
 
 def test_units_in_cells(tmp_path: Path) -> None:

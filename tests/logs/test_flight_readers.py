@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attempts import attempt
+from command_line import run
 from examples import examples
 from flight_logs import (
     ULOG_TYPES,
@@ -24,6 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_logs import write_log
 
+from sysid.datasets import Store
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.inspection import inspect_file
@@ -204,6 +206,45 @@ def test_what_a_dataflash_log_lacks_is_said(tmp_path: Path) -> None:
 def test_another_file_with_the_suffix_is_refused(tmp_path: Path, name: str, reason: str) -> None:
     with pytest.raises(InputError, match=rf"{name.replace('.', chr(92) + '.')}: starts with 68656c.*{reason}"):
         read(written(tmp_path / name, b"hello, this is a firmware"))
+
+
+MACHINE = """
+schema = 1
+name = "arm"
+rate_hz = 10.0
+[[axes]]
+name = "boom"
+actuation = "velocity"
+drives = "joint"
+gain = 1.0
+limits = [-30.0, 30.0]
+"""
+RECIPE = """
+schema = 1
+[[streams]]
+files = "{name}"
+[streams.signals]
+"boom.joint" = {{ topic = "{topic}", field = "{field}", unit = "deg" }}
+[splits]
+fit = ["*"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "field", "scale"),
+    [("flight.ulg", "vehicle_attitude#1", "ramp", 10.0), ("flight.bin", "ATT", "Ramp", 0.1)],
+)
+def test_a_flight_becomes_a_version(tmp_path: Path, name: str, topic: str, field: str, scale: float) -> None:
+    recording = tmp_path / "flights" / "first"
+    recording.mkdir(parents=True)
+    write_log(recording, name)
+    (recording / "firmware.bin").write_bytes(b"no log")
+    (recording.parent / "machine.toml").write_text(MACHINE)
+    (recording.parent / "recipe.toml").write_text(RECIPE.format(name=name, topic=topic, field=field))
+    assert run("--workspace", tmp_path / "ws", "ingest", recording.parent) == 0
+    table = Store(tmp_path / "ws").load("arm").recording("first").table
+    np.testing.assert_allclose(table["boom.joint"], np.radians(scale * np.arange(len(table))), atol=1e-9)
+    assert len(table) == 12
 
 
 def test_other_files_with_the_suffix_are_no_logs_of_a_folder(tmp_path: Path) -> None:

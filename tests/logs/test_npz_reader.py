@@ -52,7 +52,7 @@ def test_plain_arrays(tmp_path: Path) -> None:
     )
     (stream,) = reader_for(path).read(path, ReadOptions())
     assert list(stream.columns) == ["q[0]", "q[1]", "pump"]
-    assert stream.losses == ("log.npz: of another length: setup",)
+    assert stream.unread == {"name": "text", "setup": "4 rows instead of 30"}
     assert inspect_file(path).reader == "npz"
 
 

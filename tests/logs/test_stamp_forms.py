@@ -33,7 +33,7 @@ def read(path: Path, options: ReadOptions = ALL) -> Stream:
 
 
 def _x(stamps: Stamps) -> npt.NDArray[np.float64]:
-    return np.arange(len(stamps)) + 0.5
+    return np.arange(0.5, len(stamps), 1.0, dtype=np.float64)
 
 
 def _csv(path: Path, stamps: Stamps, unit: str) -> Path:

@@ -16,12 +16,13 @@ PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
 #: Format → modules that it needs.
 NEEDS = {
     "C3D": ("ezc3d",),
-    "CAN: BLF, ASC, TRC, candump": ("can", "cantools"),
+    "CAN: BLF, ASC, TRC, candump, MDF": ("can", "cantools", "asammdf"),
     "MDF 4": ("asammdf",),
     "PX4 ULog": ("pyulog",),
     "ArduPilot DataFlash": ("pymavlink",),
     "MCAP, ROS 2": ("mcap_ros2", "rosbags"),
     "ROS 1 bag": ("rosbags",),
+    "rosbag2 in sqlite": ("rosbags",),
     "Parquet": ("pyarrow",),
 }
 
