@@ -18,7 +18,7 @@ from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
 from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import is_log, reader_for
-from sysid.logs.rosbag import side_files
+from sysid.logs.sqlite_bag import side_files
 from sysid.names import check_file_name
 
 

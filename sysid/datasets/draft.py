@@ -10,12 +10,12 @@ from glob import escape
 from pathlib import Path
 
 from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
-from sysid.datasets.words import GEOMETRY, JOINTS, POSITIONS, VAGUE, WORDS, said, words_of
+from sysid.datasets.words import NO_SIGNAL, says_command, signal_of, words_without_numbers
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.lerobot import KIND, LeRobotReader
 from sysid.logs.readers import READERS
-from sysid.machine import Axis, Machine
+from sysid.machine import Machine
 from sysid.names import listed
 from sysid.quoting import comment, toml_key, toml_value
 from sysid.units import si_factor
@@ -24,10 +24,6 @@ from sysid.units import si_factor
 _SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/", "control_msgs/", "trajectory_msgs/")
 #: SI units that signals have; a command in another one is converted by `zero` and `span`.
 _UNITS = ("1", "rad", "m", "rad/s", "m/s", "N", "N·m")
-#: Which array of a ``JointState`` commands an axis, by its actuation.
-_COMMANDED = {"velocity": "velocity", "position": "position", "servo": "position", "force": "effort"}
-#: Fields that change but are no signals.
-_NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$|^((frame|episode|task)_)?index$")
 #: Listed fields of one stream, and of those that are no signals; the others are counted.
 MAX_LINES, MAX_LISTED = 80, 8
 _HEAD = """\
@@ -123,10 +119,12 @@ def missing_strokes(files: Sequence[FileSummary], machine: Machine) -> list[str]
             for stream in _listed(file):
                 topic = "" if _is_table(file) else stream.name
                 for field in _moving(stream):
-                    if _signal(topic, field, machine, stream.kind) == (f"{axis.name}.cylinder", True):
+                    if signal_of(topic, field.name, machine, stream.kind) == (f"{axis.name}.cylinder", True):
                         found.setdefault(f"{topic} {field.name}".strip(), []).append(field)
-        said = [f"{name!r} ({_stroke_of(fields)})" for name, fields in found.items()]
-        logs = f"the logs show of {listed(said, MAX_LISTED)}" if said else "no field of the logs is recognised as its cylinder"
+        ranges = [f"{name!r} ({_stroke_of(fields)})" for name, fields in found.items()]
+        logs = (
+            f"the logs show of {listed(ranges, MAX_LISTED)}" if ranges else "no field of the logs is recognised as its cylinder"
+        )
         lines.append(f"axis {axis.name!r} needs stroke = [lo, hi] [m] in machine.toml; {logs}")
     return lines
 
@@ -155,7 +153,7 @@ def _sure(file: FileSummary, machine: Machine | None) -> set[str]:
     for stream in file.streams if machine is not None else ():
         topic = "" if file.reader in TABLES else stream.name
         for field in stream.fields:
-            signal, sure = _signal(topic, field, machine, stream.kind)
+            signal, sure = signal_of(topic, field.name, machine, stream.kind)
             found |= {signal} if sure else set()
     return found
 
@@ -271,7 +269,7 @@ def _listed(file: FileSummary) -> list[StreamSummary]:
 
 def _moving(stream: StreamSummary) -> list[FieldSummary]:
     """Its fields that change and may be signals."""
-    return [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
+    return [field for field in stream.fields if field.high > field.low and not NO_SIGNAL.search(field.name)]
 
 
 def _recognised(file: FileSummary, stream: StreamSummary, machine: Machine | None) -> list[str]:
@@ -284,13 +282,9 @@ def _recognised(file: FileSummary, stream: StreamSummary, machine: Machine | Non
 def _foreign(stream: StreamSummary, field: FieldSummary) -> bool:
     """Whether the unit of a field is that of no signal, as of a temperature or a muscle, and its name is not of a command."""
     try:
-        return field.unit is not None and si_factor(field.unit)[1] not in _UNITS and not _commands(stream.name, field)
+        return field.unit is not None and si_factor(field.unit)[1] not in _UNITS and not says_command(stream.name, field.name)
     except InputError:
         return False
-
-
-def _commands(topic: str, field: FieldSummary) -> bool:
-    return bool(WORDS["command"] & _words(f"{topic} {field.name}"))
 
 
 @dataclass(frozen=True)
@@ -314,7 +308,7 @@ class _Line:
 
 
 def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> _Line:
-    signal, sure = _signal(topic, field, machine, kind)
+    signal, sure = signal_of(topic, field.name, machine, kind)
     entry = [f"topic = {toml_value(topic)}"] if topic else []
     entry.append(f"field = {toml_value(field.name)}")
     note = f"{field.low:.4g} … {field.high:.4g}{f' {comment(field.unit)}' if field.unit else ''}"
@@ -362,74 +356,6 @@ def _actuation(signal: str, machine: Machine | None) -> str:
     return next((axis.actuation for axis in axes if signal.startswith(f"{axis.name}.")), "")
 
 
-def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> tuple[str, bool]:
-    """The likely signal of a field, and whether both axis and quantity were found in its name."""
-    words = _words(f"{topic} {field.name}")
-    axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
-    axis = axes[0] if len(axes) == 1 else None
-    beside = words - _words(axis.name) if axis is not None else words
-    words = beside if said(beside) else words  # an axis may be called a valve
-    if kind == KIND:
-        quantity = (
-            "command" if field.name.startswith("action") else "joint" if field.name.startswith("observation.state") else ""
-        )
-    elif kind.endswith("JointState") and field.name.partition("[")[0] in ("position", "velocity", "effort"):
-        quantity = _of_joint_state(_words(topic), field.name.partition("[")[0], axis)
-    else:
-        quantity = _said_quantity(words, axis)
-    name = axis.name if axis is not None else "<axis>"
-    return f"{name}.{quantity or '<command, cylinder, joint or speed>'}", axis is not None and bool(quantity)
-
-
-def _of_joint_state(words: set[str], array: str, axis: Axis | None) -> str:
-    """The quantity of an array of a ``JointState``, whose name says what it is, whatever words the names of joints have."""
-    quantities = said(words)
-    if "command" in quantities and words & WORDS["command"] - VAGUE:
-        return "command" if axis is None or _COMMANDED[axis.actuation] == array else ""
-    if array == "position":
-        return "cylinder" if "cylinder" in quantities and not _slides(axis) else "joint"
-    return "speed" if array == "velocity" and not _of_other_end(words, axis) else ""
-
-
-def _said_quantity(words: set[str], axis: Axis | None) -> str:
-    """The quantity that the words of a topic and field say; empty where they say none, or two."""
-    quantities = said(words)
-    if "operator" in quantities:
-        return ""
-    if "command" in quantities:
-        measured = words & WORDS["measured"] - JOINTS - POSITIONS
-        rate = "speed" in quantities and axis is not None and axis.actuation != "velocity"
-        force = "force" in quantities and (axis is None or axis.actuation != "force")
-        return "command" if words & WORDS["command"] - VAGUE and not (measured or rate or force) else ""
-    if "force" in quantities:
-        return ""
-    if "speed" in quantities:
-        return "" if _of_other_end(words, axis) else "speed"
-    if "cylinder" in quantities and not _slides(axis):
-        return "cylinder" if not words & JOINTS else axis.drives if axis is not None else ""
-    if words & JOINTS or "cylinder" in quantities:
-        return "joint"
-    return axis.drives if "measured" in quantities and axis is not None and not words & GEOMETRY else ""
-
-
-def _slides(axis: Axis | None) -> bool:
-    """Whether a wire sensor lies along the joint of an axis, which has no cylinder."""
-    return axis is not None and axis.drives == "joint" and axis.stroke is None
-
-
-def _of_other_end(words: set[str], axis: Axis | None) -> bool:
-    """Whether a rate is that of the joint of an axis with a cylinder, or the reverse: only that of what the command drives is a
-    signal.
-    """
-    of = {"joint" if words & JOINTS else "", "cylinder" if "cylinder" in said(words) else ""} - {""}
-    return axis is not None and bool(of) and axis.drives not in of
-
-
-def _words(text: str) -> set[str]:
-    """Its words without numbers."""
-    return {word for word in words_of(text) if not word.isdecimal()}
-
-
 def _is_body(stream: StreamSummary) -> bool:
     return any(field.name == "qw" for field in stream.fields)
 
@@ -456,7 +382,7 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
         yield f"# <body> = [{listed}]"
     yield f"[streams.bodies]             # rigid body → URDF link{': ' + ', '.join(links) if links else ''}"
     for stream in bodies:
-        link = [link for link in links if _words(link) <= _words(stream.name)]
+        link = [link for link in links if words_without_numbers(link) <= words_without_numbers(stream.name)]
         yield f"# {toml_key(stream.name)} = {toml_value(link[0] if len(link) == 1 else '<link>')}   # {_visible(stream)}"
     yield "# [streams.reference]        # needed with bodies: the machine at rest with known joint values"
     yield "# seconds = [0.2, 1.2]"

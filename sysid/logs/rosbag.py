@@ -6,32 +6,25 @@ The ``rosbags`` library reads the containers; the messages are decoded as those 
 from __future__ import annotations
 
 import bz2
-import contextlib
-import os
 import re
-import shutil
 import struct
-import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 
-from sysid import scratch
-from sysid.errors import InputError, StorageError
-from sysid.logs.limits import FREE, MAX_RATIO, Budget, check_file, unpack
+from sysid.errors import InputError
+from sysid.logs.limits import FREE, MAX_RATIO, Budget, unpack
 from sysid.logs.reader import ReadOptions
+from sysid.logs.sqlite_bag import check_pages, check_tables, limited_rows, short, whole_database
 from sysid.logs.stream import Stream
 from sysid.logs.topics import Topic, check_held, check_topics, finished, make_decoder
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 #: Size of a batch of messages of a topic, and of all batches together [bytes].
 _BATCH, _HELD = 4 * 2**20, 32 * 2**20
-#: Tables of an sqlite file that the library reads.
-_TABLES = ("topics", "messages", "schema", "message_definitions", "metadata")
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,7 @@ class Ros1Reader:
             reader.open()
         except damage as error:
             remedy = "Run `rosbag reindex` on it." if "index" in str(error).lower() else "Record the log again."
-            raise InputError(path, f"not readable as a ROS 1 bag ({_short(error)})", "a whole bag", remedy) from None
+            raise InputError(path, f"not readable as a ROS 1 bag ({short(error)})", "a whole bag", remedy) from None
         try:
             unpackers = {decompressors["bz2"]: bz2.BZ2Decompressor, decompressors["lz4"]: LZ4FrameDecompressor}
             for position, chunk in reader.chunks.items():
@@ -74,7 +67,7 @@ class Ros1Reader:
             connections = bag.define(reader.connections, lambda connection: connection.msgdef.data)
             bag.take((c, stamp, data) for c, stamp, data in reader.messages(connections) if connections)
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
+            bag.lose(f"damaged ({short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()
@@ -100,21 +93,21 @@ class Rosbag2Reader:
             raise InputError(path, "a file compressed as a whole", "the file itself", f"Unpack it: `zstd -d {path.name}`.")
         bag = _Bag(path, options, budget, "cdr", "ros2msg")
         damage = (ReaderError, apsw.Error, ValueError, KeyError, TypeError, AttributeError, RecursionError)
-        with _whole_database(path, budget) as database:
-            _check_pages(path, database)
+        with whole_database(path, budget) as database:
+            check_pages(path, database)
             try:
                 reader = Reader(database)
-                with _limited_rows(budget):
-                    _check_tables(path, database)
+                with limited_rows(budget):
+                    check_tables(path, database)
                     reader.open()
             except damage as error:
-                reason = _short(error).replace(str(database), path.name)
+                reason = short(error).replace(str(database), path.name)
                 raise InputError(path, f"not readable as rosbag2 ({reason})", "an sqlite file that rosbag2 wrote") from None
         try:
             connections = bag.define(reader.connections, _ros2_definition)
             bag.take(_stored(reader.messages(connections), bag) if connections else ())
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
+            bag.lose(f"damaged ({short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()
@@ -240,12 +233,6 @@ def _limited(maker: Any, budget: Budget) -> Any:
     return decompress
 
 
-def side_files(path: Path) -> tuple[Path, ...]:
-    """The write-ahead log beside an sqlite bag, which is a part of it; none beside other logs."""
-    log = Path(f"{path.resolve()}-wal")
-    return (log,) if path.suffix.lower() == ".db3" and log.exists() and log.stat().st_size else ()
-
-
 #: Largest metadata of a bag [B].
 _MAX_METADATA = 2**20
 
@@ -258,121 +245,6 @@ def bag_of(path: Path) -> Path | None:
     text = metadata.read_text("utf-8", errors="replace")
     listed = re.search(rf"(^|[\s/'\",\[-]){re.escape(path.name)}($|[\s'\",\]])", text)
     return path.parent if "rosbag2_bagfile_information" in text and listed else None
-
-
-@contextlib.contextmanager
-def _whole_database(path: Path, budget: Budget) -> Iterator[Path]:
-    """An sqlite file that holds all messages: ``path``, or a private copy into which its write-ahead log has been moved.
-
-    sqlite merges the log only into a file that it may write, and a file of the user is not changed. The copy can be deleted
-    once it is open.
-
-    Raises:
-        InputError: a transaction was interrupted, or the log is no file.
-        StorageError: the copy has no room.
-    """
-    import apsw
-
-    _check_journal(path)
-    logs = side_files(path)
-    if not logs:
-        yield path
-        return
-    for log in logs:
-        if log.is_symlink():
-            raise InputError(log, "a link", "the write-ahead log of an sqlite file", "Copy the file beside the bag.")
-        check_file(log, "the write-ahead log of an sqlite file")
-    own = scratch.current()
-    with tempfile.TemporaryDirectory(prefix=".bag-", dir=None if own is None else own.folder) as folder:
-        copy = Path(folder) / "bag.db3"
-        try:
-            shutil.copyfile(path, copy)
-            for log in logs:
-                shutil.copyfile(log, f"{copy}-wal")
-            with _limited_rows(budget), contextlib.closing(apsw.Connection(str(copy), apsw.SQLITE_OPEN_READWRITE)) as database:
-                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        except apsw.Error as error:
-            raise InputError(path, f"not readable as rosbag2 ({_short(error)})", "an sqlite file that rosbag2 wrote") from None
-        except PermissionError:
-            raise
-        except OSError as error:
-            found = f"no room for a copy of {path.name} with its write-ahead log ({os.strerror(error.errno or 0)})"
-            remedy = f'Merge it in its place: sqlite3 {path.name} "PRAGMA wal_checkpoint(TRUNCATE)".'
-            raise StorageError(folder, found, f"{path.stat().st_size / 2**20:.0f} MiB", remedy) from None
-        yield copy
-
-
-#: First bytes of the journal of a transaction that can be undone.
-_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
-
-
-def _check_journal(path: Path) -> None:
-    """Raise where a transaction of an sqlite file was interrupted: its pages are partly those of before, partly those of after.
-
-    Source: SQLite, "Database File Format", 3. The journal may name other files, which sqlite deletes, so it is not rolled back.
-    """
-    journal = Path(f"{path.resolve()}-journal")
-    if not journal.is_file():
-        return
-    with journal.open("rb") as file:
-        if file.read(len(_JOURNAL_MAGIC)) != _JOURNAL_MAGIC:
-            return
-    remedy = f'Undo it with sqlite, best in a copy of both files: sqlite3 {path.name} "PRAGMA integrity_check".'
-    raise InputError(path, f"a transaction that was interrupted ({journal.name})", "a complete sqlite file", remedy)
-
-
-def _check_pages(path: Path, database: Path) -> None:
-    """Raise where an sqlite file is shorter than it states: missing pages would be read as zeros.
-
-    Source: SQLite, "Database File Format", 1.3.8 (the size is valid where the counter behind it agrees).
-    """
-    with database.open("rb") as file:
-        head = file.read(100)
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
-        return  # reported when it is opened
-    page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-    size, there = (65536 if page == 1 else page) * pages, database.stat().st_size
-    if head[24:28] == head[92:96] and size > there:
-        remedy = f"Save what is left: sqlite3 {path.name} .recover | sqlite3 recovered.db3"
-        raise InputError(path, f"the file is cut off: {there} of {size} bytes", "a whole sqlite file", remedy)
-
-
-@contextlib.contextmanager
-def _limited_rows(budget: Budget) -> Iterator[None]:
-    """Limits values of databases that are opened within the context to the size of a chunk."""
-    import apsw
-
-    def limit(database: apsw.Connection) -> None:
-        database.limit(apsw.SQLITE_LIMIT_LENGTH, budget.chunk)
-
-    apsw.connection_hooks.append(limit)
-    try:
-        yield
-    finally:
-        apsw.connection_hooks.remove(limit)
-
-
-def _check_tables(path: Path, file: Path) -> None:
-    """Raise where the tables of a bag are computed when they are read: views, virtual tables, generated columns.
-
-    Raises:
-        InputError: a table that is not stored.
-        apsw.Error: no sqlite file.
-    """
-    import apsw
-
-    database = apsw.Connection(f"file:{quote(str(file))}?immutable=1", apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)
-    with contextlib.closing(database):
-        for name in _TABLES:
-            kinds = [
-                kind for (kind,) in database.execute("SELECT type FROM pragma_table_list WHERE name = ? COLLATE NOCASE", [name])
-            ]
-            hidden = [row[1] for row in database.execute("SELECT * FROM pragma_table_xinfo(?)", [name]) if row[6]]
-            found = "" if set(kinds) <= {"table"} else f"a {kinds[0]}" if kinds != ["virtual"] else "a virtual table"
-            found = found or (f"a generated column {hidden[0]!r}" if hidden else "")
-            if found:
-                where = f"{path}: table {name!r}"
-                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or malicious.")
 
 
 def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[Any, int, bytes]]:
@@ -406,7 +278,3 @@ def _ros2_definition(connection: Any) -> str:
     if connection.msgtype not in store.fielddefs:
         return ""
     return str(store.generate_msgdef(connection.msgtype, ros_version=2)[0])
-
-
-def _short(error: Exception) -> str:
-    return (str(error).splitlines() or [""])[0][:160] or type(error).__name__

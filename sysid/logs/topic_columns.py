@@ -87,7 +87,7 @@ class TopicColumns:
 
     def _is_new_or_known(self, name: str) -> bool:
         if name not in self.fields:
-            if len(self.fields) >= MAX_FIELDS:
+            if len(self.fields) >= MAX_FIELDS and (self.wanted is None or name not in self.wanted):
                 self.crowded = True
                 return False
             self.fields[name] = None

@@ -16,6 +16,7 @@ import pytest
 from command_line import run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from sysid.datasets.drafting import Description, describe, fields
 from sysid.datasets.drafting.question import Answers
@@ -300,3 +301,30 @@ def test_recordings_have_the_names_of_their_files(tmp_path: Path) -> None:
     logs(folder, 1)
     files = [inspect_file(path) for path in sorted(folder.glob("*.csv"))]
     assert recording_names(files, False, [frozenset()] * 3)[1]
+
+
+def test_the_axes_of_a_bag_are_paired_by_labels(tmp_path: Path) -> None:
+    """Joints of a message are named in brackets; stamps are no columns."""
+    rng = np.random.default_rng(0)
+    command = np.repeat(rng.uniform(-1, 1, (60, 2)), 20, axis=0)
+    late = np.vstack([np.zeros((5, 2)), command])[: len(command)]
+    angle = np.cumsum(late, axis=0) / 50.0 + rng.normal(0.0, 1e-3, command.shape)
+    names = ["boom_joint", "stick_joint"]
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channels = [writer.register_channel(topic, "json", 0) for topic in ("/velocity_cmd", "/joint_states")]
+        for k in range(len(command)):
+            stamp = int(1e9 * (1.7e9 + k / 50.0))
+            head = {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}}
+            order = [1, 0] if k % 7 == 3 else [0, 1]
+            bodies = ({"velocity": command[k, order].tolist()}, {"position": angle[k, order].tolist()})
+            for channel, body in zip(channels, bodies, strict=True):
+                text = {**head, "name": [names[n] for n in order], **body}
+                writer.add_message(channel, stamp, json.dumps(text).encode(), stamp)
+        writer.finish()
+    found = describe([inspect_file(tmp_path / "log.mcap")], tmp_path, "rig", Answers({}))
+    assert found.axes == ("boom", "stick")
+    assert '"boom.command" = { topic = "/velocity_cmd", field = "velocity[boom_joint]"' in found.recipe
+    assert 'field = "position[stick_joint]"' in found.recipe
+    assert not any("stamp" in line for line in found.left_out)

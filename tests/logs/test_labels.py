@@ -219,3 +219,12 @@ def test_as_many_points_as_joints_are_points(tmp_path: Path) -> None:
 def test_other_names_do_not_reach_into_other_messages(tmp_path: Path) -> None:
     definition = f"string[] name\nInner pose\n{LINE}\nMSG: test_msgs/Inner\nfloat64[] at\n"
     assert ros2_fields(tmp_path, definition, {"name": ["a", "b"], "pose": {"at": [1.0, 2.0]}}) == {}
+
+
+@pytest.mark.parametrize("write", [cdr, as_json])
+def test_a_field_that_is_named_is_read_beside_any_number_of_others(tmp_path: Path, write: Write) -> None:
+    """Labels that are new in every message fill the list of fields, which is limited."""
+    rows: Rows = [[(f"track{k}_{n}", 1.0) for n in range(300)] for k in range(8)]
+    path = bag(tmp_path, write, [*rows, [("boom", 5.0)]])
+    assert any("has too many fields" in loss for loss in read(path).losses)
+    assert read(path, "bodies[boom].x").columns["bodies[boom].x"].tolist()[-1] == 5.0

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.datasets.layouts import TABLES
 from sysid.datasets.quality.noise import is_still
-from sysid.datasets.words import UNITS, WORDS, said, words_of
+from sysid.datasets.words import NO_SIGNAL, UNITS, WORDS, said, words_of
 from sysid.logs.confined import read_confined
 from sysid.logs.inspection import FileSummary
 from sysid.logs.labels import without_repeats
@@ -86,7 +86,7 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
             several = files_of[recordings[file.path]] > 1
             topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
-            for name in without_repeats(stream.columns):
+            for name in (name for name in without_repeats(stream.columns) if not NO_SIGNAL.search(name)):
                 values = stream.columns[name]
                 known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # overflows
                 found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), known))
@@ -100,10 +100,14 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
 
 
 def _field(topic: str, name: str, table: bool, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
-    words = words_of(re.sub(r"\([^()]*\)|\[[^\[\]\d]*\]", " ", f"{topic} {name}"))
+    in_brackets = r"\([^()]*\)|\[[^\[\]\d]*\]" if table else r"\([^()]*\)"  # a unit; in a message a label
+    words = words_of(re.sub(in_brackets, " ", f"{topic} {name}"))
     says = said(words)
-    known = frozenset().union(*WORDS.values()) | UNITS | (shared if len(words) > 1 else frozenset())
-    axis = "_".join(word for word in words if word not in known)
+    known = frozenset().union(*WORDS.values()) | UNITS
+    labels = [] if table else [label for label in re.findall(r"\[([^\[\]]*)\]", name) if not label.isdecimal()]
+    named = [word for word in words_of(" ".join(labels)) if word not in known]
+    known |= shared if len(words) > 1 else frozenset()
+    axis = "_".join(named or [word for word in words if word not in known])
     return Field(topic, name, table, unit or _unit_in(name), tuple(series), axis, says)
 
 
