@@ -1,7 +1,7 @@
 """DataFlash logs of ArduPilot (``.bin``): every message type is a stream (``ATT``), or each of its instances (``IMU[1]``).
 
-The library that indexes the file and knows its formats, units and multipliers is an extra (``ardupilot``); NumPy takes the numbers
-of all messages of a type at once. Parameters, texts and descriptions of formats are left out.
+The library that indexes the file and knows its formats, units and multipliers is an extra (``ardupilot``); NumPy takes the
+numbers of all messages of a type at once. Parameters, texts and descriptions of formats are left out.
 Source: ArduPilot documentation, "Logging: message structure"; ``AP_Logger/LogStructure.h``.
 """
 
