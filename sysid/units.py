@@ -57,6 +57,15 @@ def si_factor(unit: str, where: object = "unit") -> tuple[float, str]:
     return float(base.magnitude), name
 
 
+def is_unit(text: str) -> bool:
+    """Whether ``text`` is a unit that :func:`si_factor` knows."""
+    try:
+        si_factor(text)
+    except InputError:
+        return False
+    return True
+
+
 def _si_name(registry: Any, quantity: Any, base: Any) -> str:
     if base.check("[length]"):
         return "m"

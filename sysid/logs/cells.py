@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.errors import InputError
 from sysid.logs.growing import GrowingArray
 from sysid.logs.limits import Budget
 from sysid.logs.table import Table
-from sysid.units import si_factor, split_header
+from sysid.units import is_unit, si_factor, split_header
 
 #: Lists that are parsed at a time, and the longest unit in a cell.
 _LISTS, _UNIT = 2**14, 12
@@ -227,7 +226,7 @@ class CellColumn:
             parts = text.str.extract(rf"^(.*\d)\s*([^\d\s.,]\S{{0,{_UNIT - 1}}})$").dropna()
             for unit in parts[1].mode().head(1):
                 number = str(parts[0][parts[1] == unit].iloc[0])
-                if any(number_of(number, mark) is not None for mark in ".,") and _is_unit(unit):
+                if any(number_of(number, mark) is not None for mark in ".,") and is_unit(unit):
                     self._unit = unit
         if not self._unit:
             return kept
@@ -311,14 +310,6 @@ class CellColumn:
         what = f"{count} cells are not numbers" if count > 1 else "1 cell is not a number"
         example = next(self._example[kind] for kind in (mark, "unit", "stamp") if kind in self._example)
         return (f"column {self.header!r}: {what}, for example {example!r}: taken as missing",)
-
-
-def _is_unit(text: str) -> bool:
-    try:
-        si_factor(text)
-    except InputError:
-        return False
-    return True
 
 
 def _nanoseconds(text: pd.Series, kind: str) -> npt.NDArray[np.int64]:

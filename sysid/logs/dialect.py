@@ -20,7 +20,7 @@ from sysid.errors import InputError
 from sysid.logs.cells import TWO_READINGS, is_value, plain
 from sysid.logs.limits import MAX_LINE, Budget
 from sysid.logs.reader import ReadOptions
-from sysid.units import si_factor, split_header
+from sysid.units import is_unit, split_header
 
 #: Delimiter (a space: any white space) and decimal mark that are tried; of equally good ones the first is taken.
 _FORMS = (
@@ -310,15 +310,7 @@ def _with_units(names: Sequence[str], units: _Row | None) -> tuple[str, ...]:
 def _are_units(cells: Sequence[str]) -> bool:
     named = [cell.strip("[]() ") for cell in cells]
     given = {unit for unit in named if unit not in ("", "-")}
-    return bool(given) and all(len(unit) <= 12 and _is_unit(unit) for unit in given)
-
-
-def _is_unit(text: str) -> bool:
-    try:
-        si_factor(text)
-    except InputError:
-        return False
-    return True
+    return bool(given) and all(len(unit) <= 12 and is_unit(unit) for unit in given)
 
 
 def _notes(encoding: str, split: _Split, header: _Row | None, units: _Row | None, begin: _Line | None) -> list[str]:
