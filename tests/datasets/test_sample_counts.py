@@ -11,11 +11,17 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small_logs import LOGS, STATED, write_log
 
 from sysid.datasets import Dataset, ingest
+from sysid.datasets.channels import read_channels
+from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.plausibility import check_plausibility
 from sysid.datasets.quality.samples import SampleCounts, counts_of
-from sysid.errors import SettingsError
+from sysid.datasets.recipe import SignalMap, StreamMap
+from sysid.errors import InputError, SettingsError
+from sysid.logs import ReadOptions, reader_named
+from sysid.machine import load_machine
 from sysid.reports.samples import sample_lines
 
 MACHINE = (
@@ -162,3 +168,32 @@ def test_copies_get_no_role(tmp_path: Path, workers: bool) -> None:
     )
     with pytest.raises(SettingsError, match="'b' is held_out and has the samples of 'a'"):
         ingest(tmp_path / "logs", tmp_path / "more", machine=tmp_path / "machine.toml")
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_every_reader_accounts_for_its_rows(tmp_path: Path, name: str) -> None:
+    """Every numeric field of every format: the samples are the rows without those that are counted as something else."""
+    if LOGS[name][0] in ("ulog", "ardupilot"):
+        pytest.importorskip({"ulog": "pyulog", "ardupilot": "pymavlink"}[LOGS[name][0]])
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    machine, path = load_machine(tmp_path / "machine.toml"), write_log(tmp_path, name)
+    stated: dict[str, Any] = STATED.get(name, {})
+    streams = reader_named(LOGS[name][0], path).read(path, ReadOptions(**stated))
+    checked = 0
+    for stream in streams:
+        for field, values in stream.columns.items():
+            topic = stream.name if len(streams) > 1 or LOGS[name][0] not in ("csv", "parquet", "mat", "npz") else None
+            entry = SignalMap(topic=topic, field=field, scale=2.0, unit="rad")
+            mapping = StreamMap(files=name, reader=LOGS[name][0], signals={"ram.joint": entry}, **stated)
+            try:
+                (channel,) = read_channels(RecordingFiles("run", "motion", tmp_path, ((path, mapping),)), machine, {}).channels
+            except InputError as error:
+                assert any(why in str(error) for why in ("no number", "two at least", "in others")), error  # noqa: PT017
+                continue
+            counts = channel.counts
+            assert counts.rows == len(values)
+            assert counts.empty == int(np.count_nonzero(np.isnan(values)))
+            gone = counts.empty + counts.overflows + counts.repeated + counts.conflicting
+            assert len(channel.stamps) == counts.rows - gone
+            checked += 1
+    assert checked
