@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -95,7 +96,8 @@ class Axis(Strict):
         joint_type: as in a URDF; without both, units of the logs or the recipe decide.
         inertia: of what a force axis moves, or of the rotor of a servo axis (armature) [kg or kg·m²].
         servo: the controller of a servo axis.
-        estimated: keys whose values are from logs, not from knowledge: a better value is not reported as a missing effect.
+        estimated: keys whose values are from logs, not from knowledge, or left out: a better value is not reported as a missing
+            effect.
     """
 
     name: str
@@ -294,6 +296,7 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
         if key in values:
             raise SettingsError(where, f"unknown key {key!r}", "the keys of machine.toml", "Remove it.")
     machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
+    machine = replace(machine, axes=tuple(map(_with_estimates, machine.axes, values["axes"])))
     _check_axes(machine, where, unfinished)
     if machine.urdf is not None:
         if urdf_text is None:
@@ -311,6 +314,13 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
             raise SettingsError(f"{where}: noise", f"unknown signal {signal!r}", nearest(signal, machine.signals))
     _check_linkages(machine, where)
     return machine
+
+
+def _with_estimates(axis: Axis, stated: Mapping[str, Any]) -> Axis:
+    """A valve axis whose ``gain`` is left out has one that nobody knows."""
+    if axis.actuation != "velocity" or "gain" in stated or "gain" in axis.estimated:
+        return axis
+    return replace(axis, estimated=(*axis.estimated, "gain"))
 
 
 def _check_axes(machine: Machine, where: object, unfinished: bool) -> None:

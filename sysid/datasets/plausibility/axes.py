@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from sysid.datasets.plausibility.explain import Explanation, explanations_of, signal_of
 from sysid.datasets.plausibility.figures import AxisFigures, pairs_of, span_of
-from sysid.datasets.plausibility.finding import Evidence, Finding
-from sysid.datasets.plausibility.measures import Measure, measures_of
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, Severity
+from sysid.datasets.plausibility.measures import LEAST_STRENGTH, Measure, measures_of
 from sysid.datasets.plausibility.response import motion_of, response_of
 from sysid.datasets.plausibility.words import interval, plain, ratio_text, value
 from sysid.datasets.recording import Recording
@@ -17,6 +17,9 @@ from sysid.machine import Axis, Machine
 from sysid.machine.rigid_body import moves_masses
 from sysid.signals import axis_signal
 
+#: Ratio of the gain that the recordings show to an estimated one from which it is said, and from which the error of the gain
+#: hides those of the effects.
+FAR, HIDES = 2.0, 5.0
 #: The figure that gives a finding its key, where several are implausible.
 _ORDER = ("command", "driven", "joint", "response", "ends", "expected")
 
@@ -66,6 +69,25 @@ def figures_of(
         pairs=pairs_of(recordings, axis),
         rate_ratio=rate_ratio,
     )
+
+
+def usual_gain(whole: AxisFigures, parts: Sequence[AxisFigures]) -> tuple[float, Finding | None]:
+    """The median speed at full command over recordings of a valve axis whose ``gain`` nobody states, and what to write.
+
+    Args:
+        whole: over all recordings; ``parts``: of each.
+    """
+    axis, responses = whole.axis, [part.response for part in parts]
+    found = [abs(own.value) for own in responses if own is not None and own.strength >= LEAST_STRENGTH["velocity"]]
+    usual = sorted(found)[len(found) // 2] if found else 0.0
+    if usual == 0.0 or 1.0 / FAR <= usual / axis.gain <= FAR:
+        return usual or axis.gain, None
+    unit = "m/s" if axis.drives == "cylinder" or whole.unit == "m" else "rad/s" if whole.unit == "rad" else "1/s"
+    evidence = Evidence(f"{axis.driven} moves at about {value(usual, unit)} at full command", f"gain = {axis.gain:g}")
+    remedy = f'Write `gain = {usual:.3g}` and `estimated = ["gain"]`: then its exact value is found with the effects'
+    cause = Cause("`gain` in machine.toml of axis", (axis.name,), "left out, or an estimate", remedy=remedy)
+    severity: Severity = "notice" if 1.0 / HIDES <= usual / axis.gain <= HIDES else "severe"
+    return usual, Finding((f"{axis.name}:gain",), severity, (evidence,), (cause,))
 
 
 def axis_finding(figures: AxisFigures) -> AxisFinding | None:
@@ -147,6 +169,9 @@ def _text(measure: Measure, figures: AxisFigures) -> tuple[str, str]:
     ratio = abs(figures.ratio or 1.0)
     if axis.actuation == "velocity":
         speed = value(abs(figures.response.value), f"{place}/s" if place else "1/s")
+        if "gain" in axis.estimated:
+            usual = value(figures.expected, f"{place}/s" if place else "1/s")
+            return f"{driven} moves at {speed} at full command", f"about {usual} as in the other recordings"
         return f"{driven} moves at {speed} at full command, {ratio_text(ratio)} `gain`", f"about gain = {axis.gain:g}"
     if axis.follows_positions:
         return f"{driven} moves by {plain(ratio)} where {command} moves by 1", "about 1"

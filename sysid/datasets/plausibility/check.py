@@ -9,15 +9,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from sysid.datasets.plausibility.axes import axis_finding, corrections_of, figures_of, merged, ranged
+from sysid.datasets.plausibility.axes import (
+    axis_finding,
+    corrections_of,
+    figures_of,
+    merged,
+    ranged,
+    usual_gain,
+)
 from sysid.datasets.plausibility.columns import column_findings, wrap_findings
 from sysid.datasets.plausibility.end_stops import end_stop_findings
 from sysid.datasets.plausibility.finding import Finding
-from sysid.datasets.plausibility.partial import partial_findings
+from sysid.datasets.plausibility.partial import by_recording, partial_findings
 from sysid.datasets.plausibility.points import point_findings
 from sysid.datasets.plausibility.roles import STILL, role_findings
 from sysid.datasets.plausibility.samples import sample_findings
@@ -62,6 +70,14 @@ def findings_of(
         for axis in machine.axes
         if axis.name in recorded
     }
+    separate = by_recording(recordings).values()
+    usual: dict[str, float] = {}  # gain of an axis that nobody states: that of most of its recordings
+    for name, each in figures.items():
+        if each.axis.actuation == "velocity" and "gain" in each.axis.estimated and each.response is not None:
+            parts = [figures_of(own, machine, each.axis, units or {}, rate_ratio, time_scale) for own in separate]
+            usual[name], missing = usual_gain(each, parts)
+            figures[name] = replace(each, expected=abs(each.response.value) or each.expected)
+            found += [missing] if missing is not None and time_scale == 1.0 else []
     wrapped = wrap_findings(recordings, machine)
     figures = {name: each for name, each in figures.items() if name not in wrapped}
     found += wrapped.values()
@@ -78,7 +94,10 @@ def findings_of(
         partial_findings(
             recordings,
             [each for name, each in figures.items() if name not in unclear],
-            lambda some, axis: figures_of(some, machine, axis, units or {}, rate_ratio, time_scale),
+            lambda some, axis: replace(
+                figures_of(some, machine, axis, units or {}, rate_ratio, time_scale),
+                expected=usual.get(axis.name, figures[axis.name].expected),
+            ),
         )
     )
     found += partial

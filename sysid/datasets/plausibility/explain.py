@@ -154,14 +154,14 @@ def _description(figures: AxisFigures, places: tuple[UnitMistake, ...]) -> Itera
     axis = figures.axis
     ends = "stroke" if axis.drives == "cylinder" else "limits"
     speeds = LINEAR_SPEED if axis.drives == "cylinder" or figures.unit == "m" else ROTATION_SPEED
-    if figures.response is not None and not axis.follows_positions:
+    if figures.response is not None and not axis.follows_positions and "gain" not in axis.estimated:
         key, units = ("inertia", INERTIA) if axis.actuation == "force" else ("gain", speeds)
         for mistake in units:
             yield _described(axis.name, (key,), ("expected",), mistake, "/s" if key == "gain" else "")
     if figures.ends is not None:
         for mistake in places:
             yield _described(axis.name, (ends,), ("ends",), mistake)
-            if figures.response is not None and axis.actuation == "velocity":
+            if figures.response is not None and axis.actuation == "velocity" and "gain" not in axis.estimated:
                 yield _described(axis.name, ("gain", ends), ("expected", "ends"), mistake)
     if figures.joint_ends is not None and figures.joint is not None:
         for mistake in _units(figures.unit):

@@ -36,7 +36,9 @@ class Cause:
 
     @property
     def text(self) -> str:
-        plural = len(self.subjects) > 1 or " and " in self.about or self.about.endswith("s")
+        plural = (
+            len(self.subjects) > 1 or " and " in self.about or (self.about.endswith("s") and not self.about.endswith("axis"))
+        )
         about = f"{self.about[:-4]}axes" if len(self.subjects) > 1 and self.about.endswith("axis") else self.about
         words = (about, listed(self.subjects, MOST), "are" if plural else "is", self.says)
         return " ".join(word for word in words if word)

@@ -34,10 +34,7 @@ def partial_findings(
         whole: figures over all recordings of those axes where they are plausible.
         figures: of one recording (of all its blocks) and axis.
     """
-    parts: dict[str, list[Recording]] = {}
-    for recording in recordings:
-        if recording.kind == "motion":
-            parts.setdefault(recording.name.partition("#")[0], []).append(recording)
+    parts = by_recording(recordings)
     if len(parts) < 2:
         return
     groups: dict[tuple[str, ...], list[AxisFinding]] = {}
@@ -57,6 +54,15 @@ def partial_findings(
     for some, findings in groups.items():
         for merged_finding in merged(findings):
             yield replace(merged_finding, recordings=some)
+
+
+def by_recording(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Recording of motion before it was cut → its blocks."""
+    parts: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        if recording.kind == "motion":
+            parts.setdefault(recording.name.partition("#")[0], []).append(recording)
+    return parts
 
 
 def _of_file(figures: AxisFigures, whole: AxisFigures) -> AxisFinding | None:
