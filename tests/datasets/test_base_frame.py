@@ -116,6 +116,7 @@ def turning(rng: np.random.Generator, pose: Array, sweep: Array, noise: float = 
 
 
 @settings(max_examples=25, deadline=None)
+@example(seed=340, span=2.0)  # a square below zero by rounding
 @given(seed=st.integers(0, 10_000), span=st.floats(0.8, 3.0))
 def test_a_turn_gives_the_axis_and_leaves_yaw_and_height_open(seed: int, span: float) -> None:
     rng = np.random.default_rng(seed)

@@ -64,7 +64,8 @@ def from_turn(
     pose[:3, 3] = shift - along * float(along @ (shift - at))
     spread = pose[:3, :3] @ covariance[0] @ pose[:3, :3].T, pose[:3, :3] @ covariance[1] @ pose[:3, :3].T
     sideways = np.abs(along) < 1.0 - 1e-9
-    tilt, place = (np.where(sideways | (np.abs(along) < 0.5), np.sqrt(np.diag(part)), np.inf) for part in spread)
+    squares = (np.maximum(np.diag(part), 0.0) for part in spread)  # along the axis it is zero but for rounding
+    tilt, place = (np.where(sideways | (np.abs(along) < 0.5), np.sqrt(own), np.inf) for own in squares)
     opened = (
         f"the rotation about the axis of {axis!r} (yaw): survey one more marker away from the axis, or one direction",
         f"the position along the axis of {axis!r} (height): measure one height",
