@@ -8,7 +8,7 @@ Source: ArduPilot documentation, "Logging: message structure"; ``AP_Logger/LogSt
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,8 +103,13 @@ def _streams(
     options.check_streams(path, named, "message type", "Correct `topic` in the recipe.")
     chosen = {name: found for name, found in named.items() if options.wants(name)}
     budget.check_numbers(path, sum(len(rows) * len(kind.records.dtype.names or ()) for kind, rows in chosen.values()))
-    streams = (_stream(path, name, kind, rows, losses, options) for name, (kind, rows) in chosen.items())
-    found = tuple(stream for stream in streams if stream.columns)
+    streams = [_stream(path, name, kind, rows, losses, options) for name, (kind, rows) in chosen.items()]
+    empty = [loss for stream in streams if not len(stream) for loss in stream.losses]
+    found = tuple(
+        replace(stream, losses=tuple(dict.fromkeys((*stream.losses, *empty))))
+        for stream in streams
+        if stream.columns and len(stream)
+    )
     if not found:
         raise InputError(path, "no numbers in its messages", "at least one column of numbers", "Record the flight again.")
     return found

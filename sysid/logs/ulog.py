@@ -30,6 +30,8 @@ _WHAT = "a ULog of PX4"
 _TIME = "timestamp"
 #: Names in a sentence; the others are counted.
 MOST = 5
+#: Reads, two for each message, that may search in what was read before: the largest message has 65 535 bytes.
+_AGAIN = 4 * 65_538
 #: Largest stamp that 64 bits hold [ns].
 LARGEST_NS = 2**63 - 1
 
@@ -68,6 +70,7 @@ class UlogReader:
         options.check_streams(path, topics, "topic", "Correct `topic` in the recipe.")
         chosen = {name: data for name, data in topics.items() if options.wants(name)}
         budget.check_numbers(path, sum(len(data.data[_TIME]) * len(data.field_data) for data in chosen.values()))
+        losses = (*losses, *(text for name, data in chosen.items() if (text := _without_time(path, name, data))))
         streams = [_stream(path, name, data, losses, options) for name, data in chosen.items()]
         found = tuple(stream for stream in streams if stream is not None)
         if not found:
@@ -76,13 +79,23 @@ class UlogReader:
 
 
 class _Watched(io.BufferedReader):
-    """A file that remembers how far it was read, and what the last reading asked for and got."""
+    """A file that remembers how far it was read, and what the last reading asked for and got.
+
+    The library may go back by more than it has read of a message that is cut off, and read the same bytes for ever.
+
+    Raises:
+        RuntimeError: at :data:`_AGAIN` reads in a row that come no further than one before.
+    """
 
     last = (0, 0)
-    end = 0
+    end = furthest = again = 0
 
     def read(self, size: int | None = -1) -> bytes:
         data = super().read(size)
+        self.again = 0 if self.tell() > self.furthest else self.again + 1
+        self.furthest = max(self.furthest, self.tell())
+        if self.again > _AGAIN:
+            raise RuntimeError("the same bytes over and over")
         self.last = (size or 0, len(data))
         return data
 
@@ -103,7 +116,7 @@ def _parsed(path: Path, budget: Budget) -> tuple[Any, tuple[str, ...]]:
     file = _Watched(io.FileIO(path))
     try:
         with silent():
-            with path.open("rb") as head:
+            with _Watched(io.FileIO(path)) as head:
                 _check_formats(path, ULog(head, parse_header_only=True).message_formats, budget)
             log = ULog(file)
     except InputError:
@@ -129,9 +142,15 @@ def _parsed(path: Path, budget: Budget) -> tuple[Any, tuple[str, ...]]:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Without the remarks of a library on the console, where the results are printed."""
+    """Without the remarks of a library, also of its compiled parts, on the console, where the results are printed."""
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-        yield
+        console = os.dup(2)
+        try:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(console, 2)
+            os.close(console)
 
 
 def _check_formats(path: Path, formats: Mapping[str, Any], budget: Budget) -> None:
@@ -153,12 +172,22 @@ def _check_formats(path: Path, formats: Mapping[str, Any], budget: Budget) -> No
         fields(name, ())
 
 
+def _timed(data: Any) -> npt.NDArray[np.bool_]:
+    """The messages of a topic with a valid time: the autopilot has none at its boot, zero is no time."""
+    micros = data.data[_TIME]
+    timed: npt.NDArray[np.bool_] = (micros > 0) & (micros <= LARGEST_NS // 1000)
+    return timed
+
+
+def _without_time(path: Path, name: str, data: Any) -> str:
+    lost = int(np.count_nonzero(~_timed(data)))
+    return f"{path.name}: {name}: {lost} messages without a valid time have been left out" if lost else ""
+
+
 def _stream(path: Path, name: str, data: Any, losses: tuple[str, ...], options: ReadOptions) -> Stream | None:
     """The numbers of one topic; None where it has none."""
     micros: npt.NDArray[np.uint64] = data.data[_TIME]
-    timed = (micros > 0) & (micros <= LARGEST_NS // 1000)  # the autopilot has no message at its boot: zero is no time
-    lost = int(np.count_nonzero(~timed))
-    own = (f"{path.name}: {name}: {lost} messages without a valid time have been left out",) if lost else ()
+    timed = _timed(data)
     texts = {field.field_name for field in data.field_data if field.type_str == "char"}
     fields = [key for key in data.data if key != _TIME and key not in texts]
     wanted = None if options.fields is None else options.fields.get(name)
@@ -167,4 +196,4 @@ def _stream(path: Path, name: str, data: Any, losses: tuple[str, ...], options: 
     if not timed.any() or not columns:
         return None
     stamps = micros[timed].astype(np.int64) * 1000
-    return Stream(name, path, {"boot": stamps}, columns, {}, (*losses, *own), tuple(fields))
+    return Stream(name, path, {"boot": stamps}, columns, {}, losses, tuple(fields))

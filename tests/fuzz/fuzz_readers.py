@@ -119,7 +119,9 @@ def compiled_modules() -> list[str]:
 
 def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:
     import atheris
+    import pyarrow as pa
 
+    pa.set_memory_pool(pa.system_memory_pool())  # as where files are read: others reserve a gigabyte of address space at once
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def limited(data: bytes) -> None:

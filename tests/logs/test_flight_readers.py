@@ -291,3 +291,21 @@ def test_any_damage_ends_in_streams_or_a_reason(
     for stream in streams or ():
         assert all(len(values) == len(stream) for values in stream.columns.values())
     assert capfd.readouterr().out == ""
+
+
+def test_a_cut_message_that_the_library_reads_for_ever_is_refused(tmp_path: Path) -> None:
+    """Found by fuzzing: it goes back by the whole length of a message of which the file has one byte."""
+    data = bytes.fromhex("554c6f67011235012f40") + bytes(38) + bytes.fromhex("420f0000000000280042000000000000") + b"?\0"
+    path = written(tmp_path / "cut.ulg", data)
+    with pytest.raises(InputError, match="not readable"):
+        read(path)
+
+
+def test_a_type_without_one_valid_time_is_no_stream_and_is_said(tmp_path: Path) -> None:
+    path = write_log(tmp_path, "flight.bin")
+    data = bytearray(path.read_bytes())
+    place = data.rindex(b"\xa3\x95", 0, len(data) - 3)
+    data[place + 3 : place + 11] = b"\xff" * 8
+    streams = read(written(tmp_path / "late.bin", bytes(data)))
+    assert all(len(stream) for stream in streams.values())
+    assert any("without a valid time" in loss for stream in streams.values() for loss in stream.losses)
