@@ -14,6 +14,7 @@ beside the libraries. It is kept in ``FOLDER/<reader>/crash-…``; `--again FILE
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import resource
 import subprocess
@@ -25,6 +26,8 @@ from typing import Any
 
 from targets import TARGETS, forget
 
+# As where files are read: the other pools reserve a gigabyte of address space at once. Read when pyarrow is imported.
+os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
 
@@ -119,9 +122,7 @@ def compiled_modules() -> list[str]:
 
 def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:
     import atheris
-    import pyarrow as pa
 
-    pa.set_memory_pool(pa.system_memory_pool())  # as where files are read: others reserve a gigabyte of address space at once
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def limited(data: bytes) -> None:
