@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.quality.samples import SampleCounts, counts_of, together
+from sysid.datasets.quality.samples import SampleCounts, stored_counts, together
 from sysid.datasets.recording import Dataset
 from sysid.display import NOTHING
 
@@ -32,7 +32,7 @@ def sample_lines(dataset: Dataset) -> list[SampleLine]:
     found: dict[tuple[str, bool], list[SampleCounts]] = {}
     for entries in dataset.quality.get("streams", {}).values():
         for key, figures in entries.items():
-            found.setdefault((key.rpartition("/")[2], figures["primary"]), []).append(counts_of(figures))
+            found.setdefault((key.rpartition("/")[2], figures["primary"]), []).append(stored_counts(figures))
     lines = []
     for signal in dataset.machine.signals:
         for primary in (True, False):

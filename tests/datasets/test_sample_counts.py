@@ -17,7 +17,7 @@ from sysid.datasets import Dataset, ingest
 from sysid.datasets.channels import read_channels
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.plausibility import check_plausibility
-from sysid.datasets.quality.samples import SampleCounts, counts_of
+from sysid.datasets.quality.samples import SampleCounts, stored_counts
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError
 from sysid.logs import ReadOptions, reader_named
@@ -40,7 +40,7 @@ def ingested(tmp_path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Dataset
 
 
 def counts(dataset: Dataset, signal: str, recording: str = "run") -> SampleCounts:
-    return counts_of(dataset.quality["streams"][recording][f"log.csv/{signal}"])
+    return stored_counts(dataset.quality["streams"][recording][f"log.csv/{signal}"])
 
 
 def parts_of(found: SampleCounts) -> int:

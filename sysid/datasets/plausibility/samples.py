@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
-from sysid.datasets.quality.samples import SampleCounts, counts_of, together
+from sysid.datasets.quality.samples import SampleCounts, stored_counts, together
 
 #: Share of the samples of a signal that is used below which it is said, and below which the signal is not what was recorded.
 COMPLETE, HALF = 0.95, 0.5
@@ -36,7 +36,7 @@ def sample_findings(streams: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> I
     found: dict[str, dict[str, SampleCounts]] = {}
     for recording, entries in streams.items():
         for key, figures in entries.items():
-            counts = counts_of(figures)
+            counts = stored_counts(figures)
             within = counts.samples - counts.between
             if within > 0 and counts.used < COMPLETE * within:
                 found.setdefault(key, {})[recording] = counts

@@ -130,7 +130,7 @@ def _in_table(times: Array, values: Array, rate_hz: float) -> int:
     return counted(len(times), beside)
 
 
-def counts_of(figures: Mapping[str, Any]) -> SampleCounts:
+def stored_counts(figures: Mapping[str, Any]) -> SampleCounts:
     """The counts in the figures of a stream; of a version that was stored without them, its samples."""
     known = {name: figures[name] for name in SampleCounts.__dataclass_fields__ if name in figures}
     return SampleCounts(**known) if "used" in known else SampleCounts(figures["samples"], used=figures["samples"])
