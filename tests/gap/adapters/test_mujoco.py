@@ -165,6 +165,21 @@ def test_a_missing_delay_is_named_and_written_into_the_model(tmp_path: Path) -> 
     assert find_gap(dataset, open_mujoco(repaired.path, dataset), localise_only=True).verdict == "no_gap"
 
 
+@pytest.mark.parametrize(("delay", "native_too"), [(0.0, False), (1e-10, False), (0.03, True)])
+def test_a_delay_below_a_step_has_no_native_place(tmp_path: Path, delay: float, native_too: bool) -> None:
+    """MuJoCo would apply a whole step; the values of such effects stay exact beside the model, and absent ones are left out."""
+    dataset = hidden_delay()
+    item = KnownEffect("input_delay", "hinge", {"delay": delay})
+    adapter = open_mujoco(robot("joint"), dataset).with_effects([item])
+    effects = repaired_effects(adapter, ())
+    assert effects == ((item,) if delay else ())
+    error = run_rmse([(recording, adapter.simulate(recording)) for recording in dataset.with_role("held_out")])
+    promised = Gap(error, error, dict.fromkeys(error, 1e-5))
+    repaired = write_repaired(open_mujoco(robot("joint"), dataset), effects, tmp_path / "joint.xml", dataset, promised)
+    assert len(repaired.native) == int(native_too)
+    assert (len(repaired.native), len(repaired.beside)) == (int(native_too), int(0.0 < delay < 0.01))
+
+
 def written(name: str, effects: list[KnownEffect], out: Path) -> RepairedModel:
     """A robot with these effects, which the recordings contain as the adapter applies them."""
     machine = machine_of(name)

@@ -57,7 +57,10 @@ def write_native(
 
 
 def _delay(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | None:
-    actuator.delay = float(actuator.delay) + _value(item, "delay")
+    delay = float(actuator.delay) + _value(item, "delay")
+    if delay < float(spec.option.timestep):  # between the last two controls MuJoCo takes the older one: a whole step
+        return None
+    actuator.delay = delay
     actuator.interp = LINEAR
     actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / float(spec.option.timestep)) + 2)
     return f'delay="{actuator.delay:.6g}"'

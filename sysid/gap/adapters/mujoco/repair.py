@@ -73,12 +73,20 @@ def open_mujoco(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Si
 
 
 def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]) -> tuple[KnownEffect, ...]:
-    """Input and output effects after a repair: those of the simulation under test, changed and completed by ``written``."""
+    """Input and output effects after a repair: those of the simulation under test, changed and completed by ``written``.
+
+    Effects whose values mean that they are absent are left out.
+    """
     effects = {effect_key(item): item for item in adapter.effects}
     for row in written:
         item = KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]
         effects[effect_key(item)] = item
-    return tuple(effects.values())
+    return tuple(item for item in effects.values() if not _is_absent(item))
+
+
+def _is_absent(item: KnownEffect) -> bool:
+    neutral = {slot.name: slot.neutral for slot in effect_named(item.name).slots}
+    return all(name in neutral and value == neutral[name] for name, value in item.parameters.items())
 
 
 def write_repaired(
