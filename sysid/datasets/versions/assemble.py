@@ -13,8 +13,9 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording, Source
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.errors import StoreError
+from sysid.logs.growing import GrowingArray
 from sysid.machine import machine_from_files
-from sysid.scratch import filled, leave
+from sysid.scratch import leave
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,7 +33,7 @@ def dataset_of(manifest: Manifest, samples: Mapping[int, Iterable[pa.RecordBatch
     """
     wanted: dict[int, dict[Any, _Columns]] = {number: {} for number in samples}
     for item in manifest["recordings"]:
-        wanted[item["part"]][item["key"]] = _Columns(item["rows"], ["time", *item["signals"]])
+        wanted[item["part"]][item["key"]] = _Columns(["time", *item["signals"]])
     for number, batches in samples.items():
         for batch in batches:
             _take(batch, wanted[number])
@@ -55,28 +56,31 @@ def dataset_of(manifest: Manifest, samples: Mapping[int, Iterable[pa.RecordBatch
 
 
 class _Columns:
-    """The columns of one recording, each (rows,), while they are read."""
+    """The columns of one recording while they are read: as long as what was found, whatever the manifest states."""
 
-    def __init__(self, rows: int, names: Sequence[str]) -> None:
-        self.values = {name: filled(rows, np.nan) for name in names}
-        self.rows, self.found, self._sum = rows, 0, 0
+    def __init__(self, names: Sequence[str]) -> None:
+        self._row = GrowingArray(-1, np.dtype(np.int64))
+        self._values = {name: GrowingArray(np.nan) for name in names}
 
     @property
-    def are_complete(self) -> bool:
-        """Whether every row was there, once."""
-        return self.found == self.rows and self._sum == self.rows * (self.rows - 1) // 2
+    def found(self) -> int:
+        """Number of rows until now."""
+        return self._row.found
 
     def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, npt.NDArray[np.float64]]) -> None:
         """Values at ``rows``."""
-        self.found += len(rows)
-        self._sum += int(rows.sum())
-        if rows.max() >= self.rows or rows.min() < 0:
-            self._sum = -1  # more rows than the manifest states
-            return
-        first = int(rows[0])
-        ordered = np.array_equal(rows, np.arange(first, first + len(rows)))
-        for name, values in self.values.items():
-            values[slice(first, first + len(rows)) if ordered else rows] = columns[name]
+        self._row.extend(rows)
+        for name, values in self._values.items():
+            values.extend(columns[name])
+
+    def whole(self) -> dict[str, npt.NDArray[np.float64]] | None:
+        """The columns in the order of the rows; None unless every row was there once."""
+        rows, columns = self._row.whole(self.found), {name: values.whole(self.found) for name, values in self._values.items()}
+        every = np.arange(self.found)
+        if np.array_equal(rows, every):
+            return columns
+        order = np.argsort(rows, kind="stable")
+        return {name: values[order] for name, values in columns.items()} if np.array_equal(rows[order], every) else None
 
 
 def _take(batch: pa.RecordBatch, wanted: Mapping[Any, _Columns]) -> None:
@@ -95,9 +99,10 @@ def _take(batch: pa.RecordBatch, wanted: Mapping[Any, _Columns]) -> None:
 
 
 def _recording(item: Mapping[str, Any], columns: _Columns, units: Mapping[str, str]) -> Recording:
-    if not columns.are_complete:
+    values = columns.whole() if columns.found == item["rows"] else None
+    if values is None:
         found, expected = f"{columns.found} rows", f"{item['rows']} rows"
         raise StoreError(f"recording {item['name']}", found, expected, "The table is damaged: ingest the logs again.")
-    part = pd.DataFrame(columns.values, copy=False)
+    part = pd.DataFrame(values, copy=False)
     part.attrs = {"units": {"time": "s", **{signal: units[signal] for signal in item["signals"]}}}
     return Recording(item["name"], part, item["rate_hz"], item["kind"], item["start_ns"])
