@@ -34,6 +34,8 @@ SEGMENT = 64 * 2**20
 MAX_FREE_LIST = 512 * 2**20
 #: Values of a block of computation.
 PIECE = 2**16
+#: Blocks after which pages are unmapped: 64 MiB of an array.
+MAPPED_PIECES = 128
 #: Granularity of sizes in files [bytes], a multiple of the page size.
 _ROUND = 2**16
 #: Errors of file systems that cannot reserve space: arrays stay in memory.
@@ -275,8 +277,11 @@ def filled(count: int, value: float, kind: npt.DTypeLike = np.float64) -> Values
 
 
 def pieces(count: int) -> Iterator[tuple[int, int]]:
-    """(first, last + 1) of each block of ``count`` values."""
-    return ((first, min(first + PIECE, count)) for first in range(0, count, PIECE))
+    """(first, last + 1) of each block of ``count`` values; the pages of those before are unmapped from time to time."""
+    for first in range(0, count, PIECE):
+        yield first, min(first + PIECE, count)
+        if (first // PIECE + 1) % MAPPED_PIECES == 0:
+            leave()
 
 
 def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLike = np.float64) -> Values:

@@ -7,7 +7,7 @@ results and loads them for the next step.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -78,11 +78,14 @@ class Workspace:
     def models(self) -> Registry:
         return Registry(self.folder)
 
-    def dataset(self, reference: str | None = None) -> Dataset:
+    def dataset(self, reference: str | None = None, recordings: Collection[str] | None = None) -> Dataset:
         """The dataset ``name`` or ``name@3``; without a reference the only one of the workspace.
 
+        Args:
+            recordings: names of the only ones to load; by default all.
+
         Raises:
-            StoreError: no such dataset, or no reference and not exactly one dataset.
+            StoreError: no such dataset or recording, or no reference and not exactly one dataset.
         """
         if reference is None:
             names = sorted({entry.name for entry in self.datasets.list()})
@@ -90,7 +93,7 @@ class Workspace:
                 listed = ", ".join(names) or "none"
                 raise StoreError(f"workspace {self.location}", f"{len(names)} datasets ({listed})", "the name of one")
             reference = names[0]
-        return self.datasets.load(reference)
+        return self.datasets.load(reference, recordings)
 
     def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
         """The model versions that were made from a dataset version, directly or through another model."""

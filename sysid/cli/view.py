@@ -38,12 +38,14 @@ def view(
     from sysid.workspace import open_workspace
 
     workspace = open_workspace(location)
-    dataset = workspace.dataset(reference)
     if recording is None:
-        shown = [*dataset.with_role("held_out"), *dataset.of_kind("motion")]
+        manifest = workspace.datasets.manifest(reference)
+        names = [item["name"] for item in manifest["recordings"] if item["kind"] == "motion"]
+        shown = [*(name for name in names if manifest["splits"].get(name) == "held_out"), *names]
         if not shown:
-            raise StoreError(dataset.reference, "no recording of motion", "at least one")
-        recording = shown[0].name
+            raise StoreError(f"{manifest['name']}@{manifest['version']}", "no recording of motion", "at least one")
+        recording = shown[0]
+    dataset = workspace.dataset(reference, [recording])
     if live:
         from sysid.view.live import show_live
 

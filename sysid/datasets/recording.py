@@ -14,7 +14,6 @@ import pandas as pd
 from sysid.datasets.clock_record import ClockRecord as ClockRecord
 from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
-from sysid.scratch import filled
 
 Role = Literal["fit", "select", "held_out"]
 Kind = Literal["motion", "poses"]
@@ -48,7 +47,7 @@ class Recording:
     def values(self, signal: str) -> npt.NDArray[np.float64]:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
-        return found if found is not None else filled(len(self.table), np.nan)
+        return found if found is not None else _missing(len(self.table))
 
     @functools.cached_property
     def derived(self) -> dict[Hashable, Any]:
@@ -62,6 +61,18 @@ class Recording:
         for values in arrays.values():
             values.setflags(write=False)
         return arrays
+
+
+_longest_missing = np.empty(0)
+
+
+def _missing(count: int) -> npt.NDArray[np.float64]:
+    """An array (count,) of NaN, read-only: a part of the longest one, which all recordings share."""
+    global _longest_missing
+    if len(_longest_missing) < count:
+        _longest_missing = np.full(count, np.nan)
+        _longest_missing.setflags(write=False)
+    return _longest_missing[:count]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.files import written_whole
 from sysid.machine import Kinematics, Machine
+from sysid.scratch import pieces
 from sysid.signals import axis_signal, point_signals
 from sysid.view.visuals import Shape, link_shapes
 
@@ -68,18 +72,56 @@ def rerun_file(path: Path, identity: str, layout: Any, name: str) -> Iterator[An
 
 @contextmanager
 def saved(stream: Any, path: Path, layout: Any) -> Iterator[None]:
-    """What a stream is sent within, into ``path``; in memory until then, because the writer of Rerun hangs on a full disk.
+    """What a stream is sent within, into ``path``.
 
     Raises:
         StorageError: the disk is full or fails; nothing is left.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = stream.binary_stream()
-    sdk().send_blueprint(layout, make_active=False, make_default=True, recording=stream)
-    yield
-    with written_whole(path) as half:
-        half.write_bytes(content.read())
-    stream.disconnect()
+    with written_whole(path) as half, _written_to(stream, half):
+        sdk().send_blueprint(layout, make_active=False, make_default=True, recording=stream)
+        yield
+
+
+@contextmanager
+def _written_to(stream: Any, path: Path) -> Iterator[None]:
+    """What a stream is sent within, through a named pipe into a file: the writer of Rerun hangs on a full disk.
+
+    Raises:
+        OSError: the disk is full or fails.
+    """
+    if not hasattr(os, "mkfifo"):  # then in memory until the end
+        content = stream.binary_stream()
+        yield
+        path.write_bytes(content.read())
+        stream.disconnect()
+        return
+    errors: list[OSError] = []
+
+    def copy() -> None:
+        try:
+            with path.open("wb") as file:
+                shutil.copyfileobj(source, file)
+        except OSError as error:
+            errors.append(error)
+            while source.read(2**16):  # so that the writer comes to its end
+                pass
+
+    with tempfile.TemporaryDirectory() as folder:
+        pipe = Path(folder) / "stream.rrd"
+        os.mkfifo(pipe)
+        with open(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as source:
+            stream.save(pipe)
+            os.set_blocking(source.fileno(), True)
+            copier = threading.Thread(target=copy)
+            copier.start()
+            try:
+                yield
+            finally:
+                stream.disconnect()
+                copier.join()
+    if errors:
+        raise errors[0]
 
 
 def log_curve(
@@ -89,13 +131,20 @@ def log_curve(
     rr = sdk()
     widths = None if width is None else [width]
     rr.log(entity, rr.SeriesLines(colors=[colour], names=[label], widths=widths), static=True, recording=stream)
-    send_columns(stream, entity, time, rr.Scalars.columns(scalars=values))
+    send_columns(stream, entity, time, lambda rows: rr.Scalars.columns(scalars=values[rows]))
 
 
-def send_columns(stream: Any, entity: str, time: Array, columns: Any) -> None:
-    """Values of an entity at times (n,) [s]."""
+def send_columns(stream: Any, entity: str, time: Array, columns: Callable[[slice], Any]) -> None:
+    """Values of an entity at times (n,) [s], piece by piece; ``columns``: rows → those of Rerun."""
+    for first, last in pieces(len(time)):
+        send_piece(stream, entity, time[first:last], columns(slice(first, last)))
+
+
+def send_piece(stream: Any, entity: str, time: Array, columns: Any) -> None:
+    """Values of an entity at times (n,) [s], which the stream does not keep."""
     rr = sdk()
     rr.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns, recording=stream)
+    stream.flush()
 
 
 def styles_of(names: Mapping[str, Any]) -> list[Style]:
@@ -132,11 +181,12 @@ def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, 
     known = np.isfinite(joints).all(axis=1)
     if not known.any():
         return False
-    time = table["time"].to_numpy(dtype=np.float64)[known]
-    for link, pose in kinematics.link_poses(joints[known]).items():
-        turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
-        place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
-        send_columns(stream, link_entity(root, link), time, place)
+    time, joints = table["time"].to_numpy(dtype=np.float64)[known], joints[known]
+    for first, last in pieces(len(time)):  # a pose takes 128 bytes
+        for link, pose in kinematics.link_poses(joints[first:last]).items():
+            turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
+            place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
+            send_piece(stream, link_entity(root, link), time[first:last], place)
     return True
 
 
@@ -159,6 +209,11 @@ def primitives(shape: Shape, style: Style) -> list[Any]:
     return [rr.LineStrips3D([[[0.0, 0.0, 0.0], list(shape.size)]], radii=0.012 if style.solid else 0.004, colors=[colour])]
 
 
+def _moved(places: Array) -> Callable[[slice], Any]:
+    """Positions (n, 3) [m] as columns of a point."""
+    return lambda rows: sdk().Points3D.columns(positions=places[rows])
+
+
 def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
     """Boom tip and tool as points, whose last seconds are the trail, and the line between them."""
     rr = sdk()
@@ -174,17 +229,18 @@ def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, st
         radius = 0.008 if point == "tool" else 0.005
         look = rr.Points3D.from_fields(colors=[style.colour], radii=[radius])
         rr.log(f"{root}/{point}", look, static=True, recording=stream)
-        send_columns(stream, f"{root}/{point}", time[known], rr.Points3D.columns(positions=values[known]))
+        at, moved = time[known], _moved(values[known])
+        send_columns(stream, f"{root}/{point}", at, moved)
         if point == list(found)[-1]:  # the legend in space; the point itself would leave a trail of labels
             name = rr.Points3D.from_fields(
                 colors=[style.colour], radii=[0.001], labels=[root.rpartition("/")[2]], show_labels=True
             )
             rr.log(f"{root}/legend", name, static=True, recording=stream)
-            send_columns(stream, f"{root}/legend", time[known], rr.Points3D.columns(positions=values[known]))
+            send_columns(stream, f"{root}/legend", at, moved)
     if set(found) == {"ee", "tool"}:
         known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
         strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)
         if len(strips):
             look = rr.LineStrips3D.from_fields(colors=[style.colour], radii=[0.002])
             rr.log(f"{root}/cable", look, static=True, recording=stream)
-            send_columns(stream, f"{root}/cable", time[known], rr.LineStrips3D.columns(strips=list(strips)))
+            send_columns(stream, f"{root}/cable", time[known], lambda rows: rr.LineStrips3D.columns(strips=list(strips[rows])))

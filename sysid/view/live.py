@@ -93,6 +93,7 @@ def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, st
         _log_signals(stream, machine, source, row, state, factors)
         if row % picture_every == 0:
             rr.log("camera", rr.Image(world.picture(*CAMERA)).compress(), recording=stream)
+            stream.flush()
         shown += 1
     return shown
 

@@ -22,7 +22,7 @@ from sysid.view.drawing import (
     log_points,
     rerun_file,
     sdk,
-    send_columns,
+    send_piece,
     styles_of,
 )  # fmt: skip
 from sysid.view.findings import WorstMoment, findings_text, log_findings, worst_moments
@@ -85,9 +85,8 @@ def _log_errors(
         log_curve(stream, place, time[known], error[known], colour, f"{moment.version} [{unit}]")
         look = rr.SeriesPoints(colors=[colour], markers=["circle"], marker_sizes=[7.0], names=[f"largest {moment.version}"])
         rr.log(f"{place}/largest", look, static=True, recording=stream)
-        send_columns(
-            stream, f"{place}/largest", np.array([moment.time]), rr.Scalars.columns(scalars=np.array([factor * moment.error]))
-        )
+        largest = rr.Scalars.columns(scalars=np.array([factor * moment.error]))
+        send_piece(stream, f"{place}/largest", np.array([moment.time]), largest)
 
 
 def _log_signals(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import TIMELINE, Style, log_curve, log_machine, log_points, rerun_file, sdk, send_columns, styles_of
+from sysid.view.drawing import TIMELINE, Style, log_curve, log_machine, log_points, rerun_file, sdk, send_piece, styles_of
 from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +58,7 @@ def write_tracks(
                 log_curve(stream, entity, table["time"].to_numpy(dtype=np.float64), values, style.colour, label)
         if texts:
             times, lines = zip(*texts, strict=True)
-            send_columns(stream, "texts", np.array(times), rr.TextLog.columns(text=list(lines)))
+            send_piece(stream, "texts", np.array(times), rr.TextLog.columns(text=list(lines)))
     return path
 
 

@@ -119,9 +119,14 @@ def most_turning_points(values: list[float], least: float) -> int:
     return max(0, max(up + down) - 2)
 
 
-@given(st.lists(st.integers(-5, 5), min_size=1, max_size=60), st.sampled_from([0.5, 1.0, 2.5, 4.0]))
-def test_turning_points_are_those_of_the_definition(values: list[int], least: float) -> None:
-    assert turning_points(np.array(values, dtype=float), least) == most_turning_points([float(v) for v in values], least)
+@given(
+    st.lists(st.integers(-5, 5), min_size=1, max_size=60), st.sampled_from([0.5, 1.0, 2.5, 4.0]), st.sampled_from([1, 3, 64])
+)
+def test_turning_points_are_those_of_the_definition(values: list[int], least: float, few: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sysid.datasets.reversals._FEW", few)  # pieces shorter than the signal
+        found = turning_points(np.array(values, dtype=float), least)
+    assert found == most_turning_points([float(v) for v in values], least)
 
 
 def test_nothing_cannot_be_added_up() -> None:
@@ -209,8 +214,14 @@ def test_still_phases_and_their_postures() -> None:
     assert found.noise["lift.joint"].sheet == 1e-3
 
 
-def test_the_same_commands_again_show_what_does_not_repeat() -> None:
-    """Two runs of one command, the second half a second later and 5 % faster; a third does something else."""
+@pytest.mark.parametrize("most", [2**18, 300])
+def test_the_same_commands_again_show_what_does_not_repeat(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two runs of one command, the second half a second later and 5 % faster; a third does something else.
+
+    Args:
+        most: rows above which a shift is first searched on means.
+    """
+    monkeypatch.setattr("sysid.datasets.quality.repeats.MOST", most)
     rng = np.random.default_rng(3)
     command = np.repeat(rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], 30), 40)
     late = np.concatenate([np.zeros(50), command])

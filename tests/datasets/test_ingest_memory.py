@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from sysid.datasets import Store, ingest
@@ -71,6 +73,15 @@ def write_log(folder: Path, size: float) -> None:
             file.write("".join(row % cells for cells in zip(*(c.tolist() for c in (time_s, *columns)), strict=True)))
 
 
+#: The most that a verb may take for each byte of the table (time and signals), above the process that has only started.
+TIMES = 3.0
+#: As the command line, and the most memory that the process has had so far [B].
+VERB = (
+    "import atexit, re, sys\nfrom sysid.cli import main\n"
+    "atexit.register(lambda: print(1024 * int(re.search('VmHWM:\\\\s+(\\\\d+)', open('/proc/self/status').read())[1])))\n"
+    "main(sys.argv[1:])"
+)
+
 CODE = "import sys, json; from sysid.datasets import ingest\nsaid = []\n" + (
     "ingest([sys.argv[1]], sys.argv[2], machine=sys.argv[3], progress=lambda done, text: said.append(done))\n"
     "print(json.dumps(said))"
@@ -104,3 +115,34 @@ def test_memory_of_a_long_log(tmp_path: Path) -> None:
     assert process.returncode == 0
     assert said == sorted(said)
     assert 50e6 < most < BOUND
+
+
+@pytest.mark.slow
+def test_memory_of_ten_hours_at_a_kilohertz(tmp_path: Path) -> None:
+    """Command and joint, 36 million rows: ingest, quality and view."""
+    rows, rng = 36_000_000, np.random.default_rng(1)
+    times = np.arange(rows) / 1000.0
+    there = rng.choice([-1.0, -0.4, 0.0, 0.0, 0.4, 1.0], (rows // 100_000, 25))
+    command = np.repeat(np.hstack([there, -there]).ravel(), 2000)  # and back, so that it stays within the limits
+    joint = np.cumsum(0.2e-3 * command) + rng.normal(0.0, 1e-4, rows)
+    (tmp_path / "logs").mkdir()
+    columns = {"time": times, "boom.command": command, "boom.joint": joint}
+    pq.write_table(pa.table(columns), tmp_path / "logs/drive.parquet")
+    del columns, times, command, joint
+    (tmp_path / "machine.toml").write_text(
+        'schema = 1\nname = "boom"\nrate_hz = 1000.0\n[[axes]]\nname = "boom"\nactuation = "velocity"\ndrives = "joint"\n'
+        "gain = 0.2\nlimits = [-12.0, 12.0]\n"
+    )
+
+    def peak(*arguments: str) -> float:
+        argv = [sys.executable, "-c", VERB, "--workspace", str(tmp_path / "ws"), *arguments]
+        return float(subprocess.run(argv, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
+
+    started = peak("datasets")
+    taken = {
+        "ingest": peak("ingest", str(tmp_path / "logs"), "--machine", str(tmp_path / "machine.toml")),
+        "quality": peak("datasets", "boom", "--quality"),
+        "view": peak("view", "boom"),
+    }
+    over = {verb: (most - started) / (3 * 8 * rows) for verb, most in taken.items()}
+    assert max(over.values()) < TIMES, over

@@ -6,11 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from sysid.datasets.chunked import Mask, copied, known, masked
 from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
-from sysid.datasets.wrapping import Wraps, is_position, one_turn, wraps_of
+from sysid.datasets.wrapping import WELL_SAMPLED, Wraps, is_position, one_turn, wraps_of
 from sysid.machine import Machine
+from sysid.scratch import computed
 from sysid.signals import axis_signal, split_signal
 
 #: Least time with a command in which a working sensor shows motion [s], and what counts as a command (share of the largest).
@@ -61,12 +63,21 @@ def _wraps(recording: Recording, signal: str, machine: Machine) -> Wraps | None:
     """Wraps in a table. Steps against the motion: a row that resampling has put into the middle of one is left out."""
     values = recording.values(signal)
     moduli = one_turn(machine.expected_unit(signal) or "1")
-    within = np.zeros(len(values), dtype=bool)
-    if len(values) > 2:
-        before, after = values[1:-1] - values[:-2], values[2:] - values[1:-1]
-        step = np.abs(before + after)
-        within[1:-1] = (before * after > 0.0) & (step > 0.5 * np.nanmax(step, initial=0.0))
-    there = np.where(within, np.nan, values)
+    there = known(values)
+    travel = float(np.ptp(there)) if len(there) else 0.0
+    moduli = [modulus for modulus in moduli if travel > (1.0 - WELL_SAMPLED) * modulus]  # no larger step without travel
+    if not moduli:
+        return None
+    inner = max(len(values) - 2, 0)
+    steps = computed(inner, lambda a, b: np.abs(values[a + 2 : b + 2] - values[a:b]))
+    least = 0.5 * float(np.nanmax(steps, initial=0.0))
+
+    def within(a: int, b: int) -> Mask:
+        before, after = values[a + 1 : b + 1] - values[a:b], values[a + 2 : b + 2] - values[a + 1 : b + 1]
+        return (before * after > 0.0) & (steps[a:b] > least)
+
+    there = copied(values)
+    there[1:-1][masked(inner, within)] = np.nan
     return wraps_of(recording.values("time"), there, moduli)
 
 

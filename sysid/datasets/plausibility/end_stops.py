@@ -73,21 +73,19 @@ def _stop(recordings: Sequence[Recording], axis: Axis, side: int) -> EndStop | N
     """The stop at one end of the motion; None without one, or at the described end."""
     low, high = axis.range
     width = high - low
-    series = [
-        (side * r.values(axis.driven), side * r.values(axis_signal(axis.name, "command")), r.rate_hz)
-        for r in recordings
-        if r.kind == "motion" and not np.isnan(r.values(axis.driven)).all()
-    ]
-    if not series:
+    moving = [r for r in recordings if r.kind == "motion" and not np.isnan(r.values(axis.driven)).all()]
+    if not moving:
         return None
-    furthest = max(float(np.nanmax(y)) for y, _, _ in series)
-    noise = max(table_noise(y[:_NOISE_ROWS], rate) for y, _, rate in series)
+    furthest = max(float(np.nanmax(y) if side > 0 else -np.nanmin(y)) for y in (r.values(axis.driven) for r in moving))
+    noise = max(table_noise(r.values(axis.driven)[:_NOISE_ROWS], r.rate_hz) for r in moving)
     tolerance = max(NOISES * noise, SHARE * width)
     end = high if side > 0 else -low
     if end - furthest < max(INSIDE * width, tolerance):
         return None
     places, seconds, visits, would_move = list[Array](), 0.0, 0, 0.0
-    for y, u, rate in series:
+    for recording in moving:
+        y, u = side * recording.values(axis.driven), side * recording.values(axis_signal(axis.name, "command"))
+        rate = recording.rate_hz
         left = True
         starts, ends = stretches((y > furthest - 2.0 * tolerance) & (u > PUSHED))
         previous = 0

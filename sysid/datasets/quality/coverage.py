@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import known
 from sysid.datasets.quality.use import VISITED_S
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
@@ -91,12 +92,10 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
     spans = []
     for axis in machine.axes:
         for signal in dict.fromkeys((axis_signal(axis.name, "joint"), axis.driven)):
-            parts = [recording.values(signal) for recording in recordings]
-            values = np.concatenate(parts) if parts else np.empty(0)
-            values = values[~np.isnan(values)]
-            if not len(values):
+            found = _ends([recording.values(signal) for recording in recordings])
+            if found is None:
                 continue
-            lowest, highest = float(values.min()), float(values.max())
+            lowest, highest = found
             moving = _ends([recording.values(signal) for recording in recordings if recording.kind == "motion"])
             ends = axis.range if signal == axis.driven else axis.limits
             if ends is not None and np.isfinite(ends).all() and ends[1] > ends[0]:
@@ -110,9 +109,8 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
 
 def _ends(parts: Sequence[Array]) -> tuple[float, float] | None:
     """The lowest and the highest value; None without one."""
-    values = np.concatenate(parts) if parts else np.empty(0)
-    values = values[~np.isnan(values)]
-    return (float(values.min()), float(values.max())) if len(values) else None
+    ends = [(float(there.min()), float(there.max())) for there in map(known, parts) if len(there)]
+    return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
 
 def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import stretches
+from sysid.datasets.chunked import known, stretches
 from sysid.datasets.quality.coverage import Span
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, Scale, level_of, speed_of
@@ -89,11 +89,10 @@ def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], si
     for rest in rests:
         recording = recordings[rest.recording]
         first, last = np.searchsorted(recording.values("time"), (rest.from_s, rest.to_s))
-        inside = recording.values(signal)[first : last + 1]
-        inside = inside[~np.isnan(inside)]
+        inside = known(recording.values(signal)[first : last + 1])
         if len(inside) >= LEAST_S * recording.rate_hz / 2.0 and len(inside) > 10:
             rows = np.linspace(-1.0, 1.0, len(inside))
-            line = np.polynomial.polynomial.polyfit(rows, inside, 1)
-            left = inside - np.polynomial.polynomial.polyval(rows, line)
-            found.append(float(np.sqrt(np.sum(left**2) / (len(left) - 2))))
+            left = inside - inside.mean()
+            left -= np.multiply(rows, (rows @ left) / (rows @ rows), out=rows)
+            found.append(float(np.sqrt((left @ left) / (len(left) - 2))))
     return float(np.median(found)) if found else None

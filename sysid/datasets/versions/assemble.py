@@ -59,27 +59,28 @@ class _Columns:
     """The columns of one recording while they are read: as long as what was found, whatever the manifest states."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._row = GrowingArray(-1, np.dtype(np.int64))
+        self.found = 0  # number of rows until now
+        self._unordered: list[npt.NDArray[np.int64]] | None = None  # numbers of all rows, once one was not the next
         self._values = {name: GrowingArray(np.nan) for name in names}
-
-    @property
-    def found(self) -> int:
-        """Number of rows until now."""
-        return self._row.found
 
     def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, npt.NDArray[np.float64]]) -> None:
         """Values at ``rows``."""
-        self._row.extend(rows)
+        if self._unordered is None and not np.array_equal(rows, np.arange(self.found, self.found + len(rows))):
+            self._unordered = [np.arange(self.found)]
+        if self._unordered is not None:
+            self._unordered.append(rows)
+        self.found += len(rows)
         for name, values in self._values.items():
             values.extend(columns[name])
 
     def whole(self) -> dict[str, npt.NDArray[np.float64]] | None:
         """The columns in the order of the rows; None unless every row was there once."""
-        rows, columns = self._row.whole(self.found), {name: values.whole(self.found) for name, values in self._values.items()}
-        every = np.arange(self.found)
-        if np.array_equal(rows, every):
+        columns = {name: values.whole(self.found) for name, values in self._values.items()}
+        if self._unordered is None:
             return columns
+        rows = np.concatenate(self._unordered)
         order = np.argsort(rows, kind="stable")
+        every = np.arange(self.found)
         return {name: values[order] for name, values in columns.items()} if np.array_equal(rows[order], every) else None
 
 

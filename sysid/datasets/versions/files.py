@@ -49,6 +49,10 @@ class Files(Protocol):
 
     def read(self, path: str) -> bytes: ...
 
+    def open(self, path: str) -> BinaryIO:
+        """A file to read bytes from, without those that are not asked for where the store has them at hand."""
+        ...
+
     def identity(self, path: str) -> tuple[int, ...] | None:
         """Numbers that change with every change of a file; None where the store has none that are quicker than its content."""
         ...

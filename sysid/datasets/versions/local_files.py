@@ -49,11 +49,14 @@ class LocalFiles:
     def read(self, path: str) -> bytes:
         return self.below.read(path)
 
+    def open(self, path: str) -> BinaryIO:
+        return self.below.open(path)
+
     def identity(self, path: str) -> tuple[int, ...] | None:
         return self.below.identity(path)
 
     def address(self, path: str) -> tuple[int, str]:
-        with self.below.open(path) as file:
+        with self.open(path) as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
             return file.tell(), digest
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import time
 import uuid
 from collections.abc import Iterator
@@ -95,6 +96,9 @@ class ObjectFiles:
             system, place = self._at(path)
             with system.open_input_stream(place) as file:
                 return bytes(file.read())
+
+    def open(self, path: str) -> BinaryIO:
+        return io.BytesIO(self.read(path))
 
     def identity(self, path: str) -> None:
         """None: asking for the state of a file takes as long as its content."""

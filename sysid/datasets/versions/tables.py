@@ -7,10 +7,11 @@ null.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +34,8 @@ Values = npt.NDArray[np.float64]
 
 #: Rows written at a time, so that a long recording is not copied as a whole.
 ROWS = 1 << 20
+#: Rows read at a time.
+READ_ROWS = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -172,17 +175,16 @@ def read_channel_file(files: Files, folder: str, number: int, lengths: Sequence[
     Args:
         lengths: number of samples of each channel.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     stamps, values = empty(sum(lengths), np.int64), empty(sum(lengths))
     done = 0
-    source = pq.ParquetFile(pa.BufferReader(files.read(f"{folder}/{file_name(number)}")))
-    for batch in source.iter_batches(batch_size=ROWS, columns=["stamp_ns", "value"]):
-        rows = slice(done, done + len(batch))
-        stamps[rows] = batch["stamp_ns"].to_numpy()
-        values[rows] = batch["value"].to_numpy(zero_copy_only=False)  # null is NaN
-        done = rows.stop
+    with files.open(f"{folder}/{file_name(number)}") as file:
+        for batch in pq.ParquetFile(file).iter_batches(batch_size=READ_ROWS, columns=["stamp_ns", "value"]):
+            rows = slice(done, done + len(batch))
+            stamps[rows] = batch["stamp_ns"].to_numpy()
+            values[rows] = batch["value"].to_numpy(zero_copy_only=False)  # null is NaN
+            done = rows.stop
     ends = np.cumsum(lengths).tolist()
     return [(stamps[a:b], values[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
@@ -241,31 +243,30 @@ def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, co
 
     wanted = None if columns is None else list(columns)
     with _undamaged(files, part, which, place):
-        tables = [pq.read_table(pa.BufferReader(content), columns=wanted) for content in _contents(files, part, which)]
+        tables = [pq.read_table(file, columns=wanted) for file in _opened(files, part, which)]
     return pa.concat_tables(tables, promote_options="default")
 
 
 def read_batches(
     files: Files, part: Mapping[str, Any], which: str, place: str, columns: Collection[str]
 ) -> Iterator[pa.RecordBatch]:
-    """The rows of :func:`read_table`, :data:`ROWS` at a time, with those of ``columns`` that a file has."""
-    import pyarrow as pa
+    """The rows of :func:`read_table`, :data:`READ_ROWS` at a time, with those of ``columns`` that a file has."""
     import pyarrow.parquet as pq
 
     with _undamaged(files, part, which, place):
-        for content in _contents(files, part, which):
-            file = pq.ParquetFile(pa.BufferReader(content))
-            wanted = [name for name in file.schema_arrow.names if name in columns]
-            yield from file.iter_batches(batch_size=ROWS, columns=wanted, use_threads=False)
+        for file in _opened(files, part, which):
+            table = pq.ParquetFile(file, read_dictionary=["recording"])
+            wanted = [name for name in table.schema_arrow.names if name in columns]
+            yield from table.iter_batches(batch_size=READ_ROWS, columns=wanted, use_threads=False)
 
 
-def _contents(files: Files, part: Mapping[str, Any], which: str) -> Iterator[bytes]:
-    """The bytes of each file of a table, checked."""
+def _opened(files: Files, part: Mapping[str, Any], which: str) -> Iterator[BinaryIO]:
+    """Each file of a table, checked."""
     for path, expected in _files_of(files, f"{part['folder']}/{which}", part[which]):
-        content = files.read(path)
-        if expected is not None:
-            _check(content, expected)
-        yield content
+        with files.open(path) as file:
+            if expected is not None:
+                _check(file, expected)
+            yield file
 
 
 @contextmanager
@@ -307,13 +308,16 @@ def _files_of(files: Files, folder: str, entry: Mapping[str, Any] | None) -> lis
     return [(f"{folder}/{uri.rpartition('/')[2]}", None) for uri in uris]
 
 
-def _check(content: bytes, expected: Mapping[str, Any]) -> None:
+def _check(file: BinaryIO, expected: Mapping[str, Any]) -> None:
     import hashlib
 
-    if len(content) != expected["size"]:
-        raise ValueError(f"{expected['path']} has {len(content)} bytes, {expected['size']} were written")
-    if hashlib.sha256(content).hexdigest() != expected["sha256"]:
+    size = file.seek(0, os.SEEK_END)
+    if size != expected["size"]:
+        raise ValueError(f"{expected['path']} has {size} bytes, {expected['size']} were written")
+    file.seek(0)
+    if hashlib.file_digest(file, "sha256").hexdigest() != expected["sha256"]:  # type: ignore[arg-type]
         raise ValueError(f"{expected['path']} was changed after it was written: its sha256 differs")
+    file.seek(0)
 
 
 def _damaged(place: str, folder: str, found: str) -> StoreError:
