@@ -132,6 +132,7 @@ def check_file_name(name: Any, role: str) -> str:
     return str(name)
 
 
-def uncut_name(name: str, names: Container[str]) -> str:
-    """The name of a recording before it was cut into blocks; ``names``: of the recordings that were not."""
-    return name if name in names or "#" not in name else name.rpartition("#")[0]
+def uncut_name(name: str, names: Container[str] = ()) -> str:
+    """The name of a recording before it was cut: ``run`` of the block ``run#2``; ``names``: of recordings that are no block."""
+    whole, _, number = name.rpartition("#")
+    return whole if whole and number.isdecimal() and name not in names else name

@@ -14,6 +14,7 @@ from sysid.datasets.clocks.records import by_source, machine_times
 from sysid.datasets.resample import LATE_SHARE
 from sysid.datasets.versions.store import Store
 from sysid.errors import StoreError, nearest
+from sysid.names import uncut_name
 
 Array = npt.NDArray[np.float64]
 States = npt.NDArray[np.int8]
@@ -69,7 +70,7 @@ def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
     found = dataset.recording(recording)
     channels = store.channels(dataset.reference)
     names = set(channels["recording"].unique())
-    uncut = recording if recording in names else recording.rpartition("#")[0]
+    uncut = uncut_name(recording, names)
     if uncut not in names:
         raise StoreError(dataset.reference, f"no raw channels of {recording!r}", nearest(recording, names))
     channels = channels[channels["recording"] == uncut]

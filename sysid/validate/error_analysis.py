@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
+from sysid.names import uncut_name
 from sysid.networks.split import SignalRows
 from sysid.validate.binning import speed_of
 
@@ -178,7 +179,7 @@ def _cause(
         return f"edge of a gap in {missing[0]}"
     if row < reach or row + reach >= len(recording):
         return "end of the recording"
-    clocks = [record for record in dataset.clocks if record.recording in (name, name.rpartition("#")[0])]
+    clocks = [record for record in dataset.clocks if record.recording in (name, uncut_name(name))]
     now = float(recording.values("time")[row])
     for record in clocks:
         # Later pieces of a stream start at a clock reset; their offset is that time on the machine's clock.

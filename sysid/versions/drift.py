@@ -20,6 +20,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind, Recording
 from sysid.errors import ExcitationError
 from sysid.files import plain
+from sysid.names import uncut_name
 from sysid.networks import Model
 from sysid.networks.split import RowRange, SignalRows, gather, measures, segments
 from sysid.networks.uncertainty import within
@@ -262,5 +263,5 @@ def _held(recording: Recording, new: Dataset, own: Dataset) -> bool:
 
 def _raw(dataset: Dataset, recording: Recording) -> frozenset[str]:
     """Digests of the raw files in the folder of a recording."""
-    folders = {recording.name, recording.name.rpartition("#")[0]} - {""}
+    folders = {recording.name, uncut_name(recording.name)}
     return frozenset(source.sha256 for source in dataset.sources if source.path.rpartition("/")[0] in folders)

@@ -14,6 +14,7 @@ from sysid.datasets.plausibility.figures import AxisFigures
 from sysid.datasets.plausibility.finding import Finding
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
+from sysid.names import uncut_name
 
 #: Quantities that a file states; the description of the machine is the same for all recordings.
 OF_FILES = ("command", "driven", "joint")
@@ -61,7 +62,7 @@ def by_recording(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
     parts: dict[str, list[Recording]] = {}
     for recording in recordings:
         if recording.kind == "motion":
-            parts.setdefault(recording.name.partition("#")[0], []).append(recording)
+            parts.setdefault(uncut_name(recording.name), []).append(recording)
     return parts
 
 

@@ -12,6 +12,7 @@ from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
 from sysid.datasets.plausibility.mistakes import TIME, UnitMistake
 from sysid.datasets.plausibility.words import factor_text, plain
 from sysid.datasets.recording import Recording
+from sysid.names import uncut_name
 
 #: A stream that is slower or faster than the grid by more than this is implausible: honest streams lie within 1/20 and 20.
 RATE_LIMIT = 150.0
@@ -29,7 +30,7 @@ def rates_of(streams: Mapping[str, Mapping[str, Mapping[str, Any]]], recordings:
     Args:
         streams: ``quality["streams"]`` of a dataset.
     """
-    moving = {recording.name.rpartition("#")[0] or recording.name for recording in recordings if recording.kind == "motion"}
+    moving = {uncut_name(recording.name) for recording in recordings if recording.kind == "motion"}
     moving |= {recording.name for recording in recordings if recording.kind == "motion"}
     found: dict[str, list[float]] = {}
     for recording, entries in streams.items():

@@ -21,6 +21,7 @@ from sysid.datasets.roles.lacks import Lack, lacks_of, role_amounts
 from sysid.datasets.roles.motion import AxisMotion, motion_table
 from sysid.datasets.roles.shortage import ROLES
 from sysid.datasets.splits import Measured, SplitBlock, assignment_of, block_pattern, can_be_cut
+from sysid.names import uncut_name
 from sysid.quoting import toml_key, toml_value
 
 Array = npt.NDArray[np.float64]
@@ -174,12 +175,6 @@ def suggest_split(dataset: Dataset, recipes: Sequence[Splits] = ()) -> SplitSugg
         lacks_of(after, table.axes, dataset.machine),
         _repeats(motion, dataset, suggested),
     )
-
-
-def uncut_name(name: str) -> str:
-    """The recording that a block ``name#2`` is a part of; ``name`` itself for a whole recording."""
-    whole, mark, number = name.rpartition("#")
-    return whole if mark and number.isdigit() else name
 
 
 def _names(splits: Splits, name: str) -> bool:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.datasets.versions.manifest import Manifest
 from sysid.datasets.versions.store import Store
+from sysid.names import uncut_name
 
 #: Relative tolerance of quality figures.
 SAME_SHARE = 1e-9
@@ -268,7 +269,7 @@ def _signal_change(one: Recording, other: Recording, signal: str, unit: str) -> 
 
 
 def _quality(a: Manifest, b: Manifest, shared: list[str]) -> tuple[ValueChange, ...]:
-    whole = {name.rpartition("#")[0] or name for name in shared} | {*shared}
+    whole = {*map(uncut_name, shared)} | {*shared}
     changes = []
     for section in (name for name in a["quality"] if name in b["quality"]):
         ours, theirs = a["quality"][section], b["quality"][section]

@@ -11,6 +11,7 @@ from sysid.datasets.recording import ClockRecord, Source
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.datasets.versions.store import Store
 from sysid.errors import StoreError
+from sysid.names import uncut_name
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def _part(store: Store, manifest: Manifest, number: int) -> PartLineage:
     part = manifest["parts"][number]
     made = part["made"]
     recordings = tuple(item["name"] for item in manifest["recordings"] if item["part"] == number)
-    whole = {*recordings, *(name.rpartition("#")[0] for name in recordings)}
+    whole = {*recordings, *map(uncut_name, recordings)}
     sources = [item for item in manifest["sources"] if item["path"].rpartition("/")[0] in whole]
     return PartLineage(
         recordings=recordings,
