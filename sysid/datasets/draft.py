@@ -73,11 +73,15 @@ def draft_recipe(
     damaged = unreadable(files)
     files = [file for file in files if file not in damaged]
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
-    lines += [f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged]
+    names |= {file.path: _damaged_name(file.path, {*names.values()} if single else None) for file in damaged}
+    if damaged:
+        lines += ["", *(f"# {comment(' '.join(file.refusal.split()))}" for file in damaged), "[recordings]"]
+        keys = (escape(f"{names[file.path]}/{file.path.name}") for file in damaged)
+        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]   # cannot be read, see above"]
     layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)
     if single:
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
-        lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
+        lines += [f"{toml_key(names[path])} = {toml_value(_relative(path, root))}" for path in names]
     elif not in_folders and len({*bags_of(files).values()}) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
         lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
@@ -106,6 +110,12 @@ def draft_recipe(
                 continue
             lines += ["", *_stream(layout, files_, recordings_, machine, doubtful, chosen)]
     return "\n".join(lines) + "\n"
+
+
+def _damaged_name(path: Path, others: Set[str] | None) -> str:
+    """The recording of a file that cannot be read: its folder's, or its own where each file is one beside ``others``."""
+    folder = path.resolve().parent.name
+    return folder if others is None else path.stem if path.stem not in others else f"{folder}-{path.stem}"
 
 
 def missing_strokes(files: Sequence[FileSummary], machine: Machine) -> list[str]:
