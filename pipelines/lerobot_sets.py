@@ -45,15 +45,15 @@ def value_of(rng: np.random.Generator, kind: str, shape: tuple[int, ...]) -> Any
 
 
 def write_set(library: Any, rng: np.random.Generator, root: Path) -> None:
-    """One to four episodes; layout v3.0 in one file or several, as after pauses of the recording.
+    """One to three short episodes; layout v3.0 in one file or several, as after pauses of the recording.
 
     An episode has two frames at least: LeRobot 0.4.4 cannot write the statistics of a single one.
     """
     features = features_of(rng)
     rate = int(rng.choice([10, 30, 50, 60]))
     made = library.LeRobotDataset.create("local/set", rate, features, root=root, use_videos=False)
-    for _ in range(int(rng.integers(1, 5))):
-        for _ in range(int(rng.integers(2, 31))):
+    for _ in range(int(rng.integers(1, 4))):
+        for _ in range(int(rng.integers(2, 13))):
             frame = {name: value_of(rng, about["dtype"], about["shape"]) for name, about in features.items()}
             task = str(rng.choice(["pick", "place"]))
             if library.CODEBASE_VERSION == "v2.1":
