@@ -16,7 +16,7 @@ from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.inspection import inspect_file
 from sysid.logs.reader import ALL
 
-BAD = ("ERR", "#NV", "#WERT!", "0x1F", "n.v.", "1.2.3,4", "12 34", "--5", "1x", "5..", "²", "(5", "5)", "(-5)", "-5-", "()", "1e5-")
+BAD = ("ERR", "#NV", "#WERT!", "0x1F", "n.v.", "1.2.3,4", "12 34", "--5", "1x", "5..", "²", "(5", "5)", "(-5)", "-5-", "()")
 #: Where the sign of a negative number stands.
 SIGNS = {"before": "{minus}{number}", "behind": "{number}{minus}", "apart": "{number} {minus}", "around": "({number})"}
 
