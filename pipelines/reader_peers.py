@@ -646,6 +646,7 @@ def main() -> None:
             f"{name}: {results[name].files} files, {results[name].values} numbers, {len(results[name].differences)} differences"
         )
         print("\n".join(results[name].differences[:5]))
+    print(table(results))
     if options.only is None:
         write_tables(PAGE, table(results), "pipelines/reader_peers.py")
 
