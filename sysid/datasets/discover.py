@@ -328,11 +328,10 @@ def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | Non
     for name, pattern in recordings.files.items():
         files = sorted(path.glob(pattern)) if path.is_dir() else [path] if fnmatchcase(path.name, pattern) else []
         files = [inside(path if path.is_dir() else path.parent, str(file.resolve()), path) for file in files]
-        if len(files) != 1:
+        if not files:
             present = [file.name for file in path.iterdir()] if path.is_dir() else [path.name]
-            what = "no file" if not files else f"{len(files)} files"
-            raise InputError(path, f"{what} {pattern!r} for recording {name!r}", nearest(pattern, present))
-        if recordings.leaves_out(name, files[0].name):
+            raise InputError(path, f"no file {pattern!r} for recording {name!r}", nearest(pattern, present))
+        if all(recordings.leaves_out(name, file.name) for file in files):
             continue
         result.append(RecordingFiles(name, _kind(name, recordings, path), files[0].parent, _matched(files, path, recipe, name)))
     return result

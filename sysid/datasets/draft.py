@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
+from sysid.datasets.layouts import TABLES, Layout, bags_of, glob_of, layouts_of, recording_names, unreadable
 from sysid.datasets.words import NO_SIGNAL, says_command, signal_of, words_without_numbers
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
@@ -75,13 +75,16 @@ def draft_recipe(
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
     names |= {file.path: _damaged_name(file.path, {*names.values()} if single else None) for file in damaged}
     if damaged:
-        lines += ["", *(f"# {comment(' '.join(file.refusal.split()))}" for file in damaged), "[recordings]"]
+        lines += ["", *(f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged), "[recordings]"]
         keys = (escape(f"{names[file.path]}/{file.path.name}") for file in damaged)
-        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]   # cannot be read, see above"]
+        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]   # cannot be read"]
     layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)
     if single:
-        lines += ["", "[recordings.files]          # each file is a recording of its own"]
-        lines += [f"{toml_key(names[path])} = {toml_value(_relative(path, root))}" for path in names]
+        lines += ["", "[recordings.files]          # each file, or bag in several files, is a recording of its own"]
+        for name in dict.fromkeys(names.values()):
+            own = [path for path in names if names[path] == name]
+            pattern = glob_of(own, [*names]) if len(own) > 1 else None
+            lines.append(f"{toml_key(name)} = {toml_value(_relative(own[0], root, pattern))}")
     elif not in_folders and len({*bags_of(files).values()}) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
         lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
@@ -151,10 +154,11 @@ def _stroke_of(fields: Sequence[FieldSummary]) -> str:
     return f"at least stroke = [{factor * low:.6g}, {factor * high:.6g}]"
 
 
-def _relative(path: Path, root: Path | None) -> str:
-    """The path of a file for ``[recordings.files]``, as a glob below the folder of the recordings."""
+def _relative(path: Path, root: Path | None, pattern: str | None = None) -> str:
+    """The path of a file for ``[recordings.files]``, or ``pattern`` in its place, a glob below the folder of recordings."""
     inside = root is not None and path.is_relative_to(root)
-    return "/".join(map(escape, path.relative_to(root).parts if inside and root is not None else (path.name,)))
+    parts = path.relative_to(root).parts if inside and root is not None else (path.name,)
+    return "/".join((*map(escape, parts[:-1]), pattern or escape(parts[-1])))
 
 
 def _sure(file: FileSummary, machine: Machine | None) -> set[str]:
