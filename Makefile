@@ -1,6 +1,6 @@
-# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · robots · cluster · object-store · model-server · scale · report · clean.
+# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · robots · cluster · object-store · model-server · reader-peers · scale · report · clean.
 # Each makes .venv by itself when it is missing.
-.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms robots cluster object-store model-server scale report clean
+.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms robots cluster object-store model-server reader-peers scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -93,6 +93,21 @@ model-server:
 	$(MLFLOW)/bin/mlflow server --host 127.0.0.1 --port 5001 --workers 2 \
 	  --backend-store-uri sqlite:///$(abspath $(WORKSPACE))/model-server/server.db --artifacts-destination $(WORKSPACE)/model-server/artifacts
 
+# Every reader beside the library of its format on COUNT random files, the table of docs/formats.md; LeRobot in environments of its own, a
+# release for each layout, with the packages that its loader needs and not those of its robots and cameras.
+COUNT ?= 2000
+LEROBOT := $(VENV)-lerobot
+reader-peers: $(READY) $(LEROBOT)-0.3.3/.ready $(LEROBOT)-0.4.4/.ready
+	$(BIN)/python pipelines/reader_peers.py --count $(COUNT)
+$(LEROBOT)-0.3.3/.ready: LOADER := 'datasets>=3,<=3.6.0'
+$(LEROBOT)-0.4.4/.ready: LOADER := 'datasets>=4,<5' accelerate
+$(LEROBOT)-%/.ready:
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --no-deps lerobot==$*
+	$(@D)/bin/python -m pip install --quiet $(LOADER) 'huggingface-hub>=0.34.2,<0.36' draccus==0.10.0 'av>=15,<16' jsonlines einops deepdiff termcolor \
+	  'numpy<2.3' safetensors "torch==$$(sed -n 's/^torch==//p' constraints.txt)" torchvision
+	@touch $@
+
 # Time and bytes of 1, 2 and 4 worker processes.
 scale: $(READY)
 	$(BIN)/python pipelines/scale.py --work $(WORKSPACE)/scale
@@ -101,7 +116,7 @@ report: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) report
 
 clean:
-	rm -rf $(VENV) $(STORE) $(MLFLOW) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(STORE) $(MLFLOW) $(LEROBOT)-* $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.

@@ -4,18 +4,23 @@
 
 writes the table of ``docs/formats.md``. Each file is written by the library of its format (logs of autopilots and databases by
 their published descriptions) and read by both; every number and every stamp is compared. Where the reader has no value and the
-library has one, a rule of the reader has to say so.
+library has one, a rule of the reader has to say so. LeRobot needs older packages: ``make reader-peers`` installs the release of
+each layout in an environment of its own, where ``lerobot_sets.py`` writes and reads.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import io
+import json
+import os
 import re
 import struct
+import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,8 +30,10 @@ import numpy.typing as npt
 
 from committed import markdown, write_tables
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
+from sysid.logs.lerobot import data_files, episode_name
 
-PAGE = Path(__file__).parents[1] / "docs" / "formats.md"
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "formats.md"
 Array = npt.NDArray[np.float64]
 #: Stamps agree to this [s]: libraries give them as floats in seconds.
 STAMP_S = 2e-6
@@ -34,7 +41,10 @@ STAMP_S = 2e-6
 
 @dataclass
 class Comparison:
-    """What was compared of one format: ``by_rule`` counts values that a rule of the reader takes for missing."""
+    """What was compared of one format.
+
+    ``by_rule``: reason → number of values that a rule of the reader takes for missing, or that the library rounds.
+    """
 
     files: int = 0
     values: int = 0
@@ -507,6 +517,82 @@ def ros2(rng: np.random.Generator, folder: Path, found: Comparison) -> None:
     ros_messages(path, fields, theirs, found)
 
 
+# -- LeRobot --------------------------------------------------------------------------------------------------------
+
+#: Layout → the last release of LeRobot that writes and reads it on Python 3.11, in the environment of ``make reader-peers``.
+LEROBOT = {"v2.1": "0.3.3", "v3.0": "0.4.4"}
+
+
+def lerobot_python(version: str) -> Path:
+    """The interpreter of the environment with the release for this layout."""
+    return ROOT / f".venv-lerobot-{LEROBOT[version]}" / "bin" / "python"
+
+
+@functools.cache
+def lerobot_sets(version: str) -> subprocess.Popen[str]:
+    """The process that writes and reads sets; it ends with this one, whose pipe it reads."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    command = [str(lerobot_python(version)), "-W", "ignore", str(Path(__file__).parent / "lerobot_sets.py")]
+    process = subprocess.Popen(
+        command, env={**kept, "HF_HUB_OFFLINE": "1", "HF_DATASETS_DISABLE_PROGRESS_BARS": "1"},
+        text=True, encoding="utf-8", stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    stated = answer(process)["version"]
+    if stated != version:
+        raise RuntimeError(f"{command[0]} writes the layout {stated}, not {version}")
+    return process
+
+
+def answer(process: subprocess.Popen[str]) -> dict[str, Any]:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line:
+        raise RuntimeError(f"{process.args!r} ended with status {process.wait()}")
+    found: dict[str, Any] = json.loads(line)
+    return found
+
+
+def element_labels(feature: str, names: Any, count: int) -> list[str]:
+    """The columns of a list: by name, by index without one; a name that is a number stands in quotes."""
+    if count == 1:
+        return [feature]
+    names = next(iter(names.values())) if isinstance(names, dict) else names or ["" for _ in range(count)]
+    quoted = [f'"{name}"' if name.isdecimal() else name for name in names]
+    return [f"{feature}[{name or k}]" for k, name in enumerate(quoted)]
+
+
+def lerobot(version: str, rng: np.random.Generator, folder: Path, found: Comparison) -> None:
+    """LeRobot sets of random features with its own loader, episode by episode."""
+    process = lerobot_sets(version)
+    assert process.stdin is not None
+    process.stdin.write(json.dumps({"seed": rng.integers(0, 2**31, 4).tolist(), "folder": str(folder)}) + "\n")
+    process.stdin.flush()
+    answer(process)
+    features: Mapping[str, Any] = json.loads((folder / "set/meta/info.json").read_text("utf-8"))["features"]
+    theirs = dict(np.load(folder / "loaded.npz"))
+    streams = [stream for path in data_files(folder / "set") for stream in streams_of(path).values()]
+    episodes = np.unique(theirs["episode_index"])
+    found.names("episodes", [stream.name for stream in streams], [episode_name(int(k)) for k in episodes])
+    numbers = {name for name, about in features.items() if len(about["shape"]) == 1 and about["dtype"] != "string"}
+    for stream, episode in zip(streams, episodes, strict=True):
+        found.names("features without a column", stream.unread, features.keys() - numbers)
+        rows = theirs["episode_index"] == episode
+        labels = {name: element_labels(name, features[name]["names"], features[name]["shape"][0]) for name in numbers}
+        own = {label for name in numbers - {"timestamp", "episode_index"} for label in labels[name]}
+        found.names(stream.name, stream.columns, own)
+        for name in numbers - {"timestamp", "episode_index"}:
+            values = theirs[name][rows].reshape(np.count_nonzero(rows), -1)
+            for k, label in enumerate(labels[name]):
+                ours = stream.columns[label]
+                if features[name]["dtype"] == "float64":
+                    reason = "the loader gives float64 in single precision"
+                    single = ours.astype(np.float32).astype(np.float64)
+                    found.by_rule[reason] = found.by_rule.get(reason, 0) + int(np.count_nonzero(single != ours))
+                    ours = single
+                found.column(label, ours, values[:, k])
+        found.stamps(stream.name, stream, theirs["timestamp"][rows])
+
+
 #: Format → the libraries beside its reader, and how a file is made and compared.
 FORMATS: dict[str, tuple[str, Callable[[np.random.Generator, Path, Comparison], None]]] = {
     "C3D": ("ezc3d", c3d),
@@ -518,6 +604,7 @@ FORMATS: dict[str, tuple[str, Callable[[np.random.Generator, Path, Comparison], 
     "ROS 1 bag": ("rosbags", ros1),
     "rosbag2 in sqlite": ("rosbags", ros2),
     "Parquet": ("pyarrow", parquet),
+    **{f"LeRobot {layout}": (f"lerobot {own}", functools.partial(lerobot, layout)) for layout, own in LEROBOT.items()},
 }
 
 
@@ -535,7 +622,7 @@ def compare(name: str, count: int, seed: int = 0) -> Comparison:
 
 def table(results: dict[str, Comparison]) -> str:
     """Markdown, one row a format."""
-    head = ("format", "compared with", "files", "numbers and stamps", "missing by a rule of the reader", "differences")
+    head = ("format", "compared with", "files", "numbers and stamps", "explained by a rule", "differences")
     rows = []
     for name, found in results.items():
         rules = "; ".join(f"{count}: {reason}" for reason, count in sorted(found.by_rule.items()))
@@ -550,6 +637,8 @@ def main() -> None:
     parser.add_argument("--only", help="pattern of formats; nothing is published")
     options = parser.parse_args()
     names = [name for name in FORMATS if options.only is None or re.search(options.only, name)]
+    if absent := [version for version in LEROBOT if f"LeRobot {version}" in names and not lerobot_python(version).exists()]:
+        parser.error(f"no LeRobot for {', '.join(absent)}: run `make reader-peers`, or leave it out with --only")
     results = {}
     for name in names:
         results[name] = compare(name, options.count, options.seed)
@@ -557,6 +646,7 @@ def main() -> None:
             f"{name}: {results[name].files} files, {results[name].values} numbers, {len(results[name].differences)} differences"
         )
         print("\n".join(results[name].differences[:5]))
+    print(table(results))
     if options.only is None:
         write_tables(PAGE, table(results), "pipelines/reader_peers.py")
 

@@ -34,6 +34,7 @@ class RowCounts:
         repeated: with stamp and value of another row.
         conflicting: with the stamp of another row, and another value; the first one is kept.
         late: out of order, sorted.
+        turns: beyond a gap in which a wrapped position may have made several numbers of turns.
     """
 
     rows: int = 0
@@ -42,6 +43,7 @@ class RowCounts:
     repeated: int = 0
     conflicting: int = 0
     late: int = 0
+    turns: int = 0
 
 
 @dataclass(frozen=True)

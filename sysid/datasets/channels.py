@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,7 @@ from sysid import scratch
 from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
 from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
-from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.discover import RecordingFiles, check_refused, count_files
 from sysid.datasets.flags.sentinel import ends_of, sentinels
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
@@ -44,39 +44,54 @@ ReferencePoses = Mapping[str, Mapping[str, Sequence[npt.NDArray[np.float64]]]]
 
 @dataclass(frozen=True)
 class ReadRecording:
-    """Content of one recording: channels, file name → losses, dropped frames."""
+    """Content of one recording: channels, file name → losses, dropped frames.
+
+    ``refused``: ``recording/file`` → why it cannot be used; then there are no channels.
+    """
 
     channels: tuple[Channel, ...]
     losses: Mapping[str, tuple[str, ...]]
     flags: tuple[MissingFrames, ...] = ()
+    refused: Mapping[str, InputError] = field(default_factory=dict)
 
 
-def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
+def survey_mounts(found: Sequence[RecordingFiles], machine: Machine, recipe_place: str) -> Mounts:
     """Mounts of the rigid bodies on their links, for each recording, from the reference poses of the recipe.
 
+    ``recipe_place``: of the recipe, in a remedy.
+
     Raises:
-        InputError: a body is not visible, or moves, in the reference pose.
+        InputError: a body is not visible, or moves, in the reference pose; of all such files at once.
         SettingsError: no reference, or it names a missing recording.
     """
-    own = {(files.name, key): poses for files in found for key, poses in reference_poses(files, machine).items()}
+    own: dict[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]] = {}
+    refused: dict[str, InputError] = {}
+    for files in found:
+        poses, errors = reference_poses(files, machine)
+        own |= {(files.name, key): found_poses for key, found_poses in poses.items()}
+        refused |= errors
+    check_refused(refused, count_files(found), recipe_place)
     return combined_mounts(found, own)
 
 
-def reference_poses(files: RecordingFiles, machine: Machine) -> ReferencePoses:
+def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferencePoses, dict[str, InputError]]:
     """Poses of the rigid bodies on their links in the reference poses of one recording; none where it contains no reference.
 
-    Raises:
-        InputError: a body is not visible, or moves, in the reference pose.
+    Also ``recording/file`` → why there is none: a file that cannot be read, a body that is not visible or moves.
     """
     found: dict[str, dict[str, list[npt.NDArray[np.float64]]]] = {}
+    refused: dict[str, InputError] = {}
     for path, mapping in files.streams:
         if mapping is None or not mapping.bodies:
             continue
         pattern = mapping.reference.recording if mapping.reference is not None else None
         if pattern is None or fnmatchcase(files.name, pattern):
             until = mapping.reference.seconds[1] if mapping.reference is not None else None
-            found[mapping.key] = find_mounts(read_streams(path, mapping, until), mapping, machine)
-    return found
+            try:
+                found[mapping.key] = find_mounts(read_streams(path, mapping, until), mapping, machine)
+            except InputError as error:
+                refused[f"{files.name}/{path.name}"] = error
+    return found, refused
 
 
 def combined_mounts(
@@ -108,39 +123,67 @@ def combined_mounts(
 def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progress: Progress = silent) -> ReadRecording:
     """All mapped signals of a recording. ``progress``: called with the share of its bytes that have been read.
 
+    A file is refused that cannot be read, lacks a field or topic, or has a wrong unit or stamps that go back; the others are
+    read all the same, so that all that are refused are known at once.
+
     Raises:
-        InputError: a file that cannot be read, a missing field or topic, a wrong unit, stamps that go back.
+        InputError: a signal that none of its files has, or that two have.
     """
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[MissingFrames] = []
+    refused: dict[str, InputError] = {}
     shares = _shares(files)
     parts = Counter(id(mapping) for _, mapping in files.streams if mapping is not None)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         done = part(progress, begin, end)
-        is_part = parts[id(mapping)] > 1
-        streams = read_streams(path, mapping, progress=done, expected_hz=machine.rate_hz, is_part=is_part)
-        done(1.0, f"reading {path.name}")
-        if mapping is None:
-            streams = with_continued_stamps(streams, None, machine=not channels or _have_commands(streams))
-        said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
-        said += _mixed_clocks(streams) if mapping is not None and mapping.clock is None else ()
-        absent = _absent(streams, mapping) if mapping is not None and is_part else {}
-        losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said, *absent.values())))
-        own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
-        channels += [channel for channel, _ in own]
-        losses[path.name] = tuple(dict.fromkeys((*losses[path.name], *(text for _, text in own if text))))
-        if mapping is None:
+        try:
+            own, said, dropped = _read_file(path, mapping, machine, mounts, files.name, parts[id(mapping)] > 1, channels, done)
+        except InputError as error:
+            refused[f"{files.name}/{path.name}"] = error
             continue
-        if mapping.bodies or mapping.points:
-            captured, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.key), {}))
-            channels += captured
-            flags += dropped
+        channels += own
+        flags += dropped
+        losses[path.name] = tuple(dict.fromkeys((*losses.get(path.name, ()), *said)))
         scratch.leave()
+    if refused:
+        return ReadRecording((), losses, (), refused)
     _check_parts(files, channels)
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return ReadRecording(tuple(in_range(channels, machine)), losses, tuple(flags))
+
+
+def _read_file(
+    path: Path,
+    mapping: StreamMap | None,
+    machine: Machine,
+    mounts: Mounts,
+    recording: str,
+    is_part: bool,
+    before: Sequence[Channel],
+    progress: Progress,
+) -> tuple[list[Channel], list[str], tuple[MissingFrames, ...]]:
+    """Channels of one file in its mapping, what was lost or assumed, and dropped frames; ``before``: channels of other files.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    streams = read_streams(path, mapping, progress=progress, expected_hz=machine.rate_hz, is_part=is_part)
+    progress(1.0, f"reading {path.name}")
+    if mapping is None:
+        streams = with_continued_stamps(streams, None, machine=not before or _have_commands(streams))
+    said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
+    said += _mixed_clocks(streams) if mapping is not None and mapping.clock is None else ()
+    absent = _absent(streams, mapping) if mapping is not None and is_part else {}
+    said += absent.values()
+    own = _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine, absent)
+    channels = [channel for channel, _ in own]
+    said += [text for _, text in own if text]
+    if mapping is None or not (mapping.bodies or mapping.points):
+        return channels, said, ()
+    captured, dropped = _captured(path, streams, mapping, machine, mounts.get((recording, mapping.key), {}))
+    return channels + captured, said, dropped
 
 
 def _mixed_clocks(streams: Sequence[Stream]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts
-from sysid.datasets.discover import RecordingFiles, unmatched
+from sysid.datasets.discover import RecordingFiles, left_out, unmatched
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, settings_of, shared_mounts
 from sysid.datasets.recipe import Splits
@@ -76,6 +76,8 @@ def notes_of(
     """
     streams = plan.rules.streams if plan.rules is not None else ()
     omitted = [f"left out: {error}" for error in refused.values()]
+    if stated := sorted({key for keys in left_out(plan.roots, plan.rules).values() for key in keys}):
+        omitted.append(f"{len(stated)} file{'s' if len(stated) > 1 else ''} left out by the recipe: {', '.join(stated)}")
     return (*offset_notes(streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from glob import escape
 from pathlib import Path
 
 from sysid.config import inside
@@ -20,6 +21,7 @@ from sysid.logs.reader import ReadOptions
 from sysid.logs.readers import is_log, reader_for
 from sysid.logs.sqlite_bag import side_files
 from sysid.names import check_file_name
+from sysid.quoting import toml_value
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,62 @@ def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[Record
     return recordings
 
 
+def check_refused(refused: Mapping[str, InputError], read: int, place: str) -> None:
+    """Check that every file can be used.
+
+    Args:
+        refused: ``recording/file`` → why it cannot be used.
+        read: number of files.
+        place: of the recipe, where the user may leave them out.
+
+    Raises:
+        InputError: of one file its own; of several all of them, those with the same reason together.
+    """
+    if not refused:
+        return
+    remedy = ""
+    if len(refused) < read:
+        keys = ", ".join(toml_value(escape(key)) for key in refused)
+        it = "it" if len(refused) == 1 else "them"
+        remedy = f"Or leave {it} out of the dataset: write `[recordings]` and below it `left_out = [{keys}]` in {place}."
+    if len(refused) == 1:
+        (error,) = refused.values()
+        raise InputError(error.where, error.found, error.expected, " ".join(filter(None, (error.remedy, remedy))))
+    reasons: dict[tuple[str, str, str], list[str]] = {}
+    for error in refused.values():
+        reasons.setdefault((error.found, error.expected, error.remedy), []).append(error.where)
+    each = (str(InputError(", ".join(where), *reason)).rstrip(".?") for reason, where in reasons.items())
+    found = "; ".join(f"({number}) {text}" for number, text in enumerate(each, 1))
+    raise InputError(f"{len(refused)} of {read} files cannot be used", found, "", remedy)
+
+
+def count_files(found: Sequence[RecordingFiles]) -> int:
+    """Number of files of all recordings."""
+    return len({(files.name, path) for files in found for path, _ in files.streams})
+
+
+def left_out(paths: Sequence[Path], recipe: IngestRecipe | None) -> dict[str, list[str]]:
+    """Glob of ``left_out`` in the recipe → the files, ``recording/file``, that are not read."""
+    patterns = recipe.recordings.left_out if recipe is not None else ()
+    places = {f"{name}/{file.name}" for path in paths for name, file in _places(path, recipe)} if patterns else set()
+    return {pattern: sorted(key for key in places if fnmatchcase(key, pattern)) for pattern in patterns}
+
+
+def _places(path: Path, recipe: IngestRecipe | None) -> Iterator[tuple[str, Path]]:
+    """Every log file of a path with the name of its recording, as :func:`discover` names it."""
+    named = recipe.recordings.files if recipe is not None else {}
+    if path.is_file() or named:
+        stated = [(name, file) for name, pattern in named.items() for file in (path.glob(pattern) if path.is_dir() else [path])]
+        yield from stated or [(path.stem, path)]
+        return
+    folders = sorted(entry for entry in path.iterdir() if entry.is_dir()) if not is_lerobot(path) else []
+    for folder in folders or [path]:
+        if is_lerobot(folder):
+            yield from ((file.parent.name, file) for file in data_files(folder))
+        else:
+            yield from ((folder.resolve().name, file) for file in sorted(folder.iterdir()) if is_log(file))
+
+
 def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
     """Check that no two entries of the recipe are primary sources of one signal in one recording.
 
@@ -103,13 +161,20 @@ def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, 
                 primary[signal] = stream
 
 
-def check_recordings(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
-    """Check that the ``recordings`` of every entry of the recipe name recordings that are there.
+def check_recordings(
+    paths: Sequence[Path], found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object
+) -> None:
+    """Check that the recordings and files which the recipe names are there: ``recordings`` of its entries, ``left_out``.
 
     Raises:
         SettingsError: a glob that matches none.
     """
     names = [files.name for files in found]
+    for pattern, matching in left_out(paths, recipe).items():
+        if not matching:
+            place = f"{where}: recordings.left_out"
+            there = [f"{name}/{file.name}" for path in paths for name, file in _places(path, recipe)]
+            raise SettingsError(place, f"no file {pattern!r}", nearest(pattern, there), "Correct the name.")
     for stream in recipe.streams if recipe is not None else ():
         for pattern in stream.recordings:
             if not any(fnmatchcase(name, pattern) for name in names):
@@ -167,6 +232,8 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
     recordings = recipe.recordings if recipe is not None else Recordings()
     if recordings.files:
         return _single_files(path, recordings, recipe)
+    if path.is_file() and recordings.leaves_out(path.stem, path.name):
+        return []
     if path.is_file():
         home = path.resolve().parent  # a link that is named stands for its file
         streams = _matched([path], home, recipe, path.stem)
@@ -229,15 +296,24 @@ def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> 
     if recipe is None or not recipe.streams:
         remedy = "Draft one: sysid ingest --inspect FOLDER --machine machine.toml --draft recipe.toml."
         raise InputError(folder, "a LeRobot dataset, whose files state no units", "a recipe", remedy)
-    result = []
-    for file in data_files(folder):
+    result, files = [], data_files(folder)
+    refused: dict[str, InputError] = {}
+    for file in files:
         inside(folder, str(file.resolve()), file)
-        for stream in read_confined(LeRobotReader(), file, ReadOptions(columns=frozenset())):
+        if recipe.recordings.leaves_out(file.parent.name, file.name):
+            continue
+        try:
+            streams = read_confined(LeRobotReader(), file, ReadOptions(columns=frozenset()))
+        except InputError as error:
+            refused[f"{file.parent.name}/{file.name}"] = error
+            continue
+        for stream in streams:
             name = f"{prefix}{stream.name}"
             entries = [entry for _, entry in _matched([file], file.parent, recipe, name) if entry is not None]
             own = tuple((file, _for_episode(entry, stream.name)) for entry in entries)
             if own:
                 result.append(RecordingFiles(name, _kind(name, recipe.recordings, folder), folder, own))
+    check_refused(refused, len(files), "the recipe")
     return result
 
 
@@ -252,10 +328,11 @@ def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | Non
     for name, pattern in recordings.files.items():
         files = sorted(path.glob(pattern)) if path.is_dir() else [path] if fnmatchcase(path.name, pattern) else []
         files = [inside(path if path.is_dir() else path.parent, str(file.resolve()), path) for file in files]
-        if len(files) != 1:
+        if not files:
             present = [file.name for file in path.iterdir()] if path.is_dir() else [path.name]
-            what = "no file" if not files else f"{len(files)} files"
-            raise InputError(path, f"{what} {pattern!r} for recording {name!r}", nearest(pattern, present))
+            raise InputError(path, f"no file {pattern!r} for recording {name!r}", nearest(pattern, present))
+        if all(recordings.leaves_out(name, file.name) for file in files):
+            continue
         result.append(RecordingFiles(name, _kind(name, recordings, path), files[0].parent, _matched(files, path, recipe, name)))
     return result
 
@@ -264,6 +341,8 @@ def _matched(
     files: Sequence[Path], folder: Path, recipe: IngestRecipe | None, recording: str
 ) -> tuple[tuple[Path, StreamMap | None], ...]:
     """Each log file of ``recording`` with its entry of the recipe; without entries, every file for which there is a reader."""
+    if recipe is not None:
+        files = [file for file in files if not recipe.recordings.leaves_out(recording, file.name)]
     if recipe is None or not recipe.streams:
         for file in files:
             inside(folder, str(file.resolve()), file)

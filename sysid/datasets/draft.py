@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from sysid.datasets.layouts import TABLES, Layout, bags_of, layouts_of, recording_names, unreadable
+from sysid.datasets.layouts import TABLES, Layout, bags_of, glob_of, layouts_of, recording_names, unreadable
 from sysid.datasets.words import NO_SIGNAL, says_command, signal_of, words_without_numbers
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
@@ -73,11 +73,18 @@ def draft_recipe(
     damaged = unreadable(files)
     files = [file for file in files if file not in damaged]
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
-    lines += [f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged]
+    names |= {file.path: _damaged_name(file.path, {*names.values()} if single else None) for file in damaged}
+    if damaged:
+        lines += ["", *(f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged), "[recordings]"]
+        keys = (escape(f"{names[file.path]}/{file.path.name}") for file in damaged)
+        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]   # cannot be read"]
     layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)
     if single:
-        lines += ["", "[recordings.files]          # each file is a recording of its own"]
-        lines += [f"{toml_key(names[file.path])} = {toml_value(_relative(file.path, root))}" for file in files]
+        lines += ["", "[recordings.files]          # each file, or bag in several files, is a recording of its own"]
+        for name in dict.fromkeys(names.values()):
+            own = [path for path in names if names[path] == name]
+            pattern = glob_of(own, [*names]) if len(own) > 1 else None
+            lines.append(f"{toml_key(name)} = {toml_value(_relative(own[0], root, pattern))}")
     elif not in_folders and len({*bags_of(files).values()}) > 1:
         lines += ["", "# The files are taken for one recording. Where each is a recording of its own:", "# [recordings.files]"]
         lines += [f"# {toml_key(file.path.stem)} = {toml_value(file.path.name)}" for file in files]
@@ -106,6 +113,12 @@ def draft_recipe(
                 continue
             lines += ["", *_stream(layout, files_, recordings_, machine, doubtful, chosen)]
     return "\n".join(lines) + "\n"
+
+
+def _damaged_name(path: Path, others: Set[str] | None) -> str:
+    """The recording of a file that cannot be read: its folder's, or its own where each file is one beside ``others``."""
+    folder = path.resolve().parent.name
+    return folder if others is None else path.stem if path.stem not in others else f"{folder}-{path.stem}"
 
 
 def missing_strokes(files: Sequence[FileSummary], machine: Machine) -> list[str]:
@@ -141,10 +154,11 @@ def _stroke_of(fields: Sequence[FieldSummary]) -> str:
     return f"at least stroke = [{factor * low:.6g}, {factor * high:.6g}]"
 
 
-def _relative(path: Path, root: Path | None) -> str:
-    """The path of a file for ``[recordings.files]``, as a glob below the folder of the recordings."""
+def _relative(path: Path, root: Path | None, pattern: str | None = None) -> str:
+    """The path of a file for ``[recordings.files]``, or ``pattern`` in its place, a glob below the folder of recordings."""
     inside = root is not None and path.is_relative_to(root)
-    return "/".join(map(escape, path.relative_to(root).parts if inside and root is not None else (path.name,)))
+    parts = path.relative_to(root).parts if inside and root is not None else (path.name,)
+    return "/".join((*map(escape, parts[:-1]), pattern or escape(parts[-1])))
 
 
 def _sure(file: FileSummary, machine: Machine | None) -> set[str]:

@@ -12,7 +12,7 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, read_channels, survey_mounts
 from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, by_source
 from sysid.datasets.combined import made_by, notes_of, placed, streams_of, units_of
-from sysid.datasets.discover import RecordingFiles, check_recordings, check_sources, discover
+from sysid.datasets.discover import RecordingFiles, check_recordings, check_refused, check_sources, count_files, discover
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.joint_units import with_joint_units
 from sysid.datasets.plan import Plan, content_of, plan_of, sources_of
@@ -25,6 +25,7 @@ from sysid.datasets.tasks.driver import TaskIngest
 from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store
+from sysid.errors import InputError
 from sysid.execution import Executor
 from sysid.machine import Machine
 from sysid.names import check_dataset_name
@@ -75,7 +76,7 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
 
     report(0.0, "reading file names")
     found = discover(plan.roots, rules)
-    check_recordings(found, rules, plan.where)
+    check_recordings(plan.roots, found, rules, plan.where)
     check_sources(found, rules, plan.where)
     sources = sources_of(found)
     digest = digest_of({**content_of(sources, rules), "machine": description.files()})
@@ -99,7 +100,7 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
         report(1.0, f"stored {saved.reference}")
         return saved
 
-    ingested = read_and_align(found, plan, survey_mounts(found, description), report)
+    ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
     parts, roles = divide(ingested.recordings)
     dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
     saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
@@ -171,14 +172,21 @@ def read_and_align(
     """
     settings = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     readings: dict[str, ReadRecording] = {}
+    refused: dict[str, InputError] = {}
     sizes = [sum(size for size, _ in files.written.values()) for files in found]
     before = 0
     for size, files in zip(sizes, found, strict=True):
         begin, end = (_READ[0] + (_READ[1] - _READ[0]) * done / max(1, sum(sizes)) for done in (before, before + size))
         report(begin, f"reading {files.name}")
-        readings[files.name] = read_channels(files, plan.machine, mounts, part(report, begin, end))
+        reading = read_channels(files, plan.machine, mounts, part(report, begin, end))
         files.check_unchanged()
+        refused |= reading.refused
+        if refused:
+            readings.clear()  # the others are only read to know all that are refused
+        else:
+            readings[files.name] = reading
         before += size
+    check_refused(refused, count_files(found), plan.recipe_place)
     recording_clocks = tuple(RecordingClocks(files.name, files.kind, readings[files.name].channels) for files in found)
     report(_READ[1], "aligning clocks")
     alignment = aligned(recording_clocks, skews)

@@ -45,7 +45,7 @@ class Layout:
 def recording_names(
     files: Sequence[FileSummary], in_folders: bool, signals: Sequence[Set[str]]
 ) -> tuple[dict[Path, str], bool]:
-    """File → its recording, and whether every file is a recording of its own.
+    """File → its recording, and whether every file, or every bag in several files, is a recording of its own.
 
     Files of one folder are one recording, unless two of them have the same layout and the same time, or the same signals. Files
     with names that repeat in other folders (``left.csv``, ``right.csv``) are devices of one recording; numbered ones are not.
@@ -72,9 +72,24 @@ def recording_names(
             single |= not devices and ((_alike(one, other) and not apart) or bool(its & others))
     if not single:
         return {file.path: file.path.parent.name for file in files}, False
-    stems = [file.path.stem for file in files]
-    unique = len({*stems}) == len(stems)
-    return {file.path: file.path.stem if unique else f"{file.path.parent.name}-{file.path.stem}" for file in files}, True
+    parts: dict[Path, list[Path]] = {}
+    for file in files:
+        separate = file.reader == LeRobotReader().name
+        parts.setdefault(file.path if separate else bags[file.path], []).append(file.path)
+    for bag, own in list(parts.items()):
+        if len(own) > 1 and glob_of(own, [file.path for file in files]) is None:
+            parts |= {path: [path] for path in own if path != bag} | ({bag: [bag]} if bag in own else {})
+    stems = {own[0]: _common([path.stem for path in own]).rstrip("_-. ") or own[0].stem for own in parts.values()}
+    unique = len({*stems.values()}) == len(stems)
+    names = {first: stem if unique else f"{first.parent.name}-{stem}" for first, stem in stems.items()}
+    return {path: names[own[0]] for own in parts.values() for path in own}, True
+
+
+def glob_of(paths: Sequence[Path], others: Sequence[Path]) -> str | None:
+    """A glob of names that matches these files of one folder and no other of it; None where there is none."""
+    beside = [other.name for other in others if other.parent == paths[0].parent and other not in paths]
+    patterns = _patterns([path.name for path in paths])
+    return next((own for own in patterns if not any(fnmatchcase(name, own) for name in beside)), None)
 
 
 def layouts_of(

@@ -28,6 +28,15 @@ class Plan:
     machine: Machine
     where: Path
 
+    @property
+    def recipe_place(self) -> str:
+        """Where the recipe is that the next ingest of the same paths takes, for a remedy."""
+        if self.rules is not None:
+            return f"the recipe ({self.where})" if self.where.is_file() else "the recipe"
+        first = "whose first line is `schema = 1`"
+        alone = len(self.roots) == 1 and self.roots[0].is_dir()
+        return f"a file {self.roots[0] / 'recipe.toml'}, {first}" if alone else f"a recipe, {first}, and name it with --recipe"
+
 
 def plan_of(
     paths: Sequence[Path | str] | Path | str,

@@ -158,11 +158,21 @@ class StreamMap(Strict):
 
 @dataclass(frozen=True)
 class Recordings(Strict):
-    """Globs over the sub-folders of the ingested path, or single files that are a recording each."""
+    """Globs over the sub-folders of the ingested path, or single files that are a recording each.
+
+    Args:
+        left_out: globs of ``recording/file`` that are not read although they are there, as damaged ones; of a LeRobot dataset
+            ``chunk-000/file-000.parquet``.
+    """
 
     motion: tuple[str, ...] = ("*",)
     poses: tuple[str, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    def leaves_out(self, recording: str, file: str) -> bool:
+        """Whether a file of ``recording`` is not to be read."""
+        return any(fnmatchcase(f"{recording}/{file}", pattern) for pattern in self.left_out)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 A wrapped value is ``y = c + ((x − c) mod M)`` of a position ``x``, with modulus ``M`` and lower end ``c``. Where ``x`` crosses
 an end, ``y`` steps by ``M`` against the motion, and without these steps it moves on as before. :func:`find_wraps` takes nothing
 else for a wrap: a reset, a slipped encoder and a demanded step change the position, and a fast motion has steps of similar
-size beside its largest. :func:`unwrapped` undoes the steps; :func:`in_range` then chooses the multiple of ``M`` by the range of
-the axis.
+size beside its largest. :func:`unwrapped` undoes the steps; :func:`open_gaps` are those in which several numbers of turns are
+possible; :func:`in_range` then chooses the multiple of ``M`` by the range of the axis.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from sysid.datasets.flags.values import AROUND, GAP_PERIODS, STEPS_OF_SENSOR, se
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError
 from sysid.machine import Machine
+from sysid.names import listed
 from sysid.scratch import computed
 from sysid.signals import axis_signal, split_signal
 from sysid.units import si_factor
@@ -40,6 +41,8 @@ WELL_SAMPLED = 0.25
 CONTINUES = 3.0
 #: Largest share of the changes of a signal that are wraps: noise at an end makes every second one, a demanded square wave all.
 MOST_WRAPS = 0.75
+#: Steps longer than this many periods have missing rows.
+MISSING_PERIODS = 1.5
 #: Share of the samples that may lie outside of one modulus about the middle, and the margin there as a share of the modulus.
 STRAY, MARGIN = 0.01, 1.0 / 16.0
 #: Wraps that are compared with their neighbours.
@@ -121,7 +124,7 @@ def _within(steps: Array, modulus: float) -> Array:
 def unwrapped(times: Array, values: Array, modulus: float) -> Array:
     """``values`` (n,) with every step as small as multiples of ``modulus`` make it; NaN stays.
 
-    Across a gap the step is the one nearest to the motion at the mean of the speeds on both sides.
+    Where rows are missing, the step is the one nearest to the motion at the mean of the speeds on both sides.
     """
     there = np.flatnonzero(~np.isnan(values))
     if len(there) < 2:
@@ -130,13 +133,78 @@ def unwrapped(times: Array, values: Array, modulus: float) -> Array:
     steps, spans = np.diff(kept), np.diff(at)
     speeds = _within(steps, modulus) / spans
     expected = np.zeros(len(steps))
-    gaps = np.flatnonzero(spans > GAP_PERIODS * median_step(at))
-    before, after = np.maximum(gaps - 1, 0), np.minimum(gaps + 1, len(steps) - 1)
-    expected[gaps] = 0.5 * (speeds[before] + speeds[after]) * spans[gaps]
+    gaps = np.flatnonzero(spans > MISSING_PERIODS * median_step(at))
+    expected[gaps] = _predicted(speeds, spans, gaps)
     turns = np.concatenate([[0.0], np.cumsum(np.round((expected - steps) / modulus))])
     result = values.copy()
     result[there] = kept + modulus * turns
     return result
+
+
+def open_gaps(times: Array, values: Array, modulus: float) -> npt.NDArray[np.intp]:
+    """The rows before gaps in which an unwrapped position (n,) without NaN may have made several numbers of turns.
+
+    The motion in a gap is predicted as :func:`unwrapped` does it. The same prediction where samples are there shows how far
+    the motion is from it: another number of turns is possible up to twice that far (the largest of a few errors is not the
+    largest possible one) and a quarter of the modulus (:data:`WELL_SAMPLED`). An error is that of the longest stretch without a
+    gap, times the square of the ratio of the times, where none is as long as the gap.
+    """
+    usual = median_step(times) if len(times) > 1 else 0.0
+    if not usual:
+        return np.empty(0, np.intp)
+    steps, spans = differences(values), differences(times)
+    lags = np.maximum(np.rint(spans / usual), 1.0).astype(np.int64)
+    fastest = float(np.max(np.abs(steps[lags == 1]) / spans[lags == 1], initial=0.0))
+    margin = WELL_SAMPLED * modulus
+    rows = np.flatnonzero((lags > 1) & (2.0 * fastest * spans + margin > 0.5 * modulus))
+    if not len(rows):
+        return rows
+    missed = steps[rows] - _predicted(steps / spans, spans, rows)
+    ends = np.flatnonzero(np.concatenate([[True], lags > 1, [True]]))
+    longest = max(int(np.diff(ends).max()) - 3, 1)  # a step beside it on both sides
+    open_ = np.zeros(len(rows), dtype=bool)
+    for lag in np.unique(lags[rows]).tolist():
+        width = min(lag, longest)
+        low, high = 2.0 * _errors(times, values, width, usual) * (lag / width) ** 2
+        own = lags[rows] == lag
+        for turn in (-modulus, modulus):
+            open_ |= own & (missed + turn > low - margin) & (missed + turn < high + margin)
+    return rows[open_]
+
+
+def _predicted(speeds: Array, spans: Array, gaps: npt.NDArray[np.intp]) -> Array:
+    """The motion in the steps ``gaps`` at the mean of the speeds on both sides."""
+    before, after = np.maximum(gaps - 1, 0), np.minimum(gaps + 1, len(speeds) - 1)
+    return np.asarray(0.5 * (speeds[before] + speeds[after]) * spans[gaps])
+
+
+def _errors(times: Array, values: Array, lag: int, usual: float) -> Array:
+    """Least and largest difference between the motion in ``lag`` periods and its prediction, where no sample is missing."""
+    first, last = slice(1, len(values) - 1 - lag), slice(1 + lag, len(values) - 1)
+    there = np.abs(times[2 + lag :] - times[: -2 - lag] - (lag + 2) * usual) < 0.5 * usual
+    speeds = 0.5 * (values[first] - values[: -2 - lag] + values[2 + lag :] - values[last])
+    missed = (values[last] - values[first] - lag * speeds)[there]
+    return np.array([np.min(missed, initial=0.0), np.max(missed, initial=0.0)])
+
+
+def _in_one_turn(channel: Channel) -> tuple[Channel, str]:
+    """An unwrapped channel without the samples beside its longest part in which the number of turns is known, and why."""
+    there = np.flatnonzero(~np.isnan(channel.values))
+    times = seconds(channel.stamps[there], int(channel.stamps[0]))
+    gaps = open_gaps(times, channel.values[there], _modulus(channel))
+    if not len(gaps):
+        return channel, ""
+    edges = np.concatenate([[0], gaps + 1, [len(there)]])
+    longest = int(np.argmax(np.diff(edges)))
+    left = np.delete(there, np.s_[edges[longest] : edges[longest + 1]])
+    values = channel.values.copy()
+    values[left] = np.nan
+    each = [f"the gap of {times[gap + 1] - times[gap]:.3g} s after {times[gap]:.4g} s" for gap in gaps.tolist()]
+    text = (
+        f"{channel.signal} may have made several numbers of turns in {listed(each, 3)}: {len(left)} samples beside the longest "
+        "part taken as missing; make a recording of each part to use them all"
+    )
+    return replace(channel, values=values, counts=replace(channel.counts, turns=len(left))), text
 
 
 def continuous(channel: Channel, mapping: SignalMap, per_raw: float, machine: Machine) -> tuple[Channel, str]:
@@ -160,7 +228,7 @@ def continuous(channel: Channel, mapping: SignalMap, per_raw: float, machine: Ma
             found = f"values over a range of {width / abs(per_raw):.6g} with `modulus = {mapping.modulus:g}`"
             remedy = "Correct `modulus`, the period of the raw values."
             raise InputError(f"{channel.source}: {channel.signal}", found, "a range of one modulus at most", remedy)
-        return replace(channel, values=unwrapped(times, channel.values, modulus), modulus=modulus), ""
+        return _in_one_turn(replace(channel, values=unwrapped(times, channel.values, modulus), modulus=modulus))
     if not is_position(channel.signal, machine):
         return channel, ""
     wraps = wraps_of(times, channel.values, _moduli(channel, mapping, per_raw))
@@ -170,7 +238,9 @@ def continuous(channel: Channel, mapping: SignalMap, per_raw: float, machine: Ma
         f"{channel.signal} {wraps.text(channel.unit)}: unwrapped. `modulus = {wraps.modulus / abs(per_raw):.9g}` in the recipe "
         "puts recordings without such a step into the same turn, `modulus = 0` keeps the steps"
     )
-    return replace(channel, values=unwrapped(times, channel.values, wraps.modulus), modulus=wraps.modulus), text
+    values = unwrapped(times, channel.values, wraps.modulus)
+    whole, said = _in_one_turn(replace(channel, values=values, modulus=wraps.modulus))
+    return whole, "; ".join(filter(None, (text, said)))
 
 
 def _moduli(channel: Channel, mapping: SignalMap, per_raw: float) -> list[float]:

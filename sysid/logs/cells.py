@@ -2,8 +2,8 @@
 
 The decimal mark is a point or a comma. Thousands may be separated by the other mark, spaces or apostrophes, and digits and
 signs may be those of any script. ``1.234`` is 1.234 with decimal points and 1234 with decimal commas: the mark of the file
-decides, unless the column has more cells that only the other mark can read (``0.917``, ``12.5``). A cell that is no number is
-missing.
+decides, unless the column has more cells that only the other mark can read (``0.917``, ``12.5``). ``5-`` and ``(5)`` are −5, as
+accounting software writes it. A cell that is no number is missing.
 """
 
 from __future__ import annotations
@@ -41,6 +41,10 @@ _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?P<by>[{other} '])\d{{3}}(?:(?P=by)\d{{3}})*(?:{re.escape(mark)}\d+)?", re.ASCII)
     for mark, other in ((".", ","), (",", "."))
 }
+#: A negative number as accounting software writes it: in parentheses, or with the sign behind it.
+_ACCOUNTING = re.compile(r"\s*(?:\(\s*(?P<inside>[\d.,][\d., ']*)\)|(?P<before>[\d.,][\d., ']*)-)\s*", re.ASCII)
+#: Letters at the ends of such a cell, in any script, and of no other number.
+_SIGN_AROUND = r"^\(|[^\w.,\s]$"
 #: A number that both decimal marks can read, as two values.
 TWO_READINGS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)
 #: Separators of thousands that are no mark.
@@ -54,10 +58,11 @@ _LIST = re.compile(r"\[\s*([+-]?[.\d].*|nan.*|null.*|none.*)?\]", re.IGNORECASE)
 
 
 def plain(text: str) -> str:
-    """``text`` with ASCII digits, signs and spaces where it has those of another script."""
-    if text.isascii():
-        return text
-    return "".join(_SIGNS.get(c, " " if c.isspace() else str(unicodedata.decimal(c, c))) for c in text)
+    """``text`` with ASCII digits, signs and spaces where it has those of another script; ``5-`` and ``(5)`` are ``-5``."""
+    if not text.isascii():
+        text = "".join(_SIGNS.get(c, " " if c.isspace() else str(unicodedata.decimal(c, c))) for c in text)
+    negative = _ACCOUNTING.fullmatch(text)
+    return f"-{negative['inside'] or negative['before']}" if negative is not None else text
 
 
 def number_of(text: str, decimal: str) -> float | None:
@@ -116,6 +121,8 @@ class CellColumn:
     #: Number of cells with separators of thousands, and whether one would be decimals with the other mark (1.234).
     _thousands: int = 0
     _doubtful: bool = False
+    #: Number of cells with the sign of a negative number around or behind it.
+    _accounting: int = 0
     _numbers: GrowingArray = field(init=False)
     _others: GrowingArray | None = None
     _whole: GrowingArray | None = None
@@ -195,6 +202,7 @@ class CellColumn:
         if thousands.any():
             self._thousands += int(np.count_nonzero(thousands))
             self._example.setdefault("thousands", str(text.iloc[int(np.argmax(thousands))]))
+        self._count_accounting(text, ~unread)
         if self._others is None and not np.array_equal(numbers, others, equal_nan=True):  # until here both marks read the same
             before = self._numbers.whole(first)
             self._others = GrowingArray(np.nan, expected=self.expected)
@@ -202,6 +210,13 @@ class CellColumn:
         self._numbers.put(rows, numbers)
         if self._others is not None:
             self._others.put(rows, others)
+
+    def _count_accounting(self, text: pd.Series, known: npt.NDArray[np.bool_]) -> None:
+        """Count the cells (n,) in the form of accounting, of those that are numbers."""
+        signs = known & text.str.contains(_SIGN_AROUND).to_numpy(dtype=bool)
+        if signs.any():
+            self._accounting += int(np.count_nonzero(signs))
+            self._example.setdefault("accounting", str(text.iloc[int(np.argmax(signs))]))
 
     def _take_stamps(self, text: pd.Series, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
         """Keep the stamps among cells (n,) without a number; the mask of those cells."""
@@ -235,6 +250,7 @@ class CellColumn:
         numbers = _numbers(shorter, self.decimal)
         numbers = np.where(np.isnan(numbers), _numbers(shorter, self._other), numbers)
         known = ~np.isnan(numbers)
+        self._count_accounting(shorter, known)
         if known.any() and self._united is None:
             self._united = GrowingArray(np.nan, expected=self.expected)
         if self._united is not None:
@@ -298,6 +314,10 @@ class CellColumn:
         elif self._thousands:
             example = self._example["thousands"]
             what = f"{self._thousands} cells with separators of thousands, {example!r} is {number_of(example, mark):g}"
+            losses.append(f"column {self.header!r}: {what}")
+        if self._accounting:
+            example = self._example["accounting"]
+            what = f"{self._accounting} cells with the sign of accounting, {example!r} is {number_of(example, mark):g}"
             losses.append(f"column {self.header!r}: {what}")
         if self._whole is not None:
             return Table([(header, self._whole.whole(self.rows))], tuple(losses))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
+from sysid.logs.labels import bracketed
 from sysid.logs.limits import MAX_TEXT
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -28,13 +29,15 @@ KIND = "LeRobot episode"
 #: Versions of the layout that are read.
 VERSIONS = ("v2.", "v3.")
 _INFO, _EPISODE, _TIME = "meta/info.json", "episode_index", "timestamp"
+#: How the types of numbers and flags begin.
+_NUMBERS = ("float", "int", "uint", "bool")
 #: Relative resolution of the stamps, which are stored in single precision.
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 @dataclass(frozen=True)
 class LeRobotReader:
-    """Numbers of every feature; images, videos and texts are left out."""
+    """Numbers and flags of every feature; matrices, images, videos and texts are said to be left out."""
 
     name: str = "lerobot"
     suffixes: tuple[str, ...] = (".parquet",)
@@ -44,7 +47,7 @@ class LeRobotReader:
         info = dataset_info(path)
         if info is None:
             raise InputError(path, "no meta/info.json above it", "a file data/chunk-…/….parquet of a LeRobot dataset")
-        names = _feature_names(info, path)
+        names, unread = _feature_names(info, path)
         columns = _read(path, names, options)
         episodes = columns.pop(_EPISODE).astype(np.int64)
         stamps = _seconds(columns.pop(_TIME), float(info.get("fps") or 0.0))
@@ -59,6 +62,7 @@ class LeRobotReader:
                 columns={label: values[rows] for label, values in columns.items()},
                 fields=known,
                 kind=KIND,
+                unread=unread,
             )
             for episode, rows in bounds.items()
             if options.wants(episode_name(episode))
@@ -103,33 +107,37 @@ def dataset_info(path: Path) -> dict[str, Any] | None:
     return info
 
 
-def _feature_names(info: Mapping[str, Any], path: Path) -> dict[str, tuple[str, int]]:
-    """Column of a stream, ``feature[element]`` or ``feature`` → its feature and the place in its list.
+def _feature_names(info: Mapping[str, Any], path: Path) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
+    """Column of a stream, ``feature[element]`` or ``feature`` → its feature and the place in its list; and the other features.
+
+    An element is labelled by its name as an element of a message is (:func:`sysid.logs.labels.bracketed`), else by its place.
 
     Raises:
-        InputError: a feature without shape, or names that do not fit it.
+        InputError: no features, or more elements of one than a list may have.
     """
     features = info.get("features")
     if not isinstance(features, dict):
         raise InputError(path, "no features in meta/info.json", "the features of a LeRobot dataset")
     found: dict[str, tuple[str, int]] = {}
+    unread: dict[str, str] = {}
     for feature, about in features.items():
-        if feature in (_EPISODE, _TIME) or not isinstance(about, dict):
+        if feature in (_EPISODE, _TIME):
             continue
-        shape = about.get("shape")
-        if not str(about.get("dtype", "")).startswith(("float", "int")) or not isinstance(shape, list) or len(shape) != 1:
+        kind, shape = (about.get("dtype"), about.get("shape")) if isinstance(about, dict) else (None, None)
+        if not str(kind).startswith(_NUMBERS):
+            unread[feature] = f"values of type {kind}"
+            continue
+        if not isinstance(shape, list) or len(shape) != 1:
+            unread[feature] = f"arrays of shape {shape}"
             continue
         count = shape[0]
         if not isinstance(count, int) or not 0 < count <= 16_384:
             raise InputError(path, f"feature {feature!r} of shape {shape}", "one number, the length of its list")
         names = _flat(about.get("names"))
-        if names and len(names) == count and count > 1:
-            found |= {f"{feature}[{name}]": (feature, k) for k, name in enumerate(names)}
-        elif count > 1:
-            found |= {f"{feature}[{k}]": (feature, k) for k in range(count)}
-        else:
-            found[feature] = (feature, 0)
-    return found
+        labels = bracketed(tuple(names)) if len(names) == count else ("",) * count
+        own = [f"{feature}[{label or k}]" for k, label in enumerate(labels)] if count > 1 else [feature]
+        found |= {label: (feature, k) for k, label in enumerate(own)}
+    return found, unread
 
 
 def _flat(names: object) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,8 +31,8 @@ _WHAT = "a ULog of PX4"
 _TIME = "timestamp"
 #: Names in a sentence; the others are counted.
 MOST = 5
-#: Reads, two for each message, that may search in what was read before: the largest message has 65 535 bytes.
-_AGAIN = 4 * 65_538
+#: Reads from one place that come no further: a search in what was read before tries each place once, for head and body.
+_AGAIN = 8
 #: Largest stamp that 64 bits hold [ns].
 LARGEST_NS = 2**63 - 1
 
@@ -84,18 +85,22 @@ class _Watched(io.BufferedReader):
     The library may go back by more than it has read of a message that is cut off, and read the same bytes for ever.
 
     Raises:
-        RuntimeError: at :data:`_AGAIN` reads in a row that come no further than one before.
+        RuntimeError: at more than :data:`_AGAIN` reads from one place since it was read further than before.
     """
 
     last = (0, 0)
-    end = furthest = again = 0
+    end = furthest = 0
+    again: Counter[int] | None = None
 
     def read(self, size: int | None = -1) -> bytes:
         data = super().read(size)
-        self.again = 0 if self.tell() > self.furthest else self.again + 1
-        self.furthest = max(self.furthest, self.tell())
-        if self.again > _AGAIN:
-            raise RuntimeError("the same bytes over and over")
+        if (place := self.tell()) > self.furthest:
+            self.furthest, self.again = place, None
+        else:
+            self.again = self.again if self.again is not None else Counter()
+            self.again[place - len(data)] += 1
+            if self.again[place - len(data)] > _AGAIN:
+                raise RuntimeError("the same bytes over and over")
         self.last = (size or 0, len(data))
         return data
 

@@ -23,7 +23,12 @@ class SampleLine:
     def lost(self) -> str:
         """Why samples are not used, with their numbers."""
         counts = self.counts
-        reasons = {"empty": counts.empty, "repeated": counts.repeated, "between blocks": counts.between, **counts.lost}
+        reasons = {
+            "empty": counts.empty,
+            "repeated": counts.repeated,
+            "in guards between blocks": counts.between,
+            **counts.lost,
+        }
         return ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count) or NOTHING
 
 

@@ -236,10 +236,11 @@ def test_a_damaged_file_does_not_become_a_layout(tmp_path: Path, capsys: pytest.
     assert "# left out: " in text
     assert "line 51: 2 values; expected 3" in text
     recipe = tomllib.loads(text)
-    assert (len(recipe["streams"]), set(recipe["recordings"]["files"])) == (1, {"r0", "r2"})
+    assert (len(recipe["streams"]), set(recipe["recordings"]["files"])) == (1, {"r0", "r1", "r2"})
+    assert recipe["recordings"]["left_out"] == ["r1/r1.csv"]
     assert "cannot be ingested" in capsys.readouterr().out
     recipe_of_it = tmp_path / "other.toml"
-    recipe_of_it.write_text(text.replace('r0 = "r0.csv"', 'r1 = "r1.csv"'), "utf-8")
+    recipe_of_it.write_text(text.replace("left_out = ", "# left_out = "), "utf-8")
     with pytest.raises(InputError, match="line 51: 2 values; expected 3"):
         ingest(damaged.parent, tmp_path / "ws", tmp_path / "machine.toml", recipe_of_it)
 

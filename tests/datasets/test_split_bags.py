@@ -116,3 +116,29 @@ def test_the_draft_of_a_bag(tmp_path: Path, metadata: bool, pause_s: float, reco
     assert len(recipe["streams"]) == 1
     assert run("--workspace", tmp_path / "ws", "ingest", folder, "--recipe", draft) == 0
     assert len(lengths(tmp_path / "ws")) == recordings
+
+
+@pytest.mark.parametrize("listed", [False, True], ids=["by their names", "one by its metadata"])
+@pytest.mark.parametrize("names", [("first", "second"), ("run", "run_b")])
+def test_several_split_bags_in_one_folder(tmp_path: Path, listed: bool, names: tuple[str, str]) -> None:
+    """Each is a recording: the parts in the metadata, and those whose names count up and that continue each other."""
+    folder = bag(tmp_path / "logs", metadata=listed)
+    for k in range(PARTS):
+        (folder / f"run_{k}.mcap").rename(folder / f"{names[0]}_{k}.mcap")
+        part(folder / f"{names[1]}_{k}.mcap", k + 100)
+    part(folder / "alone.mcap", 300)
+    if listed:
+        metadata = folder / "metadata.yaml"
+        metadata.write_text(metadata.read_text("utf-8").replace("run_", f"{names[0]}_"), "utf-8")
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", folder, "--draft", draft) == 0
+    recipe = tomllib.loads(draft.read_text("utf-8"))
+    assert run("--workspace", tmp_path / "ws", "ingest", folder, "--recipe", draft) == 0
+    found = lengths(tmp_path / "ws")
+    if names[0] == "first":
+        assert set(found) == {"first", "second", "alone"} == set(recipe["recordings"]["files"])
+        assert recipe["recordings"]["files"]["second"] == "second_*.mcap"
+    else:  # no glob tells run_0 … run_2 from run_b_0 …: these are recordings by themselves
+        assert set(found) == {"run_b", "alone", *(f"run_{k}" for k in range(PARTS))}
+    assert sum(found.values()) > 0.8 * (2 * PARTS + 1) * ROWS

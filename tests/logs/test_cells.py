@@ -16,7 +16,9 @@ from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.inspection import inspect_file
 from sysid.logs.reader import ALL
 
-BAD = ("ERR", "#NV", "#WERT!", "0x1F", "n.v.", "1.2.3,4", "12 34", "--5", "1x", "5..", "²")
+BAD = ("ERR", "#NV", "#WERT!", "0x1F", "n.v.", "1.2.3,4", "12 34", "--5", "1x", "5..", "²", "(5", "5)", "(-5)", "-5-", "()")
+#: Where the sign of a negative number stands.
+SIGNS = {"before": "{minus}{number}", "behind": "{number}{minus}", "apart": "{number} {minus}", "around": "({number})"}
 
 
 def read(path: Path, text: str, options: ReadOptions = ALL) -> Stream:
@@ -25,9 +27,9 @@ def read(path: Path, text: str, options: ReadOptions = ALL) -> Stream:
     return stream
 
 
-def written(value: float, decimals: int, decimal: str, thousands: str, minus: str, plus: str) -> str:
+def written(value: float, decimals: int, decimal: str, thousands: str, minus: str, plus: str, sign: str = "before") -> str:
     text = f"{abs(value):,.{decimals}f}".replace(",", "T").replace(".", decimal).replace("T", thousands)
-    return f"{minus if value < 0 else plus}{text}"
+    return SIGNS[sign].format(minus=minus, number=text) if value < 0 else f"{plus}{text}"
 
 
 @settings(max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -39,11 +41,12 @@ def test_numbers_of_any_locale_are_read_and_other_cells_are_missing_and_counted(
     thousands = data.draw(st.sampled_from(["", other, " ", "\u00a0", "\u202f", "\u2009", "'", "\u2019"]))
     minus = data.draw(st.sampled_from(["-", "\u2212", "\u2013", "\uff0d"]))
     plus = data.draw(st.sampled_from(["", "+"]))
+    sign = data.draw(st.sampled_from(list(SIGNS)))
     decimals = data.draw(st.integers(0, 4))
     delimiter = data.draw(st.sampled_from([";", "\t", "|"]))
     values = data.draw(st.lists(st.floats(-1e7, 1e7).map(lambda x: round(x, decimals) + 0.0), min_size=3, max_size=30))
     bad = data.draw(st.sets(st.integers(1, len(values) - 1), max_size=len(values) - 1))
-    cells = [written(value, decimals, decimal, thousands, minus, plus) for value in values]
+    cells = [written(value, decimals, decimal, thousands, minus, plus, sign) for value in values]
     for row in bad:
         cells[row] = data.draw(st.sampled_from(BAD))
         values[row] = np.nan
@@ -58,6 +61,12 @@ def test_numbers_of_any_locale_are_read_and_other_cells_are_missing_and_counted(
     assert any("separators of thousands" in loss for loss in stream.losses) == any(
         thousands != other or (cell.count(other) == 1 and decimal not in cell) for cell in separated
     )
+    negative = [cell for value, cell in zip(values, cells, strict=True) if value < 0.0 and sign != "before"]
+    said = [loss for loss in stream.losses if "sign of accounting" in loss]
+    assert [loss.partition(", ")[0] for loss in said] == (
+        [f"log.csv: column 'x': {len(negative)} cells with the sign of accounting"] if negative else []
+    )
+    assert all(repr(negative[0]) in loss for loss in said)
     if bad:
         count = f"{len(bad)} cells are not numbers" if len(bad) > 1 else "1 cell is not a number"
         assert told == [f"log.csv: column 'x': {count}, for example {cells[min(bad)]!r}: taken as missing"]

@@ -309,3 +309,27 @@ def test_a_type_without_one_valid_time_is_no_stream_and_is_said(tmp_path: Path) 
     streams = read(written(tmp_path / "late.bin", bytes(data)))
     assert all(len(stream) for stream in streams.values())
     assert any("without a valid time" in loss for stream in streams.values() for loss in stream.losses)
+
+
+def test_a_ulog_that_sends_the_library_in_a_circle_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """58 bytes, found by fuzzing: the library goes back and reads one message for ever, seen after 260 000 reads before."""
+    pytest.importorskip("pyulog")
+    from sysid.logs import ulog
+
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(
+        bytes.fromhex(
+            "554c6f670112350140422b0fe900000000004228000000000000f6000000ffffff0000ff3a00000000000000000900"
+            "00696e743136000100f5ff"
+        )
+    )
+    reads, read = [], ulog._Watched.read
+
+    def counted(file: ulog._Watched, size: int | None = -1) -> bytes:
+        reads.append(size)
+        return read(file, size)
+
+    monkeypatch.setattr(ulog._Watched, "read", counted)
+    with pytest.raises(InputError, match="the same bytes over and over"):
+        ulog.UlogReader().read(path, ReadOptions())
+    assert len(reads) < 1000

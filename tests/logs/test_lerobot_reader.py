@@ -86,6 +86,54 @@ def test_names_of_elements(names: dict[str, list[str]] | list[str] | None, label
     assert label in stream.columns
 
 
+@pytest.mark.parametrize(
+    ("names", "labels"),
+    [
+        (["pan", "pan"], ["action[0]", "action[1]"]),  # two elements of one name: neither may stand for the other
+        (["1", "2"], ['action["1"]', 'action["2"]']),  # identifiers of servos are no places in the list
+        (["a[0]", "b"], ["action[0]", "action[b]"]),
+    ],
+)
+def test_names_that_are_no_labels(names: list[str], labels: list[str], tmp_path: Path) -> None:
+    made = episodes(1)
+    folder = write_lerobot(tmp_path / "wave", made, names)
+    (stream,) = reader_for(folder / "data/chunk-000/file-000.parquet").read(
+        folder / "data/chunk-000/file-000.parquet", ReadOptions()
+    )
+    for k, label in enumerate(labels):
+        np.testing.assert_allclose(stream.columns[label], made[0][0][:, k], rtol=1e-6)
+    assert sum(name.startswith("action") for name in stream.columns) == 2
+
+
+def test_every_feature_has_a_column_or_a_reason(tmp_path: Path) -> None:
+    folder = write_lerobot(tmp_path / "wave", episodes(1), MOTORS)
+    path, info = folder / "data/chunk-000/file-000.parquet", folder / "meta/info.json"
+    table = pq.read_table(path)
+    done = np.arange(len(table)) == len(table) - 1
+    more = {
+        "next.done": ({"dtype": "bool", "shape": [1], "names": None}, pa.array(done)),
+        "gripper": ({"dtype": "uint8", "shape": [1], "names": None}, pa.array(done.astype(np.uint8))),
+        "note": ({"dtype": "string", "shape": [1], "names": None}, pa.array(["x"] * len(table))),
+        "grid": ({"dtype": "float32", "shape": [1, 2], "names": None}, pa.array([[[0.0, 1.0]]] * len(table))),
+    }
+    about = json.loads(info.read_text("utf-8"))
+    for name, (feature, values) in more.items():
+        about["features"][name] = feature
+        table = table.append_column(name, values)
+    info.write_text(json.dumps(about), "utf-8")
+    pq.write_table(table, path)
+    (stream,) = reader_for(path).read(path, ReadOptions())
+    np.testing.assert_array_equal(stream.columns["next.done"], done)
+    np.testing.assert_array_equal(stream.columns["gripper"], done)
+    assert stream.unread == {
+        "observation.images.front": "values of type video",
+        "note": "values of type string",
+        "grid": "arrays of shape [1, 2]",
+    }
+    columns = {name.partition("[")[0] for name in stream.columns} | {"timestamp", "episode_index"}
+    assert columns | stream.unread.keys() == about["features"].keys()
+
+
 def test_uneven_stamps_are_kept(tmp_path: Path) -> None:
     folder = write_lerobot(tmp_path / "wave", episodes(1), MOTORS)
     path = folder / "data/chunk-000/file-000.parquet"

@@ -24,6 +24,8 @@ NEEDS = {
     "ROS 1 bag": ("rosbags",),
     "rosbag2 in sqlite": ("rosbags",),
     "Parquet": ("pyarrow",),
+    "LeRobot v2.1": (),
+    "LeRobot v3.0": (),
 }
 
 
@@ -37,6 +39,9 @@ def test_no_number_differs(peers: ModuleType, name: str) -> None:
     missing = [module for module in NEEDS[name] if not installed(module)]
     if missing:
         pytest.skip(f"{', '.join(missing)} is not installed")
+    layout = name.removeprefix("LeRobot ")
+    if layout != name and not peers.lerobot_python(layout).exists():
+        pytest.skip(f"lerobot {peers.LEROBOT[layout]} is not installed: `make reader-peers` installs it")
     found = peers.compare(name, examples(160), seed=1)
     assert found.differences == []
     assert found.values > 10 * found.files

@@ -11,7 +11,7 @@ from sysid.datasets.draft import Chosen, draft_recipe
 from sysid.datasets.drafting.axes import AxisDraft, axes_of
 from sysid.datasets.drafting.fields import Field, read_fields
 from sysid.datasets.drafting.question import Answers, Question
-from sysid.datasets.layouts import recording_names
+from sysid.datasets.layouts import recording_names, unreadable
 from sysid.errors import InputError
 from sysid.logs.inspection import FileSummary
 from sysid.machine import Machine
@@ -80,7 +80,9 @@ def describe(
         raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
     rate, why = _rate(used)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
-    recipe = draft_recipe(used, None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names))
+    recipe = draft_recipe(
+        [*used, *unreadable(files)], None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names)
+    )
     return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
 
 

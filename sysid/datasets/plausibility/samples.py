@@ -23,6 +23,9 @@ def _cause(counts: SampleCounts, signal: str) -> Cause:
         return Cause("stamps", (), "coarser than the rows", remedy=remedy)
     if most == "beyond any number":
         return Cause("", (signal,), "damaged or read in a wrong unit", remedy="Correct `unit` or `scale` in the recipe")
+    if most == "in an unknown turn":
+        remedy = "Cut the log at the gap into recordings of their own"
+        return Cause("", (signal,), "wrapped, with a gap in which it may have made several numbers of turns", remedy=remedy)
     remedy = "Correct the clock in the recipe, or cut the file"
     return Cause("", (signal,), "recorded at other times than the machine", remedy=remedy)
 

@@ -25,12 +25,12 @@ BRIDGED_PERIODS = 1.5
 class SampleCounts:
     """The samples of one signal from one file of a recording.
 
-    ``rows = empty + overflows + repeated + conflicting + outside + between + alone + used``
+    ``rows = empty + overflows + repeated + conflicting + turns + outside + between + alone + used``
 
     Args:
-        rows, empty, overflows, repeated, conflicting: see :class:`sysid.datasets.channel.RowCounts`.
+        rows, empty, overflows, repeated, conflicting, turns: see :class:`sysid.datasets.channel.RowCounts`.
         outside: before the first row of the recording, or after its last.
-        between: left out between the blocks into which a recording is cut.
+        between: in the guards between the blocks into which a recording is cut.
         alone: between two gaps that are not bridged, where the dataset has no value.
         used: the rest.
         bridged_s: time between samples further apart than :data:`BRIDGED_PERIODS` periods that is interpolated over [s].
@@ -42,6 +42,7 @@ class SampleCounts:
     overflows: int = 0
     repeated: int = 0
     conflicting: int = 0
+    turns: int = 0
     outside: int = 0
     between: int = 0
     alone: int = 0
@@ -56,10 +57,11 @@ class SampleCounts:
 
     @property
     def lost(self) -> Mapping[str, int]:
-        """Reason → samples that are not in the dataset, without those between blocks."""
+        """Reason → samples that are not in the dataset, without those in guards."""
         reasons = {
             "with the stamp of another": self.conflicting,
             "beyond any number": self.overflows,
+            "in an unknown turn": self.turns,
             "alone between gaps": self.alone,
             "outside the recording": self.outside,
         }
@@ -82,7 +84,8 @@ def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], st
     counts, command = channel.counts, channel.signal.endswith(".command")
     there = ~np.isnan(channel.values)
     times = chosen(times, there)
-    used, inside, done, ends = 0, 0, 0, (0, 0)
+    steps, limit = differences(times), gap_limit(channel)
+    used, inside, done, ends, stray = 0, 0, 0, (0, 0), 0
     moving = [part for part in parts if part.kind == "motion" and len(part)]
     if not moving:  # a pose is the median of a still phase
         used = inside = len(times)
@@ -90,12 +93,14 @@ def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], st
         begin = (part.start_ns - start_ns) * 1e-9
         first, last = np.searchsorted(times, (begin - 1.0 / part.rate_hz, begin + len(part) / part.rate_hz))
         first, last = max(int(first), done), max(int(last), done)
+        if part is not moving[0] and not command:  # in a pause, not in a guard
+            around = np.concatenate([[np.inf], steps, [np.inf]])[done : first + 1] > limit
+            stray += int(np.count_nonzero(around[:-1] & around[1:]))
         ends = (first if part is moving[0] else ends[0], last)
         inside, done = inside + last - first, last
         values = part.values(channel.signal) if channel.primary else None
         used += last - first if values is None else _in_table(times[first:last] - begin, values, part.rate_hz)
     outside = ends[0] + len(times) - ends[1] if moving else 0
-    steps, limit = differences(times), gap_limit(channel)
     bridged = 0.0
     if not command and moving and len(steps):
         bridged = float(chosen(steps, (steps > BRIDGED_PERIODS * channel.period_s) & (steps <= limit + 1e-9)).sum())
@@ -105,9 +110,10 @@ def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], st
         overflows=counts.overflows,
         repeated=counts.repeated,
         conflicting=counts.conflicting,
+        turns=counts.turns,
         outside=outside,
-        between=len(times) - inside - outside,
-        alone=inside - used,
+        between=len(times) - inside - outside - stray,
+        alone=inside - used + stray,
         used=used,
         bridged_s=bridged,
         limit_s=limit if not command else 0.0,

@@ -12,7 +12,7 @@ import numpy as np
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.combined import made_by, notes_of, placed, streams_of, units_of
-from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.discover import RecordingFiles, check_refused, count_files
 from sysid.datasets.joint_units import with_joint_units
 from sysid.datasets.plan import Plan
 from sysid.datasets.quality.use import scales_of
@@ -27,7 +27,7 @@ from sysid.datasets.tasks.steps import (
     stored_table,
     survey_recording,
 )
-from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading
+from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading, to_refused
 from sysid.datasets.versions.files import UNCHANGED, explained
 from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store
@@ -71,8 +71,10 @@ class TaskIngest:
         own = {
             (files.name, key): {body: [np.array(pose) for pose in poses] for body, poses in bodies.items()}
             for files, entry in zip(with_bodies, surveyed, strict=True)
-            for key, bodies in entry.items()
+            for key, bodies in entry["poses"].items()
         }
+        refused = {key: error for entry in surveyed for key, error in to_refused(entry["refused"]).items()}
+        check_refused(refused, count_files(found), plan.recipe_place)
         return combined_mounts(found, own)
 
     def written(
@@ -97,6 +99,8 @@ class TaskIngest:
             (*place, k, plan, absolute(files), from_mounts(mounts, files.name)) for k, files in enumerate(found)
         ]
         read: list[Plain] = self.executor.run(read_recording, calls, part(report, *_READ))
+        unusable = {key: error for own in read for key, error in to_refused(own["reading"]["refused"]).items()}
+        check_refused(unusable, count_files(found), plan.recipe_place)
         pieces = {files.name: to_pieces(own["pieces"]) for files, own in zip(found, read, strict=True)}
         shared = {domain: asdict(own) if own is not None else None for domain, own in skews_of(pieces, skews).items()}
         calls = [

@@ -31,6 +31,7 @@ from sysid.datasets.tasks.values import (
     from_error,
     from_pieces,
     from_reading,
+    from_refused,
     to_mounts,
     to_pieces,
     to_reading,
@@ -51,10 +52,11 @@ from sysid.scratch import scratch_in
 
 
 def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> Plain:
-    """Task: the poses of rigid bodies in the reference poses of a recording; empty where it has none."""
+    """Task: ``poses`` of rigid bodies in the reference poses of a recording, none where it has none; ``refused`` files."""
     with _prepared(location):
-        found = reference_poses(files, plan.machine)
-        return {key: {body: [pose.tolist() for pose in poses] for body, poses in own.items()} for key, own in found.items()}
+        found, refused = reference_poses(files, plan.machine)
+        poses = {key: {body: [pose.tolist() for pose in poses] for body, poses in own.items()} for key, own in found.items()}
+        return {"poses": poses, "refused": from_refused(refused)}
 
 
 def read_recording(location: str, folder: str, number: int, plan: Plan, files: RecordingFiles, mounts: Plain) -> Plain:
@@ -65,7 +67,7 @@ def read_recording(location: str, folder: str, number: int, plan: Plan, files: R
 
     Returns:
         ``reading`` and ``pieces`` (:mod:`sysid.datasets.tasks.values`), ``file`` and ``clocks`` for the manifest, ``rates``
-        (notes).
+        (notes); ``reading`` alone where a file cannot be used.
 
     Raises:
         SysidError: a log that cannot be used.
@@ -73,6 +75,8 @@ def read_recording(location: str, folder: str, number: int, plan: Plan, files: R
     with _prepared(location) as store:
         reading = read_channels(files, plan.machine, to_mounts(mounts, files.name))
         files.check_unchanged()
+        if reading.refused:
+            return {"reading": from_reading(reading)}
         found = pieces_of(RecordingClocks(files.name, files.kind, reading.channels))
         with explained(location, UNCHANGED):
             file = write_channel_file(store, f"{folder}/channels", number, files.name, reading.channels)

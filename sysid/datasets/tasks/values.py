@@ -14,7 +14,7 @@ from sysid.datasets.clocks.estimate import Backlash, Estimate
 from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.flags.flag import Flag
 from sysid.datasets.frames.mistakes import MissingFrames
-from sysid.errors import AlignmentError
+from sysid.errors import AlignmentError, InputError, SysidError
 
 Plain = dict[str, Any]
 
@@ -43,6 +43,7 @@ def from_reading(reading: ReadRecording) -> Plain:
         "channels": [from_channel(channel) for channel in reading.channels],
         "losses": {file: list(texts) for file, texts in reading.losses.items()},
         "missing_frames": [asdict(flag) for flag in reading.flags],
+        "refused": from_refused(reading.refused),
     }
 
 
@@ -51,7 +52,8 @@ def to_reading(entry: Plain, samples: Sequence[tuple[Any, Any]] | None = None) -
     arrays = samples if samples is not None else [(None, None)] * len(entry["channels"])
     channels = tuple(to_channel(own, *pair) for own, pair in zip(entry["channels"], arrays, strict=True))
     losses = {file: tuple(texts) for file, texts in entry["losses"].items()}
-    return ReadRecording(channels, losses, tuple(MissingFrames(**flag) for flag in entry["missing_frames"]))
+    flags = tuple(MissingFrames(**flag) for flag in entry["missing_frames"])
+    return ReadRecording(channels, losses, flags, to_refused(entry["refused"]))
 
 
 def from_pieces(found: Mapping[str, Sequence[Piece]]) -> Plain:
@@ -91,7 +93,16 @@ def to_mounts(entry: Plain, recording: str) -> Mounts:
     return {(recording, key): {body: np.array(pose) for body, pose in bodies.items()} for key, bodies in entry.items()}
 
 
-def from_error(error: AlignmentError) -> list[str]:
+def from_refused(refused: Mapping[str, InputError]) -> Plain:
+    """``recording/file`` → the parts of the error for which it cannot be used."""
+    return {key: from_error(error) for key, error in refused.items()}
+
+
+def to_refused(entry: Plain) -> dict[str, InputError]:
+    return {key: InputError(*own) for key, own in entry.items()}
+
+
+def from_error(error: SysidError) -> list[str]:
     return [str(part) for part in (error.where, error.found, error.expected, error.remedy)]
 
 

@@ -129,7 +129,7 @@ def _append(
         report(1.0, f"stored {saved.reference}")
         return saved
 
-    mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine))
+    mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
     ingested = read_and_align(found, plan, mounts, report, skews)
     parts, roles = divide(ingested.recordings)
     addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))

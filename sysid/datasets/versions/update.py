@@ -247,7 +247,7 @@ class _Pass:
     def _read(self, files: RecordingFiles, sources: Sequence[Source], progress: Progress) -> _Part:
         """Read, align, split and describe one recording."""
         plan = self._plan
-        mounts = mounts_of([files], self._base, lambda open_files: survey_mounts(open_files, plan.machine))
+        mounts = mounts_of([files], self._base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
         ingested = read_and_align([files], plan, mounts, progress, self._skews)
         settings = plan.rules.splits if plan.rules is not None else Splits()
         parts, roles = split(ingested.recordings, roles_of(ingested.recordings, settings, None), plan.where)

@@ -67,6 +67,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             }
             for s in dataset.sources
         ],
+        "notes": dataset.quality.get("notes", ()),
         "losses": sum(1 for source in dataset.sources if source.losses),
         "units": ", ".join(f"{name} [{unit}]" for name, unit in dataset.units.items()),
     }
