@@ -71,7 +71,7 @@ def started(begun: Begun, seed: int, seconds: float = 60.0) -> tuple[Plant, Reco
 
 
 def excess(errors: Mapping[str, float], floors: Mapping[str, float]) -> float:
-    """Squared errors of a recording beyond those of their noise floors, in squared standard deviations of noise, of all signals.
+    """Squared errors of a recording beyond those of its noise floors, in squared standard deviations of noise, of all signals.
 
     The floor of a signal is the root of an expectation, so that this is zero on the average, while the error of one recording
     whose start is uncertain scatters about its floor without a bound of its own. The signals of a recording share its start and
