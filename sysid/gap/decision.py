@@ -47,6 +47,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.effects import backlash
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
 from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
@@ -298,15 +299,16 @@ def _without_filters(
     rope: Mapping[EffectKey, float],
     without: Callable[[ModelFit, Candidate], ModelFit] | None,
 ) -> tuple[list[ModelFit], list[NearMiss]]:
-    """The acceptable sets without effects that are not certainly larger than ``rope``, the others refitted; and these effects.
+    """The acceptable sets without backlashes that are not certainly larger than ``rope``, the others refitted; and these.
 
     A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
-    value describes the recordings, not the machine. Effects that the recordings do not excite stay: that their size is not
-    certain does not tell a filter from an effect. The offset of a clock stays as well: without it, backlash takes its place.
+    value describes the recordings, not the machine. One that the recordings do not excite stays: that its size is not certain
+    does not tell a filter from an effect. What else has a region of its own filters nothing and stays, the offset of a clock
+    and a dead time: without them, backlash takes their place.
     """
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
-        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.target != "stream"]
+        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect is backlash.EFFECT]
         small = [c for c in tested if reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
@@ -345,13 +347,17 @@ def _pay_alone(
     """Whether the certain effects are worth their price without those that may be absent, the others refitted.
 
     Nothing has to be worth it where the latter leave at most a tenth less. A dead time that is 14 ms too short beside a second-
-    order lag that may be absent describes a longer lag: alone it reduces nothing.
+    order lag that may be absent describes a longer lag: alone it reduces nothing. An effect beside which the rest leaves as
+    little without it costs no price: a limit of a servo's speed beyond every speed of the recordings.
     """
     rest = model
     for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
         rest = without(rest, candidate)
     if rest is model or rest.left <= EXPLAINED * max(model.left, 1.0):
         return True
+    for candidate in (c for c in model.candidates if lacking[c.key] == LITTLE):
+        less = without(rest, candidate)
+        rest = less if less.left <= EXPLAINED * max(rest.left, 1.0) else rest
     return pays(nothing, rest.left, len(rest.candidates))
 
 
