@@ -22,6 +22,7 @@ Given models of one stage (sets of effects) under shared variances:
    *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
    effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
+   The plant gets the likeliest minimal survivor with further effects that leaves less by more than a tenth.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where errors do not accumulate, that interval includes
@@ -262,6 +263,11 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
+    if not (exact or integrates or servo):
+        richer = _less_left(model, survivors, unsure)
+        more = [c for c in richer.candidates if c.label not in model.labels]
+        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), LITTLE) for c in more]
+        model = richer
     near += [miss for miss in filters if all(miss.candidate.key != c.key for c in model.candidates)]
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in (*model.candidates, *(miss.candidate for miss in filters))}
@@ -430,8 +436,21 @@ def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) 
     """The likeliest minimal survivor that contains the effects of the smallest set and leaves no more."""
     keys = {c.key for c in smallest.candidates}
     those = [f for f in survivors if keys <= {c.key for c in f.candidates} and f.left <= smallest.left]
-    minimal = [f for f in those if not any(simpler(g, f) for g in those)]
-    return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=smallest)
+    return _likeliest_minimal(those, unsure) or smallest
+
+
+def _less_left(model: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) -> ModelFit:
+    """The likeliest minimal survivor that has the effects of a model and leaves less by more than a tenth, for the plant.
+
+    In the likelihood the discrepancy replaces what such a model has besides; the plant has no discrepancy.
+    """
+    less = [f for f in survivors if model.labels < f.labels and EXPLAINED * max(f.left, 1.0) < model.left]
+    return _likeliest_minimal(less, unsure) or model
+
+
+def _likeliest_minimal(models: Sequence[ModelFit], unsure: set[str]) -> ModelFit | None:
+    minimal = [f for f in models if not any(simpler(g, f) for g in models)]
+    return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=None)
 
 
 def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]) -> str:

@@ -242,6 +242,22 @@ def test_an_effect_that_changes_nothing_has_no_price(inert: float, named: tuple[
     assert found.named == named
 
 
+@pytest.mark.parametrize(("left", "needed", "taken"), [(1.5, 50.0, True), (2.4, 50.0, False), (1.5, 0.0, False)])
+def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: float, needed: float, taken: bool) -> None:
+    """More than a tenth less than 2.6 beside wrong formulas, by less than its price: adjusted without a name."""
+    alone, both = model(BAND, left=2.6), model(BAND, LAG, left=left)
+    fits = {f.labels: f for f in (NOTHING, alone, both, model(LAG, worse=4.0, left=9.0))}
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    found = decide(list(fits.values()), ALL, needed=lambda _: needed, integrates=False, without=without)
+    assert found.model is (both if taken else alone)
+    assert found.named == (BAND,)
+    (near,) = found.near_misses
+    assert (near.candidate, near.lacks) == (LAG, decision.LITTLE if taken else decision.WITHOUT)
+
+
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
