@@ -22,6 +22,7 @@ Given models of one stage (sets of effects) under shared variances:
    *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
    effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
    the others leave at most a tenth more without it.
+   The plant gets the likeliest minimal survivor with further effects that leaves less by more than a tenth.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where errors do not accumulate, that interval includes
@@ -47,6 +48,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.effects import backlash
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
 from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
@@ -261,6 +263,11 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
+    if not (exact or integrates or servo):
+        richer = _less_left(model, survivors, unsure)
+        more = [c for c in richer.candidates if c.label not in model.labels]
+        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), LITTLE) for c in more]
+        model = richer
     near += [miss for miss in filters if all(miss.candidate.key != c.key for c in model.candidates)]
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in (*model.candidates, *(miss.candidate for miss in filters))}
@@ -298,15 +305,16 @@ def _without_filters(
     rope: Mapping[EffectKey, float],
     without: Callable[[ModelFit, Candidate], ModelFit] | None,
 ) -> tuple[list[ModelFit], list[NearMiss]]:
-    """The acceptable sets without effects that are not certainly larger than ``rope``, the others refitted; and these effects.
+    """The acceptable sets without backlashes that are not certainly larger than ``rope``, the others refitted; and these.
 
     A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
-    value describes the recordings, not the machine. Effects that the recordings do not excite stay: that their size is not
-    certain does not tell a filter from an effect. The offset of a clock stays as well: without it, backlash takes its place.
+    value describes the recordings, not the machine. One that the recordings do not excite stays: that its size is not certain
+    does not tell a filter from an effect. What else has a region of its own filters nothing and stays, the offset of a clock
+    and a dead time: without them, backlash takes their place.
     """
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
-        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.target != "stream"]
+        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect is backlash.EFFECT]
         small = [c for c in tested if reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
@@ -345,13 +353,17 @@ def _pay_alone(
     """Whether the certain effects are worth their price without those that may be absent, the others refitted.
 
     Nothing has to be worth it where the latter leave at most a tenth less. A dead time that is 14 ms too short beside a second-
-    order lag that may be absent describes a longer lag: alone it reduces nothing.
+    order lag that may be absent describes a longer lag: alone it reduces nothing. An effect beside which the rest leaves as
+    little without it costs no price: a limit of a servo's speed beyond every speed of the recordings.
     """
     rest = model
     for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
         rest = without(rest, candidate)
     if rest is model or rest.left <= EXPLAINED * max(model.left, 1.0):
         return True
+    for candidate in (c for c in model.candidates if lacking[c.key] == LITTLE):
+        less = without(rest, candidate)
+        rest = less if less.left <= EXPLAINED * max(rest.left, 1.0) else rest
     return pays(nothing, rest.left, len(rest.candidates))
 
 
@@ -424,8 +436,21 @@ def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) 
     """The likeliest minimal survivor that contains the effects of the smallest set and leaves no more."""
     keys = {c.key for c in smallest.candidates}
     those = [f for f in survivors if keys <= {c.key for c in f.candidates} and f.left <= smallest.left]
-    minimal = [f for f in those if not any(simpler(g, f) for g in those)]
-    return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=smallest)
+    return _likeliest_minimal(those, unsure) or smallest
+
+
+def _less_left(model: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) -> ModelFit:
+    """The likeliest minimal survivor that has the effects of a model and leaves less by more than a tenth, for the plant.
+
+    In the likelihood the discrepancy replaces what such a model has besides; the plant has no discrepancy.
+    """
+    less = [f for f in survivors if model.labels < f.labels and EXPLAINED * max(f.left, 1.0) < model.left]
+    return _likeliest_minimal(less, unsure) or model
+
+
+def _likeliest_minimal(models: Sequence[ModelFit], unsure: set[str]) -> ModelFit | None:
+    minimal = [f for f in models if not any(simpler(g, f) for g in models)]
+    return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=None)
 
 
 def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]) -> str:

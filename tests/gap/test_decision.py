@@ -33,6 +33,7 @@ OFFERED = {
 BAND, LAG, DELAY, GAIN, CURVE = (
     OFFERED[f"{name}(boom)"] for name in ("valve_deadband", "first_order_lag", "input_delay", "gain_error", "gain_curve")
 )
+(PLAY,) = candidates_at(PLANT, PLANT.vector(), "joint", ("boom",))[:1]
 BLOCKS = 20
 #: An output that a unit of any parameter moves by so many noise floors.
 RESPONSE = 1000.0
@@ -128,23 +129,40 @@ def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     assert unsure.named == ()
 
 
+def _without_one(candidate: Candidate, region: float) -> decision.Decision:
+    """The decision on an effect of 0.1 beside a dead-band of 0.1, with a region of equivalence of its own."""
+    both, alone = model(BAND, candidate, away=0.1), model(BAND, worse=0.5, away=0.12)
+
+    def without(fit: ModelFit, removed: Candidate) -> ModelFit:
+        return alone if fit is both and removed is candidate else NOTHING
+
+    models = [NOTHING, both, model(candidate, worse=3.0, left=3.0)]
+    return decide(models, [*ALL, candidate.label], {candidate.key: region}, integrates=False, without=without)
+
+
 def test_what_noise_of_the_input_explains_leaves_the_model_and_the_rest_is_refitted() -> None:
     """A backlash within the noise of its input filters that noise; the plant without that noise must not contain it."""
-    both, alone = model(BAND, DELAY, away=0.1), model(BAND, worse=0.5, away=0.12)
-
-    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
-        return alone if fit is both and candidate is DELAY else NOTHING
-
-    models = [NOTHING, both, model(DELAY, worse=3.0, left=3.0)]
-    small = decide(models, ALL, {DELAY.key: 0.2}, integrates=False, without=without)
-    assert small.model is alone
-    assert small.acceptable == (alone,)
+    small = _without_one(PLAY, 0.2)
+    assert small.model.candidates == (BAND,)
+    assert small.model.values == pytest.approx([0.12, 0.12])
+    assert small.acceptable == (small.model,)
     assert small.named == (BAND,)
     (near,) = small.near_misses
-    assert (near.candidate, near.lacks) == (DELAY, decision.FILTERS)
-    assert near.values == pytest.approx(both.values_of(DELAY))
-    large = decide(models, ALL, {DELAY.key: 0.05}, integrates=False, without=without)
-    assert large.model is both
+    assert (near.candidate, near.lacks) == (PLAY, decision.FILTERS)
+    assert near.values == pytest.approx([0.1])
+    large = _without_one(PLAY, 0.05)
+    assert large.model.candidates == (BAND, PLAY)
+
+
+def test_only_backlash_filters_noise() -> None:
+    """A dead time that the order of command and sample leaves open stays: without it, backlash takes its place, too wide."""
+    tried = [c for c in OFFERED.values() if c is not BAND and len(c.unknowns) == 1]
+    assert len(tried) > 10
+    for candidate in tried:
+        found = _without_one(candidate, 0.2)
+        assert found.model.candidates == (BAND, candidate)
+        assert candidate not in found.named
+        assert decision.FILTERS not in {near.lacks for near in found.near_misses}
 
 
 def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_servo() -> None:
@@ -199,6 +217,45 @@ def test_an_effect_that_only_one_that_may_be_absent_makes_useful_is_not_named(
     lacks = {near.candidate: near.lacks for near in found.near_misses}
     assert lacks[LAG] == decision.UNCERTAIN
     assert lacks.get(BAND, "") == ("" if named else decision.BESIDE)
+
+
+@pytest.mark.parametrize(
+    ("inert", "named"), [pytest.param(2.5, (BAND, LAG), id="changes nothing"), pytest.param(3.0, (), id="leaves a fifth less")]
+)
+def test_an_effect_that_changes_nothing_has_no_price(inert: float, named: tuple[Candidate, ...]) -> None:
+    """Beside an uncertain effect: 15² − 1 is 25, but not 125 times 2.5² − 1; ``inert``: left without the third effect."""
+    remains = {(): 15.0, (BAND,): 9.0, (LAG,): 9.0, (BAND, LAG): inert, (BAND, LAG, GAIN): 2.5, (BAND, LAG, DELAY): 1.5}
+    remains |= {(BAND, LAG, GAIN, DELAY): 1.5, (LAG, GAIN, DELAY): 9.0, (BAND, GAIN, DELAY): 9.0}
+    fits = {frozenset(c.label for c in some): model(*some, left=left, worse=0.1 * left) for some, left in remains.items()}
+    whole = fits[frozenset(c.label for c in (BAND, LAG, GAIN, DELAY))]
+    (at,) = range(len(whole.unknowns))[whole.rows_of(DELAY)]
+    covariance = whole.covariance.copy()
+    covariance[at, at] = 1.0
+    whole = replace(whole, covariance=covariance, evidence=10.0)
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    found = decide([fits[frozenset()], whole], ALL, integrates=False, without=without)
+    lacks = {near.candidate: near.lacks for near in found.near_misses}
+    assert (lacks[GAIN], lacks[DELAY]) == (decision.LITTLE, decision.UNCERTAIN)
+    assert found.named == named
+
+
+@pytest.mark.parametrize(("left", "needed", "taken"), [(1.5, 50.0, True), (2.4, 50.0, False), (1.5, 0.0, False)])
+def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: float, needed: float, taken: bool) -> None:
+    """More than a tenth less than 2.6 beside wrong formulas, by less than its price: adjusted without a name."""
+    alone, both = model(BAND, left=2.6), model(BAND, LAG, left=left)
+    fits = {f.labels: f for f in (NOTHING, alone, both, model(LAG, worse=4.0, left=9.0))}
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    found = decide(list(fits.values()), ALL, needed=lambda _: needed, integrates=False, without=without)
+    assert found.model is (both if taken else alone)
+    assert found.named == (BAND,)
+    (near,) = found.near_misses
+    assert (near.candidate, near.lacks) == (LAG, decision.LITTLE if taken else decision.WITHOUT)
 
 
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:

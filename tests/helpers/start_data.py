@@ -6,13 +6,14 @@ The axes are simulated without the plant, in steps of 1 ms: dead time, lag, gain
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from plant_data import arm, steered
-from scipy import signal
+from scipy import signal, stats
 
 from sysid.datasets.recording import Recording
 from sysid.machine import KnownEffect
@@ -67,6 +68,22 @@ def started(begun: Begun, seed: int, seconds: float = 60.0) -> tuple[Plant, Reco
     table |= dict(zip(point_signals("tool"), model.tool(model.theta[None], _with(whole, table))[0].T, strict=True))
     cut = {name: values[first:] + rng.normal(0.0, NOISE.get(name, 0.0), count - first) for name, values in table.items()}
     return plant, Recording(begun, pd.DataFrame(cut | {"time": time[: count - first]}), RATE_HZ)
+
+
+def excess(errors: Mapping[str, float], floors: Mapping[str, float]) -> float:
+    """Squared errors of a recording beyond those of its noise floors, in squared standard deviations of noise, of all signals.
+
+    The floor of a signal is the root of an expectation, so that this is zero on the average, while the error of one recording
+    whose start is uncertain scatters about its floor without a bound of its own. The signals of a recording share its start and
+    are not independent; recordings of different machines are.
+    """
+    return sum((errors[name] ** 2 - floor**2) / NOISE[name] ** 2 for name, floor in floors.items())
+
+
+def beyond_chance(found: Sequence[float]) -> float:
+    """Mean of independent excesses over its largest size by chance (Student's t, two-sided 1 %): beyond ±1 it is not zero."""
+    error = float(np.std(found, ddof=1)) / math.sqrt(len(found))
+    return float(np.mean(found)) / (error * float(stats.t.ppf(0.995, len(found) - 1)))
 
 
 def _with(recording: Recording, table: dict[str, Array]) -> Recording:

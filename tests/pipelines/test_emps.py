@@ -29,13 +29,20 @@ def test_least_squares_under_our_filter_repeat_the_published_parameters(result: 
 
 @pytest.mark.parametrize("start", ["rigid", "viscous only"])
 def test_one_value_an_effect(result: dict[str, Any], start: str) -> None:
+    """The slide is level: its offset is what one viscous coefficient needs beside two, half their difference at the mean speed.
+
+    38 N·s/m at 0.081 m/s are 3.1 N. It is in the plant, since it halves the error, and no load, so that it has no name.
+    """
     run = result["runs"][f"{start}, simple forms"]
     found = effects(run)
     assert found["coulomb_friction"]["force"] == pytest.approx(COULOMB, rel=0.1)
-    assert found["load_bias"]["force"] == pytest.approx(BIAS, rel=0.1)
     if start == "rigid":
         assert found["viscous_friction"]["coefficient"] == pytest.approx(VISCOUS, rel=0.1)
-    assert run["error"]["after"]["pulses"] < 0.25 * run["error"]["before"]["pulses"]
+    assert "load_bias" not in found
+    (offset,) = (each for each in run["gap"]["written"] if each["name"] == "load_bias")
+    assert offset["kind"] == "adjusted"
+    assert offset["parameters"]["force"] == pytest.approx(BIAS, rel=0.1)
+    assert run["error"]["after"]["pulses"] < 1.05 * result["least_squares"]["one value each"]["error"]["pulses"]
 
 
 @pytest.mark.parametrize("start", ["rigid", "viscous only"])
