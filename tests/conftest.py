@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,22 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # one processor each: their threads wou
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ROOT = Path(__file__).parents[1]
+
+
+def pytest_collection_finish() -> None:
+    """Modules and collected tests stay until the end: the garbage collector of this process and of its children skips them."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_is_given_back() -> Iterator[None]:
+    """Each file is read in a forked process (:mod:`sysid.confined`), and a fork takes time in proportion to the memory in use.
+
+    Closures in cycles hold the tables of a finished search until the collector finds them, which it seldom seeks to.
+    """
+    yield
+    gc.collect()
 
 
 @pytest.fixture
