@@ -24,19 +24,23 @@ ROOT = Path(__file__).parents[1]
 
 
 def pytest_collection_finish() -> None:
-    """Modules and collected tests stay until the end: the garbage collector of this process and of its children skips them."""
-    gc.collect()
-    gc.freeze()
+    _collect_and_keep()
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _memory_is_given_back() -> Iterator[None]:
-    """Each file is read in a forked process (:mod:`sysid.confined`), and a fork takes time in proportion to the memory in use.
+    """Files are read in forked processes (:mod:`sysid.confined`), and a fork takes time in proportion to the memory in use.
 
     Closures in cycles hold the tables of a finished search until the collector finds them, which it seldom seeks to.
     """
     yield
+    _collect_and_keep()
+
+
+def _collect_and_keep() -> None:
+    """Free what is in cycles; later collections skip what is left, such as modules, collected tests and compiled code."""
     gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
