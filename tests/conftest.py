@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,26 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # one processor each: their threads wou
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ROOT = Path(__file__).parents[1]
+
+
+def pytest_collection_finish() -> None:
+    _collect_and_keep()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_is_given_back() -> Iterator[None]:
+    """Files are read in forked processes (:mod:`sysid.confined`), and a fork takes time in proportion to the memory in use.
+
+    Closures in cycles hold the tables of a finished search until the collector finds them, which it seldom seeks to.
+    """
+    yield
+    _collect_and_keep()
+
+
+def _collect_and_keep() -> None:
+    """Free what is in cycles; later collections skip what is left, such as modules, collected tests and compiled code."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

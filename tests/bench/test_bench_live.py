@@ -22,8 +22,6 @@ from sysid.bench.recipe_file import load_recipe
 from sysid.bench.run import simulate
 from sysid.errors import InputError
 
-pytestmark = pytest.mark.realtime
-
 ROOT = Path(__file__).parents[2]
 DATABASE = ROOT / "rl/autolog/machine.dbc"
 RECIPE = ROOT / "datasets/autolog/bench.toml"
@@ -112,6 +110,7 @@ def test_frames_survive_the_line(identifier: int, extended: bool, data: bytes) -
     assert parse_line(frame.line()[:-1]) == frame
 
 
+@pytest.mark.realtime
 def test_a_line_that_nobody_reads_loses_whole_frames(tmp_path: Path) -> None:
     line = SerialLine(tmp_path / "can0")
     other = os.open(tmp_path / "can0", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)

@@ -336,12 +336,13 @@ def test_files_of_one_layout_are_shown_together(tmp_path: Path, capsys: pytest.C
         table = pd.DataFrame({"time": np.arange(50 + number) / 50.0, "arm cmd": np.sin(np.arange(50 + number) / 9.0) * number})
         table.to_csv(tmp_path / f"run{number}.csv", index=False)
     pd.DataFrame({"time": np.arange(50) / 50.0, "boom": np.arange(50.0)}).to_csv(tmp_path / "other.csv", index=False)
-    assert run("ingest", "--inspect", tmp_path, "--draft", tmp_path / "r.toml") == 0
+    seen = tmp_path / "seen.json"
+    assert run("ingest", "--inspect", tmp_path, "--draft", tmp_path / "r.toml", "--json", seen) == 0
     shown = capsys.readouterr().out
     assert len(shown.splitlines()) < 60
     assert "73 files of one layout" in shown
     assert f"{sum(range(50, 123))}" in shown
-    assert len(inspected(capsys, tmp_path)["files"]) == 74
+    assert len(json.loads(seen.read_text("utf-8"))["files"]) == 74
 
 
 def test_a_stroke_that_is_missing_is_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

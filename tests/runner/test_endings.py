@@ -21,8 +21,6 @@ from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.policy_thread import PolicyError, PolicyThread
 
-pytestmark = pytest.mark.realtime
-
 Array = npt.NDArray[np.float64]
 AXES = ("slew", "boom", "stick", "telescope")
 #: When the machine is in full motion [s].
@@ -129,6 +127,7 @@ def waits(last: Array) -> Array:
     return last
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("fails", [never, waits])
 def test_a_policy_that_hangs_is_left_behind(fails: Callable[[Array], Array], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.2)
@@ -146,6 +145,7 @@ def test_a_policy_that_hangs_is_left_behind(fails: Callable[[Array], Array], mon
         pytest.fail("it still computes")
 
 
+@pytest.mark.realtime
 def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.1)
     policy = Policy(lambda last: last)
@@ -172,6 +172,7 @@ def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPat
     assert sources[-2] == "sweep"
 
 
+@pytest.mark.realtime
 def test_a_policy_that_is_cancelled_at_any_moment_answers_again() -> None:
     """Early or late by a hair, a hundred times: the exception comes before, in and after its answer."""
 
