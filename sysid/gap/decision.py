@@ -48,7 +48,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import backlash
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
 from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
@@ -314,7 +313,7 @@ def _without_filters(
     """
     found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
     for model in acceptable:
-        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect is backlash.EFFECT]
+        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.rate_independent]
         small = [c for c in tested if reaches(c, model, np.array(rope[c.key]))]
         rest = model
         for candidate in small if without is not None else ():
