@@ -152,7 +152,7 @@ def _described(
             entry(out, f"{question.why}.")
             choice = click.Choice(question.choices) if question.choices else None
             given[question.key] = click.prompt(question.key, default=question.proposal, type=choice)
-        found = describe(summaries, folder, name, Answers(given), kind, robot)
+        found = describe(summaries, folder, name, Answers(given, frozenset(given)), kind, robot)
     for axis in found.axes:
         out.line(f"axis  {axis}")
     for line in found.left_out:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
 
 from sysid.logs.lerobot import KIND
@@ -15,27 +16,44 @@ def _set(text: str) -> frozenset[str]:
 
 #: What a word in the name of a column says about its quantity. An operator's stick is not the command of the axis.
 WORDS: Mapping[str, frozenset[str]] = {
-    "operator": _set("js joy joystick operator pilot"),
+    "operator": _set("js joy joystick operator pilot handhebel"),
     "command": _set(
         "cmd command commands commanded setpoint sp duty pwm reference ref goal target desired des ctrl control action input "
-        "valve demand signal"
+        "valve spool dac demand signal soll sollwert sollwinkel sollweg sollposition solllage vorgabe ventil stellwert "
+        "stellgröße stellgroesse stellsignal"
     ),
-    "speed": _set("speed speeds velocity velocities vel qd qdot qvel dq omega rpm tacho gyro"),
-    "force": _set("torque torques effort efforts current tau force forces load pressure press"),
+    "speed": _set("speed speeds velocity velocities vel qd qdot qvel dq omega rpm tacho gyro geschwindigkeit drehzahl"),
+    "force": _set(
+        "torque torques effort efforts current tau force forces load pressure press kraft moment drehmoment strom druck"
+    ),
     "measured": _set(
         "ms meas measured measurement pos position positions present actual act state angle angles joint joints encoder enc q "
-        "qpos theta sensor feedback fb observation reading"
+        "qpos theta sensor feedback fb observation reading ist istwert istwinkel istweg istposition istlage messwert winkel "
+        "gelenk lage"
     ),
-    "cylinder": _set("cyl cylinder stroke wire wires displacement disp extension length len"),
+    "cylinder": _set(
+        "cyl cylinder stroke wire wires displacement disp extension length len zylinder kolben zylinderweg kolbenweg "
+        "seilzug weg"
+    ),
 }
+#: Words that say that a place is an angle, and a length; names of axes that rotate, and that slide.
+ANGLES = _set(
+    "angle angles deg degs degree degrees rad rads theta winkel istwinkel sollwinkel torque torques moment drehmoment "
+    "slew slewing swing swivel rotate rotation turntable yaw pan pitch roll shoulder elbow wrist hip knee ankle "
+    "drehwerk schwenk schwenkwerk schulter ellbogen handgelenk"
+)
+STRAIGHT = WORDS["cylinder"] | _set(
+    "mm cm distance travel slide slider telescope teleskop rail carriage gantry linear schlitten kraft"
+)
 #: Of the words of a command those that name other things as well: a spool, a mode, what a sensor gives.
-_VAGUE = _set("ctrl control action input valve signal")
+_VAGUE = _set("ctrl control action input valve spool dac signal ventil")
 #: Of the words of a measurement those that say which position is meant, or only that it is one: a command may have them too.
-_JOINTS, _POSITIONS = _set("joint joints angle angles encoder enc"), _set("pos position positions q qpos theta")
+_JOINTS = _set("joint joints angle angles encoder enc winkel gelenk istwinkel")
+_POSITIONS = _set("pos position positions q qpos theta lage")
 #: Words of a component of a point or a direction, which is not the position of an axis.
 _GEOMETRY = _set("x y z w pose poses orientation translation rotation twist linear")
 #: Words that belong to no axis.
-UNITS = _set("deg degs degree degrees rad rads mm cm m s sec nm n percent pct counts raw")
+UNITS = _set("deg degs degree degrees rad rads turn turns mm cm m s sec us v bar nm n percent pct counts ticks raw")
 #: Fields that change but are no signals.
 NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$|^((frame|episode|task)_)?index$")
 #: Which array of a ``JointState`` commands an axis, by its actuation.
@@ -43,9 +61,9 @@ _COMMANDED = {"velocity": "velocity", "position": "position", "servo": "position
 
 
 def words_of(text: str) -> list[str]:
-    """``/valves/boomCommand[2]`` → valves, boom, command, 2."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
+    """``/valves/boomCommand[2]`` → valves, boom, command, 2; letters of any alphabet, composed."""
+    spaced = re.sub(r"(?<=[a-zß-öø-ÿ])(?=[A-ZÀ-ÖØ-Þ])", " ", unicodedata.normalize("NFC", text))
+    return [word.lower() for word in re.findall(r"[^\W\d_]+|\d+", spaced)]
 
 
 def words_without_numbers(text: str) -> set[str]:

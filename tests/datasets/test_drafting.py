@@ -72,7 +72,9 @@ def logs(folder: Path, seed: int) -> Truth:
         columns = {"time": time + 1000.0 * rng.uniform()}
         for k in range(count):
             if kind == "hydraulic":
-                levels = np.repeat(rng.choice([-1.0, -0.6, 0.0, 0.0, 0.6, 1.0], 40), round(rate))[: len(time)]
+                pushes = rng.choice([-1.0, -0.6, 0.0, 0.0, 0.6, 1.0], 40)
+                pushes = np.where(np.abs(pushes) < 1.0, pushes * rng.uniform(0.7, 1.3, 40), pushes)
+                levels = np.repeat(pushes, round(rate))[: len(time)]
                 levels[np.repeat(np.arange(40) % 2 == 1, round(rate))[: len(time)]] = 0.0
                 late = np.concatenate([np.zeros(round(0.1 * rate)), levels[: len(time) - round(0.1 * rate)]])
                 place = 0.4 + np.cumsum(gain[k] * late) / rate
@@ -85,7 +87,7 @@ def logs(folder: Path, seed: int) -> Truth:
                 command = command * factor
             low[k], high[k] = min(low[k], place.min()), max(high[k], place.max())
             columns[command_name(NAMES[k], k)] = command
-            columns[motion_name(NAMES[k], k)] = factor * (place + rng.normal(0.0, 1e-5, len(time)))
+            columns[motion_name(NAMES[k], k)] = factor * (place + rng.normal(0.0, 1e-4, len(time)))
         pd.DataFrame(columns).to_csv(folder / f"run{number}.csv", index=False)
     return Truth(kind, neutral, span, gain, np.column_stack([low, high]), unit, rate, count)
 
@@ -110,8 +112,8 @@ def test_what_is_drafted_is_right_or_asked(tmp_path: Path, seed: int) -> None:
     (stream,) = recipe.streams
     for k, axis in enumerate(machine.axes):
         command, motion = stream.signals[f"{axis.name}.command"], stream.signals[axis.driven]
-        assert axis.actuation == ("velocity" if truth.kind == "hydraulic" else "position") or f"{axis.name}.actuation" in asked
-        assert motion.unit == truth.unit or "unit" in asked
+        assert axis.actuation == ("velocity" if truth.kind == "hydraulic" else "position") or "actuation" in asked
+        assert motion.unit == truth.unit or asked & {"unit", "angle_unit", "position_unit", "drives"}
         if motion.unit != truth.unit or axis.actuation != "velocity":
             continue
         assert command.zero == pytest.approx(truth.neutral[k], abs=0.01 * truth.span[k])
@@ -194,7 +196,7 @@ def test_a_recording_in_another_unit_has_an_entry_of_its_own(tmp_path: Path) -> 
     path = folder / "run1.csv"
     table = pd.read_csv(path)
     table.assign(**{name: table[name] / 10.0 for name in table.columns[2::2]}).to_csv(path, index=False)
-    found = described(folder)
+    found = described(folder, {"drives": "cylinder"})
     assert [(q.key, q.proposal) for q in found.questions if q.key.startswith("unit.")] == [("unit.run1", "cm")]
     (folder / "machine.toml").write_text(found.machine)
     (folder / "recipe.toml").write_text(found.recipe)
@@ -263,7 +265,7 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
     verb = ("--workspace", workspace, "start", folder)
     assert run(*verb) == 2
     assert not (folder / "machine.toml").exists()
-    assert run(*verb, "--yes", "--json", result) == 0
+    assert run(*verb, "--set", "drives=cylinder", "--yes", "--json", result) == 0
     values = json.loads(result.read_text())
     verdict = json.loads(result.with_suffix(".gap.json").read_text())
     for response in values["responses"]:
@@ -328,3 +330,83 @@ def test_the_axes_of_a_bag_are_paired_by_labels(tmp_path: Path) -> None:
     assert '"boom.command" = { topic = "/velocity_cmd", field = "velocity[boom_joint]"' in found.recipe
     assert 'field = "position[stick_joint]"' in found.recipe
     assert not any("stamp" in line for line in found.left_out)
+
+
+def table(folder: Path, columns: dict[str, Array]) -> Description:
+    """What is drafted of one log at 50 Hz with these columns."""
+    folder.mkdir()
+    time = np.arange(len(next(iter(columns.values())))) / 50.0
+    pd.DataFrame({"time": time, **columns}).to_csv(folder / "a.csv", index=False)
+    return described(folder)
+
+
+def followed(count: int, size: float = 1.0) -> list[tuple[Array, Array]]:
+    """Setpoints and the places that follow them, for ``count`` axes."""
+    time = np.arange(3000) / 50.0
+    points = [size * (np.sin(0.7 * time + k) + 0.4 * np.sin((1.9 + 0.3 * k) * time)) for k in range(count)]
+    return [(point, np.interp(time - 0.1, time, point)) for point in points]
+
+
+@pytest.mark.parametrize(
+    ("command", "motion", "axes"),
+    [
+        ("u{}", "y{}", ("axis_1", "axis_2")),
+        ("target pos ({})", "pos ({})", ("axis_1", "axis_2")),
+        ("Soll_Gelenk{}", "Ist_Gelenk{}", ("axis_1", "axis_2")),
+        ("Stellgröße Löffel {}", "Weg Löffel {}", ("axis_1", "axis_2")),
+        ("axis {} in", "axis {} out", ("axis_1", "axis_2")),
+        ("i_valve_{}", "wire_{}", ("axis_1", "axis_2")),
+        ("qd_{}", "q_{}", ("axis_1", "axis_2")),
+    ],
+)
+def test_columns_are_paired_as_people_name_them(tmp_path: Path, command: str, motion: str, axes: tuple[str, ...]) -> None:
+    both = followed(2)
+    columns = {name.format(k + 1): own[n] for k, own in enumerate(both) for n, name in enumerate((command, motion))}
+    found = table(tmp_path / "logs", columns)
+    assert len(found.axes) == len(axes), found.left_out
+    for k in (1, 2):
+        name = next(name for name in found.axes if name.endswith(f"_{k}"))
+        assert f'"{name}.command" = {{ field = "{command.format(k)}"' in found.recipe
+        assert f'field = "{motion.format(k)}"' in found.recipe
+
+
+@pytest.mark.parametrize("name", ["base", "tool", "machine", "time"])
+def test_an_axis_with_a_reserved_name_is_renamed(tmp_path: Path, name: str) -> None:
+    ((setpoint, place),) = followed(1)
+    found = table(tmp_path / "logs", {f"cmd_{name}": setpoint, f"pos_{name}": place, "battery": np.linspace(12.0, 11.0, 3000)})
+    assert found.axes == (f"axis_{name}",)
+
+
+@pytest.mark.parametrize(("ending", "unit"), [("_N", "N"), ("_Nm", "N·m"), ("_nm", "N·m"), (" (Nm)", "N·m"), (" [N]", "N")])
+def test_the_unit_of_a_force_in_a_name(tmp_path: Path, ending: str, unit: str) -> None:
+    time = np.arange(3000) / 50.0
+    columns = {f"tau_1{ending}": -2.0 * np.sin(time), "q_1_rad": np.sin(time)}
+    assert f'unit = "{unit}"' in table(tmp_path / "logs", columns).recipe
+
+
+def test_counts_of_an_encoder_are_asked(tmp_path: Path) -> None:
+    ((setpoint, place),) = followed(1, 700.0)
+    found = table(tmp_path / "logs", {"goal_pos": np.round(2048.0 + setpoint), "present_pos": np.round(2048.0 + place)})
+    assert [(q.key, q.proposal) for q in found.questions] == [("position_unit", "4096/turn")]
+    assert f'span = {4096.0 / (2.0 * math.pi):.9g}, unit = "rad"' in found.recipe
+
+
+@pytest.mark.parametrize("rate", [240.0, 400.0, 150.0, 60.0])
+def test_the_rate_of_stamps_in_whole_milliseconds(tmp_path: Path, rate: float) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    time = np.arange(5000) / rate
+    setpoint = np.sin(time) + 0.4 * np.sin(2.3 * time)
+    columns = {"time_ms": np.round(1e3 * time).astype(int), "cmd_1": setpoint, "pos_1": np.interp(time - 0.1, time, setpoint)}
+    pd.DataFrame(columns).to_csv(folder / "a.csv", index=False)
+    assert f"rate_hz = {rate} " in described(folder).machine
+
+
+def test_one_answer_for_all_axes_and_one_for_a_single_axis(tmp_path: Path) -> None:
+    both = followed(2, 40.0)
+    columns = {name: own[n] for k, own in enumerate(both) for n, name in enumerate((f"goal_{k + 1}", f"present_{k + 1}"))}
+    assert [q.key for q in table(tmp_path / "logs", columns).questions] == ["position_unit"]
+    found = described(tmp_path / "logs", {"position_unit": "deg", "axis_2.unit": "mm"})
+    assert not found.questions
+    assert 'field = "present_1", unit = "deg"' in found.recipe
+    assert 'field = "present_2", unit = "mm"' in found.recipe

@@ -12,12 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.drafting.fields import MAX_SECONDS, Field
+from sysid.datasets.drafting.inertia import moved_mass
 from sysid.datasets.drafting.question import Answers, Question
-from sysid.datasets.plausibility.response import MAX_DELAY_S, Motion, correlation, response_of
+from sysid.datasets.drafting.valve import Characteristic, characteristic
+from sysid.datasets.plausibility.response import MAX_DELAY_S, correlation
 from sysid.datasets.quality.responses import speed
-from sysid.datasets.words import words_of
+from sysid.datasets.words import ANGLES, STRAIGHT, words_of
 from sysid.errors import SettingsError, nearest
-from sysid.machine import Axis
+from sysid.machine.description import RESERVED
 from sysid.names import listed, slug
 from sysid.units import si_factor
 
@@ -34,6 +36,11 @@ RADIANS, DEGREES = 2.1 * math.pi, 400.0
 #: Largest length that may be in metres, and least that cannot be.
 METRES, MILLIMETRES = 3.0, 20.0
 LENGTHS = ("mm", "cm", "m")
+#: Counts of a servo's encoder as a unit; units of angles.
+COUNTS = "4096/turn"
+ANGLE_UNITS = ("deg", "rad", "turn", COUNTS, "1024/turn", "16384/turn")
+#: Largest angle that is in radians, and least that is in degrees; a cylinder is not this share of its range below zero.
+HALF_TURN, UNSURE, BELOW = 1.05 * math.pi, 4.0 * math.pi, 0.05
 #: Least gain [m/s or rad/s].
 SMALLEST = 1e-9
 #: A recording drives an axis if its command covers this share of its range.
@@ -46,8 +53,14 @@ ASSIGNED = {"command": "command", "motion": "measured"}
 UNIT_COMMAND = 1.05
 #: Usual full scales of a command; one is taken if the largest command is within this share of it.
 SCALES, NEAR = (1.0, 100.0, 127.0, 255.0, 500.0, 1000.0, 1023.0, 2047.0, 4095.0, 32767.0), 0.02
-#: A motion at rest, as a share of the 95th percentile of its speed; commands that count as full, as a share.
-RESTS, FULL = 0.05, 0.8
+#: Usual raw commands at rest; one is proposed within this share of the range of the command from where the motion reverses.
+NEUTRALS, ASIDE = (0.0, 0.5, 2.5, 5.0, 7.5, 50.0, 127.0, 128.0, 512.0, 1500.0, 2048.0, 32768.0), 0.06
+#: A valve is faster than this [s]; a mass under a force is slower.
+SLOW_S = 0.45
+#: A pause of a motion is longer than this multiple of its median step, and than this [s].
+PAUSE_STEPS, PAUSE_S = 4.0, 0.2
+#: Rate at which the speeds of a valve axis are fitted [Hz], and the rows of that.
+FINE_HZ, MAX_ROWS = 100.0, 2.0**18
 
 KINDS = {"hydraulic": "velocity", "servo": "position", "force": "force"}
 
@@ -92,18 +105,20 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
     groups: dict[str, list[Field]] = {}
     for each in _assigned(fields, answers):
         groups.setdefault(each.axis, []).append(each)
-    pairs, left = dict[str, tuple[Field, Field, str, dict[str, str]]](), list[str]()
+    groups = _completed(groups, fields)
+    pairs, left = dict[str, _Pair](), list[str]()
     for words, group in groups.items():
-        name = f"axis_{words}" if words.isdecimal() else slug(words, "axis").replace("-", "_") if words else "axis"
+        name = slug(words, "axis").replace("-", "_") if words else "axis"
+        name = f"axis_{name}" if name.isdecimal() or name in RESERVED else name
         numbered = (f"{name}_{k}" for k in itertools.count(2))
         name = name if name not in pairs else next(each for each in numbered if each not in pairs)
         commands = [f for f in group if "command" in f.says and "operator" not in f.says]
         forces = [f for f in group if "force" in f.says and not f.says & {"command", "operator"}]
         if kind == "force" and forces and not any("force" in f.says for f in commands):
             commands = forces
-        motions = [f for f in group if not f.says & {"command", "operator", "force"} and f.says != {"speed"}]
-        motions = [f for f in motions if "speed" not in f.says] or motions
+        motions = _motions(group)
         commands = commands or [f for f in forces if motions] or [f for f in group if "operator" in f.says]
+        commands = commands or [f for f in group if f.says == {"speed"} and any(_is_setpoint(f, m) for m in motions)]
         if not commands or not motions:
             labels = ", ".join(f.label for f in group)
             left.append(f"{labels}: no {'command' if not commands else 'motion'} beside it by name")
@@ -118,18 +133,83 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
             left.append(f"{motion.label}: computed from {command.label}, not measured")
             continue
         left += [f"{f.label}: {name} has {command.label} and {motion.label}" for f in group if f not in (command, motion)]
-        notes: dict[str, str] = {}
-        pairs[name] = command, motion, _actuation(name, command, how, answers, kind, notes), notes
-    units = _units({name: (motion, actuation) for name, (_, motion, actuation, _) in pairs.items()}, answers)
-    unstated = {name: pair for name, pair in pairs.items() if pair[1].unit is None and pair[2] == "velocity"}
-    other = _other_units({name: (command, motion) for name, (command, motion, _, _) in unstated.items()}, units, answers)
+        valve = _likely(command, how) == "velocity" and kind in (None, "hydraulic")
+        pairs[name] = _Pair(command, motion, how, _fitted(command, motion) if valve else None)
+    actuations = _actuations(pairs, answers, kind)
+    units = _units(pairs, actuations, answers)
+    unstated = {name: pair for name, pair in pairs.items() if pair.motion.unit is None and actuations[name] == "velocity"}
+    other = _other_units({name: (pair.command, pair.motion) for name, pair in unstated.items()}, units, answers)
     found = []
-    for name, (command, motion, actuation, notes) in pairs.items():
-        drives, unit, notes["unit"] = units[name]
+    for name, pair in pairs.items():
+        drives, unit, pair.notes["unit"] = units[name]
         its = other if name in unstated else {}
-        scaled = _in_one_unit(motion, unit, its)
-        found.append(replace(_axis(name, command, scaled, actuation, drives, unit, notes), motion=motion, units=its))
+        scaled = pair if not its else replace(pair, motion=_in_one_unit(pair.motion, unit, its), fit=None)
+        found.append(replace(_axis(name, scaled, actuations[name], drives, unit, answers), motion=pair.motion, units=its))
     return found, left
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Command and motion of an axis, how one follows the other (correlations), and as a valve (None: too short)."""
+
+    command: Field
+    motion: Field
+    how: Mapping[str, float]
+    fit: Characteristic | None
+    notes: dict[str, str] = field(default_factory=dict)
+
+
+def _fitted(command: Field, motion: Field) -> Characteristic | None:
+    """The motion as that of a valve."""
+    rate = _fine_rate(command)
+    return characteristic([*_parts(command, motion, rate)], rate)
+
+
+def _fine_rate(command: Field) -> float:
+    """Rate of the grid on which an axis is fitted [Hz]."""
+    return min(FINE_HZ, MAX_ROWS / max(sum(float(np.ptp(one.time)) for one in command.series), 1.0))
+
+
+def _is_setpoint(field: Field, motion: Field) -> bool:
+    """Whether what is a speed by its name (``qd``) is the desired position: the motion follows it, and its speed does not."""
+    how = _compared(field, motion)
+    return how["position"] >= FOLLOWS and how["position"] >= how["velocity"] + SURE
+
+
+def _motions(group: Sequence[Field]) -> list[Field]:
+    """The columns of an axis that may be its place."""
+    motions = [f for f in group if not f.says & {"command", "operator", "force"} and f.says != {"speed"}]
+    return [f for f in motions if "speed" not in f.says] or motions
+
+
+def _completed(groups: Mapping[str, list[Field]], fields: Sequence[Field]) -> dict[str, list[Field]]:
+    """The groups; two of which one lacks the motion and one the command are one axis if they alone have most words in common.
+
+    ``i_valve_boom`` and ``wire_boom`` are of one axis, whatever ``i`` is.
+    """
+    says = {words: frozenset().union(*(f.says for f in group)) - {"operator"} for words, group in groups.items()}
+    given = {words for words, group in groups.items() if not _motions(group) and says[words] & {"command", "force"}}
+    moved = {words for words, group in groups.items() if "command" not in says[words] and any(f.says for f in _motions(group))}
+    common = {
+        (one, other): len({*one.split("_")} & {*other.split("_")} - {""})
+        for one, other in itertools.product(given, moved)
+        if "command" in says[one] or "force" not in says[other]
+    }
+    if len(given) == len(moved) == 1 and not any(
+        _motions(group) and "command" in says[words] for words, group in groups.items()
+    ):
+        common = dict.fromkeys(itertools.product(given, moved), 1)  # one axis, whatever its columns are called
+    found, partner = dict(groups), dict[str, str]()
+    for (one, other), count in common.items():
+        others = [size for pair, size in common.items() if pair != (one, other) and (one in pair or other in pair)]
+        if count > max(others, default=0):
+            partner[other] = one
+    for other, one in partner.items():
+        words = "_".join(word for word in other.split("_") if word in one.split("_"))
+        joined = [*found.pop(one), *found.pop(other)]
+        found[words] = [*found.get(words, []), *joined]
+    order = {field.label: k for k, field in enumerate(fields)}
+    return dict(sorted(found.items(), key=lambda item: min(order[field.label] for field in item[1])))
 
 
 def _other_units(
@@ -231,20 +311,7 @@ def _compared(command: Field, motion: Field) -> dict[str, float]:
 
 def _together(command: Field, motion: Field, held: bool = True) -> tuple[Array, Array]:
     """Command (held between its samples) and motion of all recordings on one even grid, (n,) each; NaN between recordings."""
-    gap, parts = np.full(round(MAX_DELAY_S * RATE_HZ) + 2, np.nan), []
-    for one in command.series:
-        for other in motion.series:
-            if one.recording != other.recording or len(one.time) < 2 or len(other.time) < 2:
-                continue
-            begin = max(one.time[0], other.time[0])
-            grid = np.arange(begin, min(one.time[-1], other.time[-1], begin + MAX_SECONDS), 1.0 / RATE_HZ)
-            if not len(grid):
-                continue
-            before = one.values[np.clip(np.searchsorted(one.time, grid, "right") - 1, 0, len(one.values) - 1)]
-            given = before if held else np.interp(grid, one.time, one.values)
-            known = np.isfinite(other.values)
-            moved = np.interp(grid, other.time[known], other.values[known]) if known.any() else np.full(len(grid), np.nan)
-            parts.append((given, moved))
+    gap, parts = np.full(round(MAX_DELAY_S * RATE_HZ) + 2, np.nan), [*_parts(command, motion, RATE_HZ, held)]
     if not parts:
         return gap, gap
     u, x = (np.concatenate([part for pair in zip(column, [gap] * len(parts), strict=True) for part in pair])
@@ -252,95 +319,174 @@ def _together(command: Field, motion: Field, held: bool = True) -> tuple[Array, 
     return u, x
 
 
-def _axis(name: str, command: Field, motion: Field, actuation: str, drives: str, unit: str, notes: dict[str, str]) -> AxisDraft:
-    u, x = _together(command, motion)
-    moved = speed(x, RATE_HZ)
+def _parts(command: Field, motion: Field, rate: float, held: bool = True) -> Iterator[tuple[Array, Array]]:
+    """Command and motion on an even grid of ``rate`` [Hz], (n,) each: of each recording, between the pauses of the motion."""
+    for one, other in itertools.product(command.series, motion.series):
+        given, known = np.isfinite(one.values), np.isfinite(other.values)
+        if one.recording != other.recording or np.count_nonzero(given) < 2 or np.count_nonzero(known) < 2:
+            continue
+        at, values, time, places = one.time[given], one.values[given], other.time[known], other.values[known]
+        steps = np.diff(time)
+        pauses = np.flatnonzero(steps > max(PAUSE_STEPS * float(np.median(steps)), PAUSE_S)) + 1
+        for piece in np.split(np.arange(len(time)), pauses):
+            begin = max(at[0], time[piece[0]])
+            grid = np.arange(begin, min(at[-1], time[piece[-1]], at[0] + MAX_SECONDS), 1.0 / rate)
+            if len(grid):
+                before = values[np.clip(np.searchsorted(at, grid, "right") - 1, 0, len(values) - 1)]
+                yield before if held else np.interp(grid, at, values), np.interp(grid, time, places)
+
+
+def _axis(name: str, pair: _Pair, actuation: str, drives: str, unit: str, answers: Answers) -> AxisDraft:
+    command, motion, notes = pair.command, pair.motion, pair.notes
     command_unit, zero, span, sign, gain, inertia = None, 0.0, 1.0, 1, 1.0, math.nan
-    factor = si_factor(unit)[0]
+    factor = unit_factor(unit)
     if actuation == "velocity":
-        zero, span = _neutral(u, moved, notes)
-        share = (u - zero) / span
-        sign = -1 if np.nansum(share * _later(moved, share)) < 0.0 else 1
-        gain = _gain(sign * share, factor * moved, notes)
+        zero, span, sign, gain = _valve(name, pair, answers)
+        gain = max(factor * gain, SMALLEST)
     elif actuation == "position":
         command_unit = command.unit or unit
     else:
         command_unit = command.unit or ("N" if unit in LENGTHS else "N·m")
-        inertia = _inertia(u * si_factor(command_unit)[0], factor * x, notes)
+        inertia = _inertia(command, motion, unit_factor(command_unit), factor, notes)
     values = motion.values * factor
     notes["ends"] = "the range that the logs contain: where it is not the end stops, widen it"
     if actuation == "position":
-        values = np.concatenate([values, command.values * si_factor(command_unit or unit)[0]])
+        values = np.concatenate([values, command.values * unit_factor(command_unit or unit)])
         notes["ends"] = "the range of commands and motion in the logs: where it is not the end stops, widen it"
     ends = float(values.min()), float(values.max())
     return AxisDraft(name, command, motion, actuation, drives, zero, span, sign, unit, command_unit, gain, inertia, ends, notes)
 
 
-def _inertia(force: Array, place: Array, notes: dict[str, str]) -> float:
-    """Moving mass or inertia of a force axis; one, which is said to be assumed, where the recordings do not show it."""
-    rate = speed(place, RATE_HZ)
-    motion = Motion(force, place, rate, speed(rate, RATE_HZ), 1.0 / RATE_HZ)
-    found = response_of(motion, Axis(name="axis", actuation="force", drives="joint", inertia=1.0, limits=(-1.0, 1.0)))
-    if found is None or not found.value > 0.0:
+def unit_factor(unit: str) -> float:
+    """SI value of a unit of motion; also of counts, as ``4096/turn``."""
+    counts, per_turn, _ = unit.partition("/turn")
+    return 2.0 * math.pi / float(counts) if per_turn else si_factor(unit)[0]
+
+
+def _inertia(command: Field, motion: Field, force: float, length: float, notes: dict[str, str]) -> float:
+    """Moving mass or inertia of a force axis; one, which is said to be assumed, where the recordings do not show it.
+
+    Args:
+        force, length: units of command and motion [SI].
+    """
+    rate = _fine_rate(command)
+    found = moved_mass([(force * u, length * x) for u, x in _parts(command, motion, rate, held=False)], rate)
+    if not found > 0.0:
         notes["inertia"] = "assumed: these logs do not show it"
         return 1.0
     notes["inertia"] = "from force and acceleration, beside friction and weight"
-    return found.value
+    return found
 
 
-def _actuation(
-    name: str, command: Field, how: Mapping[str, float], answers: Answers, kind: str | None, notes: dict[str, str]
-) -> str:
-    if kind is not None:
-        return KINDS[kind]
+def _likely(command: Field, how: Mapping[str, float]) -> str:
+    """What a command is by its name, and by what follows it."""
     if "force" in command.says:
-        notes["actuation"] = f"{command.label} is a force or torque by its name"
         return "force"
-    likely = "position" if how["position"] >= max(how["velocity"], FOLLOWS) else "velocity"
-    shown = f"correlation of the command with the speed {how['velocity']:.2f}, with the position {how['position']:.2f}"
-    notes["actuation"] = shown
-    if abs(how["position"] - how["velocity"]) >= SURE:
-        return likely
-    question = Question(f"{name}.actuation", likely, f"{command.label}: {shown}", ("velocity", "position", "force"))
-    return answers.of(question)
+    return "position" if how["position"] >= max(how["velocity"], FOLLOWS) else "velocity"
 
 
-def _units(pairs: Mapping[str, tuple[Field, str]], answers: Answers) -> dict[str, tuple[str, str, str]]:
-    """What each command drives, the unit of its motion, and where that is from; motions without a unit are decided together.
+def _actuations(pairs: Mapping[str, _Pair], answers: Answers, kind: str | None) -> dict[str, str]:
+    """What each command is: a speed, a position or a force. Those that neither names nor data decide are asked together."""
+    if kind is not None:
+        return dict.fromkeys(pairs, KINDS[kind])
+    found, unsure = dict[str, str](), dict[str, str]()
+    for name, pair in pairs.items():
+        how, fit = pair.how, pair.fit
+        likely = found[name] = _likely(pair.command, how)
+        if likely == "force":
+            pair.notes["actuation"] = f"{pair.command.label} is a force or torque by its name"
+            continue
+        shown = f"correlation of the command with the speed {how['velocity']:.2f}, with the position {how['position']:.2f}"
+        slow = likely == "velocity" and fit is not None and fit.lag >= SLOW_S
+        if slow and fit is not None:
+            shown += f", full speed after {3.0 * fit.lag:.2g} s as of a mass under a force"
+            found[name] = "force"
+        pair.notes["actuation"] = shown
+        if abs(how["position"] - how["velocity"]) < SURE or slow:
+            unsure[name] = f"{pair.command.label}: {shown}"
+    if unsure:
+        usual = Counter(found[name] for name in unsure).most_common(1)[0][0]
+        choices = ("velocity", "position", "force")
+        question = Question("actuation", usual, listed([*unsure.values()], 4), choices)
+        found |= _of_all_or_each("actuation", {name: found[name] for name in unsure}, question, answers)
+    return found
 
-    Args:
-        pairs: name of an axis → its motion, and its actuation.
-    """
+
+def _units(pairs: Mapping[str, _Pair], actuations: Mapping[str, str], answers: Answers) -> dict[str, tuple[str, str, str]]:
+    """What each command drives, the unit of its motion, and where that is from; motions without a unit are decided together."""
     found = {}
-    unknown = {name: motion for name, (motion, _) in pairs.items() if motion.unit is None}
-    valves = {name: motion for name, motion in unknown.items() if pairs[name][1] == "velocity"}
-    angles = {name for name, motion in valves.items() if {"angle", "joint", "deg", "rad"} & {*words_of(motion.name)}}
-    plain = [name for name, motion in valves.items() if name not in angles and "cylinder" not in motion.says]
-    cylinders = {name for name in valves if name not in angles}
+    unknown = {name: pair.motion for name, pair in pairs.items() if pair.motion.unit is None}
+    forms = {name: _form(name, pair, actuations[name]) for name, pair in pairs.items() if name in unknown}
+    valves = [name for name in unknown if actuations[name] == "velocity"]
+    for name in (name for name in valves if forms[name]):
+        why = f"{_ranges([name], unknown)}: by its name"
+        forms[name] = answers.of(Question(f"{name}.drives", forms[name], why, ("cylinder", "joint")), sure=True)
+    plain = {name: "joint" if _below_zero(unknown[name]) else "cylinder" for name in valves if not forms[name]}
     if plain:
-        why = f"{_ranges(plain, unknown)}: lengths of cylinders, or angles of joints"
-        if answers.of(Question("drives", "cylinder", why, ("cylinder", "joint"))) == "joint":
-            cylinders -= set(plain)
-    for names in (sorted(cylinders, key=[*pairs].index), [name for name in unknown if name not in cylinders]):
+        usual = Counter(plain.values()).most_common(1)[0][0]
+        why = f"{_ranges([*plain], unknown)}: lengths of cylinders, or angles of joints"
+        forms |= _of_all_or_each("drives", plain, Question("drives", usual, why, ("cylinder", "joint")), answers)
+    groups = (
+        ("unit", [name for name in unknown if forms[name] == "cylinder"]),
+        ("angle_unit", [name for name in unknown if forms[name] == "joint"]),
+        ("position_unit", [name for name in unknown if not forms[name]]),
+    )
+    for key, names in groups:
         if not names:
             continue
         most = max(float(np.abs(unknown[name].values).max()) for name in names)
+        whole = all(bool(np.all(unknown[name].values % 1.0 == 0.0)) for name in names)
         ranges = _ranges(names, unknown)
-        why = f"{ranges}; the unit is not stated"
-        if names[0] in cylinders:
-            likely = "mm" if most >= MILLIMETRES else "cm"
-            unit = "m" if most <= METRES else answers.of(Question("unit", likely, why, LENGTHS))
-        elif most <= DEGREES:
-            unit = "rad" if most <= RADIANS else "deg"
-        else:
-            unit = answers.of(Question("unit", "deg", why, ("deg", "rad", *LENGTHS)))
+        likely, choices, sure = _likely_unit(key, most, whole)
+        question = Question(key, likely, f"{ranges}; the unit is not stated", choices)
+        of_all = answers.of(question, sure)
         for name in names:
-            found[name] = ("cylinder" if name in cylinders else "joint"), unit, f"not stated; {ranges}"
-    for name, (motion, actuation) in pairs.items():
-        if motion.unit is not None:
-            drives = "cylinder" if motion.unit in LENGTHS and actuation == "velocity" else "joint"
-            found[name] = drives, motion.unit, "stated in the file"
+            every = Question(f"{name}.unit", of_all, question.why, (*LENGTHS, *ANGLE_UNITS))
+            unit = answers.of(every, sure=True)
+            cylinder = name in valves and (forms[name] == "cylinder" or unit in LENGTHS)
+            found[name] = "cylinder" if cylinder else "joint", unit, f"not stated; {ranges}"
+    for name, pair in pairs.items():
+        if pair.motion.unit is not None:
+            drives = "cylinder" if pair.motion.unit in LENGTHS and actuations[name] == "velocity" else "joint"
+            found[name] = drives, pair.motion.unit, "stated in the file"
     return found
+
+
+def _form(name: str, pair: _Pair, actuation: str) -> str:
+    """Whether names and values show a length (``cylinder``) or an angle (``joint``); empty where they do not."""
+    words = {*words_of(f"{name} {pair.motion.label} {pair.command.label}")}
+    angle, straight = bool(words & ANGLES), bool(words & STRAIGHT)
+    if actuation == "velocity":
+        angle |= bool(words & {"joint", "joints", "gelenk"})
+    return "" if angle == straight else "joint" if angle else "cylinder"
+
+
+def _below_zero(motion: Field) -> bool:
+    """Whether it reaches below zero, as no cylinder does that is measured from its retracted end."""
+    low, high = float(motion.values.min()), float(motion.values.max())
+    return low < -BELOW * (high - low)
+
+
+def _of_all_or_each(quantity: str, likely: Mapping[str, str], question: Question, answers: Answers) -> dict[str, str]:
+    """What is true of each axis: its own answer (``boom.drives``), else that of all (``drives``), else what is ``likely``."""
+    of_all = answers.of(question)
+    given = question.key in answers.given
+    return {
+        name: answers.of(Question(f"{name}.{quantity}", of_all if given else own, question.why, question.choices), sure=True)
+        for name, own in likely.items()
+    }
+
+
+def _likely_unit(key: str, most: float, whole: bool) -> tuple[str, tuple[str, ...], bool]:
+    """The likely unit of motions up to ``most``, the choices, and whether it is sure; ``whole``: of whole numbers only."""
+    lengths = "m" if most <= METRES else "mm" if most >= MILLIMETRES else "cm"
+    counts = whole and most > DEGREES
+    angles = "rad" if most <= RADIANS else COUNTS if counts else "deg"
+    if key == "unit":
+        return lengths, LENGTHS, most <= METRES
+    if key == "angle_unit":
+        return angles, ANGLE_UNITS, most <= HALF_TURN or UNSURE < most <= DEGREES
+    return angles, (*ANGLE_UNITS, *LENGTHS), False
 
 
 def _ranges(names: Sequence[str], motions: Mapping[str, Field]) -> str:
@@ -348,43 +494,54 @@ def _ranges(names: Sequence[str], motions: Mapping[str, Field]) -> str:
     return listed(shown, 4)
 
 
-def _neutral(u: Array, moved: Array, notes: dict[str, str]) -> tuple[float, float]:
-    """Neutral value of a command, and the distance from it to the full one, in raw values."""
-    known = u[np.isfinite(u)]
+def _valve(name: str, pair: _Pair, answers: Answers) -> tuple[float, float, int, float]:
+    """Of a valve axis: neutral and span of its command [raw], sign, and speed at full command [unit of the motion / s]."""
+    command, motion, notes = pair.command, pair.motion, pair.notes
+    found = pair.fit or _fitted(command, motion)
+    known = command.values
     low, high = float(known.min()), float(known.max())
-    if low >= -UNIT_COMMAND and high <= UNIT_COMMAND:
-        return 0.0, 1.0
-    there = np.isfinite(u) & np.isfinite(moved)
-    rest = there & (np.abs(moved) <= RESTS * np.quantile(np.abs(moved[there]), 0.95))
-    values, counts = np.unique(np.round(u[rest] if rest.any() else known, 9), return_counts=True)
-    zero = float(values[np.argmax(counts)])
-    zero = 0.0 if low < 0.0 < high and abs(zero) < NEAR * (high - low) else zero
+    zero = _neutral(name, low, high, found, answers, notes)
     span = max(high - zero, zero - low)
-    notes["zero"] = f"where the axis rests most ({counts.max() / max(counts.sum(), 1):.0%} of its rest)"
+    if zero == 0.0 and low >= -UNIT_COMMAND and high <= UNIT_COMMAND:
+        span = 1.0
     likely = min(SCALES, key=lambda scale: abs(scale - span))
     if zero == 0.0 and abs(likely - span) <= NEAR * likely:
         span = likely
-    notes["span"] = f"from neutral to the largest command ({low:.4g} … {high:.4g})"
-    return zero, span
+    if (zero, span) != (0.0, 1.0):
+        notes["span"] = f"from neutral to the largest command ({low:.4g} … {high:.4g})"
+    if found is None:
+        notes["gain"] = "the largest speed: the motion is too short for more"
+        moved = np.abs(speed(_together(command, motion)[1], RATE_HZ))
+        return zero, span, 1, float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
+    sign = -1 if found.speeds[-1] < found.speeds[0] else 1
+    full = zero + sign * span
+    beyond = max(low - full, full - high) > NEAR * span
+    notes["gain"] = f"speed at the command {full:.4g}{f', beyond the logs ({low:.4g} … {high:.4g})' if beyond else ''}: "
+    notes["gain"] += f"{found.windows} windows, delay {found.delay:.2f} s, lag {found.lag:.2f} s"
+    return zero, span, sign, abs(found.at(full, zero))
 
 
-def _later(moved: Array, share: Array) -> Array:
-    """The speed moved to where it follows the command best."""
-    best, most = moved, -1.0
-    for lag in range(round(MAX_DELAY_S * RATE_HZ)):
-        shifted = np.concatenate([moved[lag:], np.full(lag, np.nan)])
-        size = abs(float(np.nansum(share * shifted)))
-        if size > most:
-            best, most = shifted, size
-    return best
-
-
-def _gain(share: Array, moved: Array, notes: dict[str, str]) -> float:
-    """Speed at full positive command [SI]."""
-    late = _later(moved, share)
-    full = (share >= FULL) & np.isfinite(late)
-    if np.count_nonzero(full) < 5:
-        full = (np.abs(share) >= 0.5 * np.nanmax(np.abs(share))) & np.isfinite(late)
-    gain = float(np.median(late[full] / share[full])) if full.any() else float("nan")
-    notes["gain"] = f"median speed of {np.count_nonzero(full)} rows at large commands"
-    return max(gain if gain > 0.0 else float(np.nanmax(np.abs(moved))), SMALLEST)
+def _neutral(
+    name: str, low: float, high: float, found: Characteristic | None, answers: Answers, notes: dict[str, str]
+) -> float:
+    """The raw command at which the axis rests."""
+    if found is None:
+        return 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
+    zero, share = found.rest
+    if math.isfinite(zero):
+        notes["zero"] = f"where the axis rests most ({share:.0%} of its rest)"
+        return 0.0 if low < 0.0 < high and abs(zero) < NEAR * (high - low) else zero
+    # Nothing rests: a usual neutral near to where the speed changes its sign.
+    width = high - low
+    crossing = found.crossing if math.isfinite(found.crossing) else 0.5 * (low + high)
+    usual = min(NEUTRALS, key=lambda value: abs(value - crossing))
+    likely = usual if abs(usual - crossing) <= ASIDE * width and low <= usual <= high else float(f"{crossing:.5g}")
+    sure = abs(likely - crossing) <= 0.5 * NEAR * width and likely == usual
+    notes["zero"] = f"the motion changes its direction at {crossing:.5g}, and never rests at one command"
+    answer = answers.of(Question(f"{name}.neutral", f"{likely:g}", f"{name}: {notes['zero']}"), sure)
+    try:
+        return float(answer)
+    except ValueError:
+        raise SettingsError(
+            f"--set {name}.neutral={answer}", "no number", f"the raw command at rest, {low:g} … {high:g}"
+        ) from None

@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from sysid.datasets.draft import Chosen, draft_recipe
-from sysid.datasets.drafting.axes import AxisDraft, axes_of
+from sysid.datasets.drafting.axes import AxisDraft, axes_of, unit_factor
 from sysid.datasets.drafting.fields import Field, read_fields
 from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.layouts import recording_names, unreadable
@@ -20,6 +23,10 @@ from sysid.quoting import comment, toml_value
 
 #: Rates of controllers [Hz]; one is taken if the fastest log is within this share of it.
 RATES, NEAR = (10.0, 20.0, 25.0, 30.0, 50.0, 60.0, 100.0, 125.0, 200.0, 240.0, 250.0, 400.0, 500.0, 1000.0), 0.04
+#: A step between two rows is no pause up to this multiple of the median.
+REGULAR = 2.01
+#: Logs of one rate differ by less than this factor.
+FASTER = 1.5
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,7 @@ def describe(
         columns = listed([field.label for field in fields], 8)
         remedy = f"Assign columns: --set AXIS.command=COLUMN --set AXIS.motion=COLUMN, of {columns}."
         raise InputError(folder, f"no axis with a command and a motion ({seen})", "both, by the names of columns", remedy)
-    rate, why = _rate(used)
+    rate, why = _rate(fields)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
     recipe = draft_recipe(
         [*used, *unreadable(files)], None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names)
@@ -124,13 +131,24 @@ def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDra
     return [found[name] for name in names if name in found], left
 
 
-def _rate(files: Sequence[FileSummary]) -> tuple[float, str]:
-    """Rate of the fastest log, as a controller would have it, and where it is from."""
-    rates = [stream.clocks[0].rate_hz for file in files for stream in file.streams if stream.clocks]
-    fastest = max((rate for rate in rates if math.isfinite(rate)), default=50.0)
+def _rate(fields: Sequence[Field]) -> tuple[float, str]:
+    """Rate of the fastest logs, as a controller would have it, and where it is from."""
+    series = {id(one.time): one.time for field in fields for one in field.series}
+    rates = [rate for time in series.values() if math.isfinite(rate := _rows_per_second(time))] or [50.0]
+    fastest = float(np.median([rate for rate in rates if rate >= max(rates) / FASTER]))
     near = min(RATES, key=lambda rate: abs(rate - fastest))
     rate = near if abs(near - fastest) <= NEAR * near else float(f"{fastest:.3g}")
-    return rate, f"even time grid of the dataset [Hz]; the fastest log has {fastest:.4g}"
+    return rate, f"even time grid of the dataset [Hz]; the fastest logs have {fastest:.4g}"
+
+
+def _rows_per_second(time: npt.NDArray[np.float64]) -> float:
+    """Rate of stamps [s]: by the mean of their steps without pauses, which rounded stamps keep; NaN without a step."""
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]
+    if not len(steps):
+        return math.nan
+    regular = steps[steps <= REGULAR * np.median(steps)]
+    return 1.0 / float(np.mean(regular))
 
 
 def _with_rate(text: str, rate: float, why: str) -> str:
@@ -176,8 +194,8 @@ def _lines(axis: AxisDraft) -> list[tuple[tuple[str, str], str]]:
         if axis.sign < 0:
             command.append("sign = -1")
     elif axis.command_unit:
-        command.append(f"unit = {toml_value(axis.command_unit)}")
-    motion = [*_entry(axis.motion), f"unit = {toml_value(axis.unit)}"]
+        command += _unit(axis.command_unit)
+    motion = [*_entry(axis.motion), *_unit(axis.unit)]
     notes = "; ".join(axis.notes[key] for key in ("zero", "span") if key in axis.notes)
     signals = ((axis.command, "command", command, notes), (axis.motion, axis.drives, motion, axis.notes.get("unit", "")))
     return [
@@ -187,6 +205,13 @@ def _lines(axis: AxisDraft) -> list[tuple[tuple[str, str], str]]:
         )
         for field, what, entry, note in signals
     ]
+
+
+def _unit(unit: str) -> list[str]:
+    """The unit of a signal in the recipe; of counts as counts per radian."""
+    if unit.endswith("/turn"):
+        return [f"span = {1.0 / unit_factor(unit):.9g}", 'unit = "rad"']
+    return [f"unit = {toml_value(unit)}"]
 
 
 def _entry(field: Field) -> list[str]:

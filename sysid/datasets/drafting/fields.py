@@ -27,6 +27,11 @@ Array = npt.NDArray[np.float64]
 
 #: Of longer recordings the first two hours are enough [s].
 MAX_SECONDS = 7200.0
+#: What letters and words say that mean a quantity only beside each other: ``u1`` and ``y1``, ``lift in`` and ``lift out``.
+BESIDE: Mapping[str, frozenset[str]] = {
+    "command": frozenset({"u", "in", "inp"}),
+    "measured": frozenset({"y", "x", "out", "output"}),
+}
 
 
 @dataclass(frozen=True)
@@ -100,23 +105,24 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
 
 
 def _field(topic: str, name: str, table: bool, unit: str | None, series: Sequence[Series], shared: frozenset[str]) -> Field:
-    in_brackets = r"\([^()]*\)|\[[^\[\]\d]*\]" if table else r"\([^()]*\)"  # a unit; in a message a label
+    in_brackets = r"\((?!\d+\))[^()]*\)"  # a unit; a number is that of an axis, and a message has labels in square ones
+    in_brackets += r"|\[[^\[\]\d]*\]" if table else ""
     words = words_of(re.sub(in_brackets, " ", f"{topic} {name}"))
-    says = said(words)
+    says = said(words) or frozenset(quantity for quantity, known in BESIDE.items() if known & {*words})
     known = frozenset().union(*WORDS.values()) | UNITS
     labels = [] if table else [label for label in re.findall(r"\[([^\[\]]*)\]", name) if not label.isdecimal()]
     named = [word for word in words_of(" ".join(labels)) if word not in known]
-    known |= shared if len(words) > 1 else frozenset()
+    known |= (shared if len(words) > 1 else frozenset()) | frozenset().union(*BESIDE.values())
     axis = "_".join(named or [word for word in words if word not in known])
     return Field(topic, name, table, unit or _unit_in(name), tuple(series), axis, says)
 
 
 def _unit_in(name: str) -> str | None:
     """The unit in brackets or at the end of a name: ``Boom (mm)``, ``q1_deg``."""
-    bracket = re.search(r"[(\[]\s*(deg|rad|mm|cm|m|°|Nm|N·m|N|%)\s*[)\]]\s*$", name)
-    ending = re.search(r"_(deg|rad|mm|cm|m|nm|n)$", name, re.IGNORECASE)
+    bracket = re.search(r"[(\[]\s*(deg|rad|turns?|mm|cm|m|°|Nm|N·m|N|%)\s*[)\]]\s*$", name)
+    ending = re.search(r"_(deg|rad|turns?|mm|cm|m|nm|n)$", name, re.IGNORECASE)
     text = (bracket or ending)[1] if bracket or ending else None  # type: ignore[index]
-    return {"°": "deg", "nm": "N·m", "Nm": "N·m", "n": "N"}.get(text, text.lower() if ending else text) if text else None
+    return {"°": "deg", "nm": "N·m", "n": "N"}.get(text.lower(), text.lower() if ending else text) if text else None
 
 
 def _seconds(stream: Stream) -> Array:

@@ -27,14 +27,22 @@ class Question:
 
 @dataclass
 class Answers:
-    """Answers by key, and the questions that were asked so far."""
+    """Answers by key, and the questions that were asked so far.
+
+    Args:
+        prompted: keys that were asked at a prompt: another answer there may have settled them.
+    """
 
     given: Mapping[str, str]
+    prompted: frozenset[str] = frozenset()
     asked: list[Question] = field(default_factory=list)
     used: set[str] = field(default_factory=set)
 
-    def of(self, question: Question) -> str:
+    def of(self, question: Question, sure: bool = False) -> str:
         """The answer, or the proposal where there is none yet.
+
+        Args:
+            sure: the data decide: nothing is asked, but an answer counts.
 
         Raises:
             SettingsError: an answer that is not one of the choices.
@@ -42,7 +50,7 @@ class Answers:
         value = self.given.get(question.key)
         self.used.add(question.key)
         if value is None:
-            if all(question.key != other.key for other in self.asked):
+            if not sure and all(question.key != other.key for other in self.asked):
                 self.asked.append(question)
             return question.proposal
         if question.choices and value not in question.choices:
@@ -52,5 +60,5 @@ class Answers:
     def check_used(self) -> None:
         """Raise SettingsError where an answer has no question."""
         for key in self.given:
-            if key not in self.used:
+            if key not in self.used | self.prompted:
                 raise SettingsError(f"--set {key}", "no such question", nearest(key, self.used) if self.used else "none")
