@@ -91,20 +91,19 @@ def check_refused(refused: Mapping[str, InputError], read: int, place: str) -> N
     """
     if not refused:
         return
-    remedy = ""
-    if len(refused) < read:
-        keys = ", ".join(toml_value(escape(key)) for key in refused)
-        it = "it" if len(refused) == 1 else "them"
-        remedy = f"Or leave {it} out of the dataset: write `[recordings]` and below it `left_out = [{keys}]` in {place}."
+    keys = ", ".join(toml_value(escape(key)) for key in refused)
+    them = "it" if len(refused) == 1 else "them"
+    leave = f"Or leave {them} out of the dataset: write `[recordings]` and below it `left_out = [{keys}]` in {place}."
+    others = [leave] if len(refused) < read else []
     if len(refused) == 1:
         (error,) = refused.values()
-        raise InputError(error.where, error.found, error.expected, " ".join(filter(None, (error.remedy, remedy))))
+        raise InputError(error.where, error.found, error.expected, " ".join([error.remedy or "Repair it.", *others]))
     reasons: dict[tuple[str, str, str], list[str]] = {}
     for error in refused.values():
         reasons.setdefault((error.found, error.expected, error.remedy), []).append(error.where)
     each = (str(InputError(", ".join(where), *reason)).rstrip(".?") for reason, where in reasons.items())
     found = "; ".join(f"({number}) {text}" for number, text in enumerate(each, 1))
-    raise InputError(f"{len(refused)} of {read} files cannot be used", found, "", remedy)
+    raise InputError(f"{len(refused)} of {read} files cannot be used", found, "", " ".join(["Repair them.", *others]))
 
 
 def count_files(found: Sequence[RecordingFiles]) -> int:

@@ -76,13 +76,14 @@ def recording_names(
     for file in files:
         separate = file.reader == LeRobotReader().name
         parts.setdefault(file.path if separate else bags[file.path], []).append(file.path)
-    for bag, own in list(parts.items()):
-        if len(own) > 1 and glob_of(own, [file.path for file in files]) is None:
-            parts |= {path: [path] for path in own if path != bag} | ({bag: [bag]} if bag in own else {})
-    stems = {own[0]: _common([path.stem for path in own]).rstrip("_-. ") or own[0].stem for own in parts.values()}
+    for bag, paths in list(parts.items()):
+        if len(paths) > 1 and glob_of(paths, [file.path for file in files]) is None:  # the recipe cannot name them together
+            del parts[bag]
+            parts |= {path: [path] for path in paths}
+    stems = {paths[0]: _common([path.stem for path in paths]).rstrip("_-. ") or paths[0].stem for paths in parts.values()}
     unique = len({*stems.values()}) == len(stems)
     names = {first: stem if unique else f"{first.parent.name}-{stem}" for first, stem in stems.items()}
-    return {path: names[own[0]] for own in parts.values() for path in own}, True
+    return {path: names[paths[0]] for paths in parts.values() for path in paths}, True
 
 
 def glob_of(paths: Sequence[Path], others: Sequence[Path]) -> str | None:

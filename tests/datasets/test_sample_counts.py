@@ -45,7 +45,7 @@ def counts(dataset: Dataset, signal: str, recording: str = "run") -> SampleCount
 
 def parts_of(found: SampleCounts) -> int:
     return (
-        found.empty + found.overflows + found.repeated + found.conflicting
+        found.empty + found.overflows + found.repeated + found.conflicting + found.turns
         + found.outside + found.between + found.alone + found.used
     )  # fmt: skip
 
@@ -119,6 +119,20 @@ def test_stamps_that_are_coarser_than_the_rows_are_severe_and_repeated_messages_
     found = counts(repeated, "ram.joint")
     assert (found.rows, found.repeated, found.samples, found.conflicting) == (6000, 3000, 3000, 0)
     assert not any("ram.joint:samples" in f.keys for f in check_plausibility(repeated))
+
+
+def test_guards_and_pauses_have_reasons_of_their_own(tmp_path: Path) -> None:
+    """Single samples in a pause are alone; those that the guards leave out are all that lie in no block."""
+    times = np.concatenate([np.arange(3000) / 100.0, [40.0037, 70.0037, 71.5037], 100.0 + np.arange(3000) / 100.0])
+    command = np.sign(np.sin(0.7 * times))
+    command[3000:3003] = np.nan
+    dataset = ingested(tmp_path, {"run": {"time": times, "ram.command": command, "ram.joint": smooth(times)}})
+    found = counts(dataset, "ram.joint")
+    assert (parts_of(found), found.alone, found.outside) == (found.rows, 3, 0)
+    assert 0 < found.between < 400
+    assert found.used + found.between == len(times) - 3
+    (line,) = (line for line in sample_lines(dataset) if line.name == "ram.joint")
+    assert line.lost == f"{found.between} in guards between blocks, 3 alone between gaps"
 
 
 def test_samples_alone_between_gaps_are_counted_with_their_remedy(tmp_path: Path) -> None:
