@@ -34,8 +34,9 @@ FUNDAMENTAL = 0.95
 MIN_LEVELS, MIN_STEPS = 4, 60
 #: Quantiles of the changes between neighbouring readings that are tested as the step.
 CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
-#: Least number of changes of the speed for each change of a reading: rounding makes one at nearly every step.
-MIN_CHANGES = 0.1
+#: Changes of equal size that are a steady motion, and the largest share of the moving readings in those: midway between that of
+#: rounded readings at all speeds, 0.4, and that of steady motions.
+STEADY, MAX_STEADY = 5, 0.7
 #: Least share of the changes that are single or double steps; interpolated tables have finer lattices.
 MIN_SINGLE_STEPS = 0.01
 #: Largest number of steps over the range, a power of two.
@@ -201,13 +202,19 @@ def _exact_step(parts: Sequence[Array]) -> float:
 
 
 def _changes_speed(parts: Sequence[Array], step: float) -> bool:
-    """Whether readings move by changing numbers of steps: those of a steady motion lie on a lattice of its speed."""
-    turns, moves = 0, 0
+    """Whether readings move by changing numbers of steps: those of steady motions lie on a lattice of their speeds.
+
+    A steady motion moves by the same number of steps from reading to reading. Rounded readings of a motion do so in a run of
+    :data:`STEADY` changes only where its speed is within a fifth of a whole number of steps, two in five speeds.
+    """
+    steady, moving = 0, 0
     for part in parts:
         whole = np.round(np.diff(part[~np.isnan(part)]) / step)
-        turns += int(np.count_nonzero(np.diff(whole)))
-        moves += int(np.count_nonzero(whole))
-    return turns >= MIN_CHANGES * moves
+        begins = np.flatnonzero(np.diff(whole, prepend=np.nan) != 0.0)
+        lengths = np.diff(begins, append=len(whole))[whole[begins] != 0.0]
+        moving += int(lengths.sum())
+        steady += int(lengths[lengths >= STEADY].sum())
+    return steady <= MAX_STEADY * moving
 
 
 def _readings(parts: Sequence[Array]) -> Array:

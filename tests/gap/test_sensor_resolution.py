@@ -104,3 +104,17 @@ def test_steady_motion_has_no_step(rate_hz: float, noise: float) -> None:
     step = 0.9 / rate_hz
     rounded = [step * np.round(speed * time / step) for speed in (0.31, 0.47, -0.23)]
     assert reading_step(rounded) == pytest.approx(step, rel=1e-3)
+
+
+@given(st.sampled_from([10.0, 20.0, 50.0, 200.0]), st.floats(0.02, 0.3), st.sampled_from([0.0, 1e-3]), st.integers(0, 1000))
+def test_pushes_at_a_few_speeds_have_no_step(rate_hz: float, gain: float, noise: float, seed: int) -> None:
+    """Starts and stops at whole fractions of one speed: all places are multiples of a fraction of a sample's way."""
+    rng = np.random.default_rng(seed)
+    speeds = np.repeat(gain * rng.choice([-1.0, -0.6, 0.0, 0.6, 1.0], (3, 40)), round(rate_hz), axis=1)
+    parts = [np.cumsum(part) / rate_hz for part in speeds]
+    parts = [part + noise * gain / rate_hz * rng.standard_normal(len(part)) for part in parts]
+    assert reading_step(parts) == 0.0
+    step = 0.37 * gain / rate_hz
+    drawn = np.repeat(gain * rng.uniform(-1.0, 1.0, (3, 40)), round(rate_hz), axis=1)
+    rounded = [step * np.round(np.cumsum(part) / rate_hz / step) for part in drawn]
+    assert reading_step(rounded) == pytest.approx(step, rel=1e-3)
