@@ -13,6 +13,7 @@ from sysid.cli.ingest_inspect import log_files
 from sysid.cli.init import KINDS
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.errors import SettingsError
+from sysid.numbers import Positive, number
 from sysid.root import Root
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     metavar="KEY=VALUE",
     help="The answer to a question that start has asked; may be repeated.",
 )
+@click.option("--reader", default=None, help="Read all files as this format, where their suffix does not say which (json).")
 @click.option("--yes", is_flag=True, help="Take the proposal of every question.")
 @click.option(
     "--out",
@@ -61,6 +63,7 @@ def start(
     robot: Path | None,
     kind: str | None,
     answers: tuple[str, ...],
+    reader: str | None,
     yes: bool,
     out_folder: Path | None,
     json_file: str | None,
@@ -88,7 +91,7 @@ def start(
         out.line(f"kept  {path}")
     if not there:
         drafted, beside = _robot_files(robot, name, kind) if robot is not None else (None, {})
-        described = _described(out, folder, name, drafted, kind, answers, yes)
+        described = _described(out, folder, name, drafted, kind, answers, reader, yes)
         root = Root(place)
         root.make("")
         for key, text in {**beside, "recipe.toml": described.recipe, "machine.toml": described.machine}.items():
@@ -133,6 +136,7 @@ def _described(
     robot: tuple[str, Machine] | None,
     kind: str | None,
     answers: tuple[str, ...],
+    reader: str | None,
     yes: bool,
 ) -> Description:
     """The drafted files; questions are answered by ``--set``, at a prompt, or with ``--yes`` by their proposals."""
@@ -141,11 +145,12 @@ def _described(
     from sysid.logs.inspection import inspect_file
 
     given = dict(_pair(text) for text in answers)
-    paths, summaries = log_files((folder,), None), []
+    rate_hz = number(given.pop("rate_hz"), Positive, "--set rate_hz") if "rate_hz" in given else None
+    paths, summaries = log_files((folder,), reader), []
     with progress_bar("look") as progress:
-        for number, path in enumerate(paths):
-            progress(number / len(paths), path.name)
-            summaries.append(inspect_file(path))
+        for done, path in enumerate(paths):
+            progress(done / len(paths), path.name)
+            summaries.append(inspect_file(path, reader, rate_hz=rate_hz))
         found = describe(summaries, folder, name, Answers(given), kind, robot)
     while found.questions and not yes and sys.stdin.isatty():
         for question in found.questions:

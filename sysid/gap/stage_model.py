@@ -249,12 +249,12 @@ def _start(rows: StageRows, sigma: Array, samples: int) -> Start:
 def _transients(rows: StageRows) -> list[Array]:
     """Variance added to the level of an integrating stage during the transient of an unknown initial state."""
     found = []
-    fast = [float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95)) for s in rows.series]
-    for k, s in enumerate(rows.series):
+    for s in rows.series:
         extra = np.zeros(len(s.step))
         if rows.problem.integrates:
+            fast = float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95))
             for begin in np.flatnonzero(s.restart):
                 count = max(1, round(TRANSIENT / max(float(np.median(s.step)), 1e-6)))
-                extra[begin : begin + count] = (INITIAL_SHARE * TRANSIENT * fast[k]) ** 2 / count
+                extra[begin : begin + count] = (INITIAL_SHARE * TRANSIENT * fast) ** 2 / count
         found.append(extra)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
 from sysid.logs.stream import Stream
-from sysid.logs.table import TIME_NAMES, Columns, guess_time
+from sysid.logs.table import NO_TIME, TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
 from sysid.numbers import LARGEST_COUNT
@@ -88,11 +88,12 @@ class FileSummary:
     """One log file.
 
     Args:
-        stated: keys that a recipe has to state, with assumed values.
+        stated: keys that a recipe has to state, with assumed values, as :class:`~sysid.logs.reader.ReadOptions` has them.
         refusal: why it is not read.
         remarks: what was found about the form of a text table, as sentences.
         columns: names of the columns of a table without a header row, which a recipe has to state.
         time_units: plausible units of the time, where nothing decides between them.
+        untimed: whether it is a table without a column of times, so that the rate of its rows has to be stated.
     """
 
     path: Path
@@ -100,11 +101,12 @@ class FileSummary:
     size: int
     streams: tuple[StreamSummary, ...] = ()
     losses: tuple[str, ...] = ()
-    stated: Mapping[str, str] = field(default_factory=dict)
+    stated: Mapping[str, Any] = field(default_factory=dict)
     refusal: str = ""
     remarks: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     time_units: tuple[TimeUnit, ...] = ()
+    untimed: bool = False
 
 
 #: Types that return from the process in which a file is read.
@@ -112,13 +114,18 @@ _SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary, TimeUnit)
 
 
 def inspect_file(
-    path: Path, reader: str | None = None, dbc: Path | None = None, expected_hz: float | None = None
+    path: Path,
+    reader: str | None = None,
+    dbc: Path | None = None,
+    expected_hz: float | None = None,
+    rate_hz: float | None = None,
 ) -> FileSummary:
     """Summary of a file; one that cannot be read has a refusal.
 
     Args:
         dbc: the database of a CAN log.
         expected_hz: rate of the machine [Hz], which may decide between units of time.
+        rate_hz: rate of the rows of tables without a column of times [Hz].
 
     Raises:
         InputError: no such file, or no reader for its suffix.
@@ -131,14 +138,20 @@ def inspect_file(
     si_factor("1")  # loads the unit library here once, not in the process of every file
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
-        return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz), path, budget.limits, _SUMMARIES)
+        return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz, rate_hz), path, budget.limits, _SUMMARIES)
     except InputError as error:
         return FileSummary(path, chosen.name, size, refusal=str(error))
     except PermissionError:
         return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
 
 
-def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expected_hz: float | None = None) -> FileSummary:
+def inspect_here(
+    path: Path,
+    chosen: LogReader,
+    dbc: Path | None = None,
+    expected_hz: float | None = None,
+    rate_hz: float | None = None,
+) -> FileSummary:
     """:func:`inspect_file` by the reader ``chosen`` in this process, without protection against crashes of a library."""
     summary = FileSummary(path, chosen.name, path.stat().st_size)
     try:
@@ -148,7 +161,14 @@ def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expecte
             summary = replace(summary, remarks=dialect.remarks, columns=names)
         stated, units = _unstated(path, chosen, summary.columns, expected_hz)
         summary = replace(summary, stated=stated, time_units=units if len(units) > 1 else ())
-        streams = chosen.read(path, _preview(summary, dbc))
+        try:
+            streams = chosen.read(path, _preview(summary, dbc))
+        except InputError as error:
+            summary = replace(summary, untimed=error.found == NO_TIME)
+            if rate_hz is None or not summary.untimed:
+                raise
+            summary = replace(summary, stated={"rate_hz": rate_hz})
+            streams = chosen.read(path, _preview(summary, dbc))
         if "length_unit" in stated and (likely := _likely_unit(streams)) != stated["length_unit"]:
             summary = replace(summary, stated={**stated, "length_unit": likely})
             streams = chosen.read(path, _preview(summary, dbc))
@@ -161,16 +181,7 @@ def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None, expecte
 
 
 def _preview(summary: FileSummary, dbc: Path | None) -> ReadOptions:
-    stated = summary.stated
-    return ReadOptions(
-        preview=True,
-        header=summary.columns,
-        time=stated.get("time"),
-        time_unit=stated.get("time_unit", "s"),
-        length_unit=stated.get("length_unit"),
-        rotation=stated.get("rotation"),
-        dbc=dbc,
-    )
+    return ReadOptions(preview=True, header=summary.columns, dbc=dbc, **{"time_unit": "s", **summary.stated})
 
 
 def _likely_unit(streams: Iterable[Stream]) -> str:
@@ -195,7 +206,7 @@ def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[Strea
 
 def _unstated(
     path: Path, reader: LogReader, header: tuple[str, ...], expected_hz: float | None
-) -> tuple[dict[str, str], tuple[TimeUnit, ...]]:
+) -> tuple[dict[str, Any], tuple[TimeUnit, ...]]:
     """Keys that a recipe has to state for this file, with likely values, and the plausible units of its time."""
     if reader.name == "motive":
         return unstated(path), ()
@@ -205,7 +216,7 @@ def _unstated(
     guess = guess_time(columns, expected_hz)
     if guess is None:
         return {}, ()
-    stated = {} if guess.name in TIME_NAMES else {"time": guess.name}
+    stated: dict[str, Any] = {} if guess.name in TIME_NAMES else {"time": guess.name}
     if guess.units and (len(guess.units) > 1 or guess.units[0].unit != "s"):
         stated["time_unit"] = guess.units[0].unit
     return stated, guess.units

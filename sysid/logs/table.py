@@ -19,6 +19,8 @@ from sysid.logs.stream import Stream
 from sysid.logs.time_unit import FEWEST, SECONDS, TimeUnit, as_unit, days_origin, likely_units
 from sysid.units import si_factor, split_header
 
+#: What the error about a table without a column of times has found.
+NO_TIME = "no time column"
 #: Names under which a time column is found without a recipe, in this order.
 TIME_NAMES = ("time", "t", "Time", "timestamp")
 
@@ -346,7 +348,7 @@ def _time_name(
         return dated[0]
     raise InputError(
         path,
-        "no time column",
+        NO_TIME,
         f"a column named {TIME_NAMES[0]!r}; found {', '.join(known or (*values, *unread)) or 'none'}",
         'Name the column in the recipe: `time = "<column>"`, or the rate of evenly spaced rows: `rate_hz = …`.',
     )

@@ -225,6 +225,45 @@ def test_an_inertia_that_the_logs_do_not_show_is_said_to_be_assumed(tmp_path: Pa
         assert float(line.split()[2]) == pytest.approx(mass, rel=0.05)
 
 
+def test_the_scale_of_a_force_without_a_unit_is_asked_and_masses_follow_it(tmp_path: Path) -> None:
+    (folder := tmp_path / "logs").mkdir()
+    time = np.arange(2000) / 100.0
+    place = sum(np.sin(f * time + f) for f in (1.0, 2.3, 3.7))
+    volts = 0.5 * sum(-(f**2) * np.sin(f * time + f) for f in (1.0, 2.3, 3.7))
+    pd.DataFrame({"time": time, "q_1 [rad]": place, "q_2 [rad]": place, "tau_1": volts, "tau_2": volts}).to_csv(
+        folder / "a.csv", index=False
+    )
+    asked = described(folder, kind="force")
+    (question,) = (each for each in asked.questions if "force_scale" in each.key)
+    assert (question.key, question.proposal) == ("force_scale", "1")
+    found = described(folder, {"force_scale": "4", "axis_2.force_scale": "8"}, kind="force")
+    masses = [float(line.split()[2]) for line in found.machine.splitlines() if line.startswith("inertia = ")]
+    assert masses == pytest.approx([2.0, 4.0], rel=0.02)
+    assert 'field = "tau_1", scale = 4, unit = "N·m" }   # no unit stated' in found.recipe
+    with pytest.raises(SettingsError, match="force_scale"):
+        described(folder, {"force_scale": "much"}, kind="force")
+
+
+def test_tables_without_a_time_have_the_rate_that_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The remedy of the refusal, followed to the letter, and records in a file whose suffix says nothing."""
+    logs(tmp_path / "logs", 1)
+    for path in (tmp_path / "logs").glob("*.csv"):
+        table = pd.read_csv(path).drop(columns="time")
+        path.with_suffix(".json").write_text(table.to_json(orient="records"))
+        path.unlink()
+    verb = ("--workspace", tmp_path / "ws", "start", tmp_path / "logs")
+    assert run(*verb) == 2
+    assert "Inspect with --reader json" in capsys.readouterr().err
+    assert run(*verb, "--reader", "json") == 2
+    assert "--set rate_hz=100" in capsys.readouterr().err
+    assert run(*verb, "--reader", "json", "--set", "rate_hz=0") == 2
+    assert "--set rate_hz" in capsys.readouterr().err
+    assert run(*verb, "--reader", "json", "--set", "rate_hz=100", "--yes", "--out", tmp_path / "m") == 0
+    recipe = load_recipe(tmp_path / "m/recipe.toml")
+    assert {(stream.reader, stream.rate_hz) for stream in recipe.streams} == {("json", 100.0)}
+    assert "rate_hz = 100.0" in (tmp_path / "m/machine.toml").read_text()
+
+
 def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     logs(folder, 0)

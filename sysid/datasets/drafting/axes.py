@@ -21,6 +21,7 @@ from sysid.datasets.words import ANGLES, STRAIGHT, words_of
 from sysid.errors import SettingsError, nearest
 from sysid.machine.description import RESERVED
 from sysid.names import listed, slug
+from sysid.numbers import Positive, number
 from sysid.units import si_factor
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +72,7 @@ class AxisDraft:
 
     Args:
         actuation: ``velocity``, ``position`` or ``force``; ``drives``: ``cylinder`` or ``joint``.
-        zero, span, sign: of the command, in raw values.
+        zero, span, sign: of the command, in raw values; ``scale``: force [its unit] for each 1 of the column.
         unit: of the motion (raw); of the command of a position axis too.
         gain: speed at full command [SI], of a valve axis; ``inertia``: of a force axis.
         ends: range of the motion [SI].
@@ -94,6 +95,7 @@ class AxisDraft:
     ends: tuple[float, float]
     notes: Mapping[str, str]
     units: Mapping[str, str] = field(default_factory=dict)
+    scale: float = 1.0
 
 
 def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) -> tuple[list[AxisDraft], list[str]]:
@@ -137,6 +139,7 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         pairs[name] = _Pair(command, motion, how, _fitted(command, motion) if valve else None)
     actuations = _actuations(pairs, answers, kind)
     units = _units(pairs, actuations, answers)
+    scales = _force_scales({name: pair.command for name, pair in pairs.items() if actuations[name] == "force"}, answers)
     unstated = {name: pair for name, pair in pairs.items() if pair.motion.unit is None and actuations[name] == "velocity"}
     other = _other_units({name: (pair.command, pair.motion) for name, pair in unstated.items()}, units, answers)
     found = []
@@ -144,7 +147,8 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         drives, unit, pair.notes["unit"] = units[name]
         its = other if name in unstated else {}
         scaled = pair if not its else replace(pair, motion=_in_one_unit(pair.motion, unit, its), fit=None)
-        found.append(replace(_axis(name, scaled, actuations[name], drives, unit, answers), motion=pair.motion, units=its))
+        axis = _axis(name, scaled, actuations[name], drives, unit, scales.get(name, 1.0), answers)
+        found.append(replace(axis, motion=pair.motion, units=its))
     return found, left
 
 
@@ -336,7 +340,17 @@ def _parts(command: Field, motion: Field, rate: float, held: bool = True) -> Ite
                 yield before if held else np.interp(grid, at, values), np.interp(grid, time, places)
 
 
-def _axis(name: str, pair: _Pair, actuation: str, drives: str, unit: str, answers: Answers) -> AxisDraft:
+def _force_scales(commands: Mapping[str, Field], answers: Answers) -> dict[str, float]:
+    """Force [N or N·m] for each 1 of the columns that state no unit: masses and friction that are found have this scale."""
+    unknown = {name: command for name, command in commands.items() if command.unit is None}
+    if not unknown:
+        return {}
+    why = f"{_ranges([*unknown], unknown)}: no unit of force is stated; N, or N·m of an angle, for each 1 of it"
+    scales = _of_all_or_each("force_scale", dict.fromkeys(unknown, "1"), Question("force_scale", "1", why), answers)
+    return {name: number(scale, Positive, f"--set {name}.force_scale") for name, scale in scales.items()}
+
+
+def _axis(name: str, pair: _Pair, actuation: str, drives: str, unit: str, scale: float, answers: Answers) -> AxisDraft:
     command, motion, notes = pair.command, pair.motion, pair.notes
     command_unit, zero, span, sign, gain, inertia = None, 0.0, 1.0, 1, 1.0, math.nan
     factor = unit_factor(unit)
@@ -347,14 +361,18 @@ def _axis(name: str, pair: _Pair, actuation: str, drives: str, unit: str, answer
         command_unit = command.unit or unit
     else:
         command_unit = command.unit or ("N" if unit in LENGTHS else "N·m")
-        inertia = _inertia(command, motion, unit_factor(command_unit), factor, notes)
+        inertia = _inertia(command, motion, scale * unit_factor(command_unit), factor, notes)
+        if command.unit is None:
+            notes["span"] = f"no unit stated: {scale:g} {command_unit} for each 1 of it; masses and friction have this scale"
     values = motion.values * factor
     notes["ends"] = "the range that the logs contain: where it is not the end stops, widen it"
     if actuation == "position":
         values = np.concatenate([values, command.values * unit_factor(command_unit or unit)])
         notes["ends"] = "the range of commands and motion in the logs: where it is not the end stops, widen it"
     ends = float(values.min()), float(values.max())
-    return AxisDraft(name, command, motion, actuation, drives, zero, span, sign, unit, command_unit, gain, inertia, ends, notes)
+    return AxisDraft(
+        name, command, motion, actuation, drives, zero, span, sign, unit, command_unit, gain, inertia, ends, notes, scale=scale
+    )
 
 
 def unit_factor(unit: str) -> float:
@@ -382,7 +400,8 @@ def _likely(command: Field, how: Mapping[str, float]) -> str:
     """What a command is by its name, and by what follows it."""
     if "force" in command.says:
         return "force"
-    return "position" if how["position"] >= max(how["velocity"], FOLLOWS) else "velocity"
+    follows = how["position"] >= max(how["velocity"], FOLLOWS) or how["position"] >= how["velocity"] + SURE
+    return "position" if follows else "velocity"
 
 
 def _actuations(pairs: Mapping[str, _Pair], answers: Answers, kind: str | None) -> dict[str, str]:
@@ -402,7 +421,8 @@ def _actuations(pairs: Mapping[str, _Pair], answers: Answers, kind: str | None) 
             shown += f", full speed after {3.0 * fit.lag:.2g} s as of a mass under a force"
             found[name] = "force"
         pair.notes["actuation"] = shown
-        if abs(how["position"] - how["velocity"]) < SURE or slow:
+        weak = likely == "position" and how["position"] < FOLLOWS
+        if abs(how["position"] - how["velocity"]) < SURE or slow or weak:
             unsure[name] = f"{pair.command.label}: {shown}"
     if unsure:
         usual = Counter(found[name] for name in unsure).most_common(1)[0][0]

@@ -69,7 +69,10 @@ def describe(
     used = [file for file in files if not file.refusal and any(stream.clocks for stream in file.streams)]
     if not used:
         why = left[0] if left else "no column of times"
-        raise InputError(folder, why, "log files with a time", "Look into one of them with sysid ingest --inspect.")
+        remedy = "Look into one of them with sysid ingest --inspect."
+        if any(file.untimed for file in files):
+            remedy = f"Where its rows are evenly spaced, state their rate [Hz]: --set rate_hz=100. {remedy}"
+        raise InputError(folder, why, "log files with a time", remedy)
     used = [_with_time_unit(file, answers) for file in used]
     in_folders = any(file.path.parent != folder for file in used)
     names, _ = recording_names(used, in_folders, [frozenset() for _ in used])
@@ -194,6 +197,7 @@ def _lines(axis: AxisDraft) -> list[tuple[tuple[str, str], str]]:
         if axis.sign < 0:
             command.append("sign = -1")
     elif axis.command_unit:
+        command += [f"scale = {axis.scale:.9g}"] if axis.scale != 1.0 else []
         command += _unit(axis.command_unit)
     motion = [*_entry(axis.motion), *_unit(axis.unit)]
     notes = "; ".join(axis.notes[key] for key in ("zero", "span") if key in axis.notes)

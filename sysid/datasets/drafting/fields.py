@@ -83,11 +83,7 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
     files_of, found = Counter(recordings[file.path] for file in files), dict[tuple[str, str], list[Series]]()
     units, tables = dict[tuple[str, str], str | None](), set[tuple[str, str]]()
     for file in files:
-        stated = dict(file.stated)
-        options = ReadOptions(
-            header=file.columns, time=stated.get("time"), time_unit=stated.get("time_unit"),
-            length_unit=stated.get("length_unit"), rotation=stated.get("rotation"), seconds=MAX_SECONDS,
-        )  # fmt: skip
+        options = ReadOptions(header=file.columns, seconds=MAX_SECONDS, **file.stated)
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
             several = files_of[recordings[file.path]] > 1
             topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
