@@ -37,7 +37,7 @@ STYLES: dict[str, tuple[Callable[[str, int], str], Callable[[str, int], str]]] =
     "arrays": (lambda _, k: f"q_des[{k}]", lambda _, k: f"q[{k}]"),
     "camel": (lambda name, _: f"{name}Setpoint", lambda name, _: f"{name}Actual"),
 }
-NAMES = ("slew", "boom", "stick", "wrist", "grip")
+NAMES = ("mast", "boom", "stick", "dipper", "grip")  # none says whether it turns
 
 
 @dataclass(frozen=True)
