@@ -97,7 +97,7 @@ def test_a_wrapped_motion_is_restored(seed: int, modulus: float, phase: float, s
 
 def test_a_wrong_number_of_turns_in_a_gap_is_known_to_be_open() -> None:
     """Over gaps of up to a fifth of the log: nearly all wrong ones; of those decided by the motion beside them, nearly none."""
-    wrong = told = short = needless = 0
+    wrong = counted = short = needless = 0
     for seed in range(300):
         random = np.random.default_rng(seed)
         modulus, speed, gap = float(random.choice(MODULI)), random.uniform(0.5, 20.0), int(10.0 ** random.uniform(0.0, 2.6))
@@ -111,11 +111,11 @@ def test_a_wrong_number_of_turns_in_a_gap_is_known_to_be_open() -> None:
         back = unwrapped(times[keep], wrap(true, modulus, 0.5 * modulus)[keep], modulus)
         jumps = np.flatnonzero(np.abs(np.diff(back - true[keep])) > 0.5 * modulus)
         found = open_gaps(times[keep], back, modulus)
-        wrong, told = wrong + len(jumps), told + len(np.intersect1d(jumps, found))
+        wrong, counted = wrong + len(jumps), counted + len(np.intersect1d(jumps, found))
         if speed * gap < 20.0:  # a fifth of a turn
             short, needless = short + 1, needless + len(found)
     assert wrong > 50
-    assert told >= 0.97 * wrong
+    assert counted >= 0.97 * wrong
     assert short > 5
     assert needless == 0
 
