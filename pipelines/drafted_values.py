@@ -116,6 +116,8 @@ def answers_of(question: Question, machine: Machine, axes: Mapping[str, str]) ->
         return {question.key: machine.time_unit}
     if quantity == "measured":
         return {question.key: "yes"}
+    if quantity == "force_scale":
+        return {question.key: "1"}  # columns without a unit are in SI
     right: Callable[[Axis], str] = {
         "actuation": lambda axis: ACTUATIONS[axis.kind],
         "drives": lambda axis: axis.drives,
