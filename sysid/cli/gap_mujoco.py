@@ -49,6 +49,8 @@ def write_model(
         why = repaired.reasons.get(effect_key(item), "")
         where = f"{repaired.side_path}, which MJCF cannot express" if repaired.side_path is not None else "not written"
         out.line(f"    {item.name} of {item.target}: {where}{f' ({why})' if why else ''}")
+    if repaired.fitted:
+        out.line(f"    fitted once more in MuJoCo, within their intervals: {repaired.fitted}")
     for signal, value in repaired.gap.after.items():
         before, floor = repaired.gap.before[signal], repaired.gap.noise_floor[signal]
         out.line(
@@ -62,5 +64,6 @@ def write_model(
             {"name": item.name, "target": item.target, "why": repaired.reasons.get(effect_key(item), "")}
             for item in repaired.beside
         ],
+        "fitted": repaired.fitted,
         "gap": {"before": dict(repaired.gap.before), "after": dict(repaired.gap.after)},
     }

@@ -157,7 +157,7 @@ class RunCache:
         lanes = len(next(iter(commands.values())))
         whole: list[dict[str, Array]] = [{} for _ in range(lanes)]
         for first, last in stretches:
-            part = _cut(recording, int(first), int(last))
+            part = rows_of(recording, int(first), int(last))
             for k, signals in enumerate(self._call(part, {s: u[:, first:last] for s, u in commands.items()})):
                 for signal, values in signals.items():
                     whole[k].setdefault(signal, np.full(len(recording), np.nan))[first:last] = values
@@ -230,7 +230,7 @@ def _digest(parts: Sequence[Array]) -> bytes:
     return digest.digest()
 
 
-def _cut(recording: Recording, first: int, last: int) -> Recording:
+def rows_of(recording: Recording, first: int, last: int) -> Recording:
     """Rows ``first … last`` as a separate recording whose time starts at zero."""
     if first == 0 and last == len(recording):
         return recording

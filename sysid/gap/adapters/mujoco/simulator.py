@@ -94,8 +94,14 @@ class MujocoSimulator:
         present = {name: recording.values(name)[None] for name in names if not np.isnan(recording.values(name)).all()}
         return pd.DataFrame({signal: values[0] for signal, values in self.simulate_many(recording, present).items()})
 
-    def simulate_many(self, recording: Recording, commands: Mapping[str, Array]) -> Mapping[str, Array]:
+    def simulate_many(
+        self, recording: Recording, commands: Mapping[str, Array], starts: Array | None = None
+    ) -> Mapping[str, Array]:
         """``<axis>.command`` → (lanes, n) to signal → (lanes, n).
+
+        Args:
+            starts: (lanes, axes, 2) positions [rad or m] and speeds [rad/s or m/s] of the axes at the first row, from the
+                measured ones.
 
         Raises:
             InputError: the simulation is unstable at the time step of the model.
@@ -103,7 +109,7 @@ class MujocoSimulator:
         compiled = self.compiled(recording.rate_hz)
         lanes, rows = next(iter(commands.values())).shape
         controls = self._controls(compiled, recording, commands, lanes, rows)
-        sensors = self._rollout(compiled, recording, controls)
+        sensors = self._rollout(compiled, recording, controls, np.zeros((lanes, 1, 2)) if starts is None else starts)
         found = {signal: sensors[:, :, column] for signal, column in compiled.columns.items()}
         if not all(np.isfinite(values).all() for values in found.values()):
             expected = "a stable simulation"
@@ -138,7 +144,7 @@ class MujocoSimulator:
             controls[:, :, at] = drive.scale * commands.get(signal, np.full((lanes, rows), held))
         return controls
 
-    def _rollout(self, compiled: Compiled, recording: Recording, controls: Array) -> Array:
+    def _rollout(self, compiled: Compiled, recording: Recording, controls: Array, starts: Array) -> Array:
         """Sensor data at the beginning of each row, (lanes, n, sensors)."""
         from mujoco.rollout import Rollout
 
@@ -146,7 +152,7 @@ class MujocoSimulator:
         lanes, rows = controls.shape[:2]
         threads = min(self.threads, lanes)
         datas = [mujoco_library().MjData(model) for _ in range(threads)]
-        state = np.stack([self._start(compiled, recording, lane[0]) for lane in controls])
+        state = np.stack([self._start(compiled, recording, c[0], away) for c, away in zip(controls, starts, strict=True)])
         out = np.empty((lanes, rows, model.nsensordata))
         with Rollout(nthread=threads if threads > 1 else 0) as pool:
             chunk = max(1, CHUNK_STEPS // steps)
@@ -160,14 +166,16 @@ class MujocoSimulator:
                 out[lags, first:] = np.nan
         return out
 
-    def _start(self, compiled: Compiled, recording: Recording, control: Array) -> Array:
-        """Physics state at the first row for the first control (nu,)."""
+    def _start(self, compiled: Compiled, recording: Recording, control: Array, away: Array) -> Array:
+        """Physics state at the first row for the first control (nu,), the axes by ``away`` (axes or 1, 2) from their start."""
         mujoco, model = mujoco_library(), compiled.model
         data = mujoco.MjData(model)
         data.qpos[:] = self._positions(compiled, recording)
-        for axis, drive in zip(self.machine.axes, compiled.drives, strict=True):
+        moved = np.broadcast_to(away, (len(self.machine.axes), 2))
+        for axis, drive, (position, speed) in zip(self.machine.axes, compiled.drives, moved, strict=True):
             signal = axis_signal(axis.name, "joint")
-            data.qvel[int(model.jnt_dofadr[drive.joint])] = joint_start(recording, signal).speed
+            data.qpos[int(model.jnt_qposadr[drive.joint])] += position
+            data.qvel[int(model.jnt_dofadr[drive.joint])] = joint_start(recording, signal).speed + speed
         data.ctrl[:] = control
         for k in range(model.nactuator):
             _begin(model, data, k)
