@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from sysid.datasets.layouts import TABLES, Layout, bags_of, glob_of, layouts_of, recording_names, unreadable
+from sysid.datasets.layouts import TABLES, Layout, bags_of, glob_of, layouts_of, recording_names, refusal_of, unreadable
 from sysid.datasets.words import NO_SIGNAL, says_command, signal_of, words_without_numbers
 from sysid.errors import InputError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
@@ -42,11 +42,13 @@ class Chosen:
         name: of the dataset.
         lines: by what separates files with the same fields, topic (of a table its file's stem, or empty) and field → the line.
         apart: file → what separates it; files without an entry have the lines of the empty one.
+        without: file that can be read and is left out → why.
     """
 
     name: str
     lines: Mapping[str, Mapping[tuple[str, str], str]]
     apart: Mapping[Path, str]
+    without: Mapping[Path, str]
 
 
 def draft_recipe(
@@ -70,14 +72,16 @@ def draft_recipe(
     lines.append(f"{'' if known else '# '}machine = {toml_value(machine_path)}")
     if logs is not None:
         lines.append(f"logs = {toml_value(logs)}")
-    damaged = unreadable(files)
+    damaged, without = unreadable(files), chosen.without if chosen is not None else {}
     files = [file for file in files if file not in damaged]
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
     names |= {file.path: _damaged_name(file.path, {*names.values()} if single else None) for file in damaged}
-    if damaged:
-        lines += ["", *(f"# left out: {comment(' '.join(file.refusal.split()))}" for file in damaged), "[recordings]"]
-        keys = (escape(f"{names[file.path]}/{file.path.name}") for file in damaged)
-        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]   # cannot be read"]
+    reasons = {file.path: refusal_of(file) for file in damaged} | dict(without)
+    if reasons:
+        lines += ["", *(f"# left out: {path.name}: {comment(why)}" for path, why in reasons.items()), "[recordings]"]
+        keys = (escape(f"{names[path]}/{path.name}") for path in reasons)
+        lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]"]
+    files = [file for file in files if file.path not in without]
     layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)
     if single:
         lines += ["", "[recordings.files]          # each file, or bag in several files, is a recording of its own"]

@@ -208,6 +208,11 @@ def unreadable(files: Sequence[FileSummary]) -> tuple[FileSummary, ...]:
     return tuple(file for file in files if file.refusal and (file.reader, file.path.suffix) in readable)
 
 
+def refusal_of(file: FileSummary) -> str:
+    """Why a file cannot be read, in one line without its path."""
+    return " ".join(file.refusal.split()).removeprefix(f"{file.path}: ")
+
+
 def overlap(one: FileSummary, other: FileSummary) -> bool:
     """Whether the first clocks of two files overlap in time."""
     spans = []

@@ -210,6 +210,53 @@ def test_a_recording_in_another_unit_has_an_entry_of_its_own(tmp_path: Path) -> 
         assert axis.gain == pytest.approx(truth.gain[k], rel=0.02)
 
 
+def with_the_motor_off(folder: Path, off: tuple[int, ...], count: int = 6) -> None:
+    """Logs of a servo; in those that are ``off`` its arm falls while its setpoint rises."""
+    folder.mkdir()
+    time = np.arange(600) / 50.0
+    for k in range(count):
+        goal = np.sin(0.6 * time + k) if k not in off else 0.1 * time
+        place = np.interp(time - 0.08, time, goal) if k not in off else -0.7 * (1.0 - np.exp(-0.4 * time))
+        pd.DataFrame({"t": time, "goal_position": goal, "position": place}).to_csv(folder / f"run{k}.csv", index=False)
+
+
+def test_recordings_in_which_the_command_does_not_act_are_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_the_motor_off(tmp_path / "logs", (1, 4))
+    found = described(tmp_path / "logs", {"position_unit": "rad"})
+    (question,) = found.questions
+    assert (question.key, question.proposal) == ("left_out", "run1,run4")
+    assert "goes against" in question.why
+    assert '"run1/run1.csv", "run4/run4.csv"' in found.recipe
+    kept = described(tmp_path / "logs", {"position_unit": "rad", "left_out": "none"}, "servo")
+    assert kept.questions == ()
+    assert "left_out" not in kept.recipe
+    with pytest.raises(SettingsError, match=r"left_out=run2: 'run2'; expected none, or some of run1,run4"):
+        described(tmp_path / "logs", {"left_out": "run2"})
+    answers = ["--set", "position_unit=rad", "--set", "left_out=run1,run4"]
+    assert run("--workspace", tmp_path / "w", "start", tmp_path / "logs", "--out", tmp_path / "m", *answers) == 0
+    shown = capsys.readouterr().out
+    assert "left out: run4: position goes against goal_position" in shown
+    assert "SEVERE" not in shown
+    assert "2 files left out by the recipe" in shown.replace("\n", " ")
+
+
+def test_recordings_that_all_follow_are_not_asked(tmp_path: Path) -> None:
+    with_the_motor_off(tmp_path / "logs", ())
+    assert [q.key for q in described(tmp_path / "logs").questions] == ["position_unit"]
+
+
+def test_a_command_without_effect_in_some_recordings_is_a_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_the_motor_off(tmp_path / "logs", (1, 4))
+    answers = ["--set", "position_unit=rad", "--set", "left_out=none"]
+    assert (
+        run("--workspace", tmp_path / "w", "start", tmp_path / "logs", "--out", tmp_path / "m", "--kind", "servo", *answers)
+        != 0
+    )
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "in run1 and run4 likely cause" in shown
+    assert "the command of axis axis is without effect in these recordings: a drive that is off, or in another mode" in shown
+
+
 @pytest.mark.parametrize(("mass", "note"), [(2.5, "from force and acceleration"), (-1.0, "assumed: these logs do not show it")])
 def test_an_inertia_that_the_logs_do_not_show_is_said_to_be_assumed(tmp_path: Path, mass: float, note: str) -> None:
     """A force against the acceleration is no mass."""

@@ -15,6 +15,7 @@ from sysid.datasets.drafting.fields import MAX_SECONDS, Field
 from sysid.datasets.drafting.inertia import moved_mass
 from sysid.datasets.drafting.question import Answers, Question
 from sysid.datasets.drafting.valve import Characteristic, characteristic
+from sysid.datasets.plausibility.measures import LEAST_STRENGTH
 from sysid.datasets.plausibility.response import MAX_DELAY_S, correlation
 from sysid.datasets.quality.responses import speed
 from sysid.datasets.words import ANGLES, STRAIGHT, words_of
@@ -63,6 +64,8 @@ PAUSE_STEPS, PAUSE_S = 4.0, 0.2
 #: Rate at which the speeds of a valve axis are fitted [Hz], and the rows of that.
 FINE_HZ, MAX_ROWS = 100.0, 2.0**18
 
+#: The answer that leaves no recording out.
+NOTHING = "none"
 KINDS = {"hydraulic": "velocity", "servo": "position", "force": "force"}
 
 
@@ -98,12 +101,36 @@ class AxisDraft:
     scale: float = 1.0
 
 
-def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) -> tuple[list[AxisDraft], list[str]]:
-    """The axes in the order of their columns, and why others are left out.
+def axes_of(
+    fields: Sequence[Field], answers: Answers, kind: str | None = None
+) -> tuple[list[AxisDraft], list[str], dict[str, str]]:
+    """The axes in the order of their columns, why others are left out, and recordings to leave out, with the reason.
 
     Args:
         kind: hydraulic, servo or force; None: as the data show.
     """
+    pairs, left = _pairs(fields, answers, kind)
+    without = _against(pairs, answers)
+    if without:
+        kept = [replace(f, series=tuple(one for one in f.series if one.recording not in without)) for f in fields]
+        pairs, left = _pairs([f for f in kept if f.series], answers, kind)
+    actuations = _actuations(pairs, answers, kind)
+    units = _units(pairs, actuations, answers)
+    scales = _force_scales({name: pair.command for name, pair in pairs.items() if actuations[name] == "force"}, answers)
+    unstated = {name: pair for name, pair in pairs.items() if pair.motion.unit is None and actuations[name] == "velocity"}
+    other = _other_units({name: (pair.command, pair.motion) for name, pair in unstated.items()}, units, answers)
+    found = []
+    for name, pair in pairs.items():
+        drives, unit, pair.notes["unit"] = units[name]
+        its = other if name in unstated else {}
+        scaled = pair if not its else replace(pair, motion=_in_one_unit(pair.motion, unit, its), fit=None)
+        axis = _axis(name, scaled, actuations[name], drives, unit, scales.get(name, 1.0), answers)
+        found.append(replace(axis, motion=pair.motion, units=its))
+    return found, left, without
+
+
+def _pairs(fields: Sequence[Field], answers: Answers, kind: str | None) -> tuple[dict[str, _Pair], list[str]]:
+    """Axis → its command and motion; and why other columns are left out."""
     groups: dict[str, list[Field]] = {}
     for each in _assigned(fields, answers):
         groups.setdefault(each.axis, []).append(each)
@@ -137,19 +164,33 @@ def axes_of(fields: Sequence[Field], answers: Answers, kind: str | None = None) 
         left += [f"{f.label}: {name} has {command.label} and {motion.label}" for f in group if f not in (command, motion)]
         valve = _likely(command, how) == "velocity" and kind in (None, "hydraulic")
         pairs[name] = _Pair(command, motion, how, _fitted(command, motion) if valve else None)
-    actuations = _actuations(pairs, answers, kind)
-    units = _units(pairs, actuations, answers)
-    scales = _force_scales({name: pair.command for name, pair in pairs.items() if actuations[name] == "force"}, answers)
-    unstated = {name: pair for name, pair in pairs.items() if pair.motion.unit is None and actuations[name] == "velocity"}
-    other = _other_units({name: (pair.command, pair.motion) for name, pair in unstated.items()}, units, answers)
-    found = []
-    for name, pair in pairs.items():
-        drives, unit, pair.notes["unit"] = units[name]
-        its = other if name in unstated else {}
-        scaled = pair if not its else replace(pair, motion=_in_one_unit(pair.motion, unit, its), fit=None)
-        axis = _axis(name, scaled, actuations[name], drives, unit, scales.get(name, 1.0), answers)
-        found.append(replace(axis, motion=pair.motion, units=its))
-    return found, left
+    return pairs, left
+
+
+def _against(pairs: Mapping[str, _Pair], answers: Answers) -> dict[str, str]:
+    """Recordings in which a motion goes against its command, which it follows in most others: there it hardly acts."""
+    found = dict[str, str]()
+    for pair in pairs.values():
+        quantity = max(pair.how, key=lambda key: pair.how[key])
+        least, delays = LEAST_STRENGTH[quantity], round(MAX_DELAY_S * RATE_HZ)
+        follows = dict[str, float]()
+        for one in pair.motion.series:
+            u, x = _together(pair.command, replace(pair.motion, series=(one,)))
+            follows[one.recording] = correlation(u, speed(x, RATE_HZ) if quantity == "velocity" else x, delays)
+        clear = {recording: value for recording, value in follows.items() if abs(value) >= least}
+        usual = math.copysign(1.0, sum(math.copysign(1.0, value) for value in clear.values()))
+        for recording, value in clear.items():
+            if value * usual < 0.0:
+                found[recording] = f"{pair.motion.label} goes against {pair.command.label} (correlation {value:.2f})"
+    if not found:
+        return {}
+    why = f"{next(iter(found.values()))}, unlike in most others, in {listed([*found], 4)}: a motor that is off, or another sign"
+    answer = answers.of(Question("left_out", ",".join(found), why))
+    chosen = [name for name in answer.split(",") if name != NOTHING]
+    for name in chosen:
+        if name not in found:
+            raise SettingsError(f"--set left_out={answer}", f"{name!r}", f"{NOTHING}, or some of {','.join(found)}")
+    return {name: found[name] for name in chosen}
 
 
 @dataclass(frozen=True)

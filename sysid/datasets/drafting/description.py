@@ -14,7 +14,7 @@ from sysid.datasets.draft import Chosen, draft_recipe
 from sysid.datasets.drafting.axes import AxisDraft, axes_of, unit_factor
 from sysid.datasets.drafting.fields import Field, read_fields
 from sysid.datasets.drafting.question import Answers, Question
-from sysid.datasets.layouts import recording_names, unreadable
+from sysid.datasets.layouts import recording_names, refusal_of, unreadable
 from sysid.errors import InputError
 from sysid.logs.inspection import FileSummary
 from sysid.machine import Machine
@@ -65,7 +65,7 @@ def describe(
         InputError: no file with a time, or no axis in the columns.
         SettingsError: an answer that is not one of the choices.
     """
-    left = [f"{file.path.name}: {' '.join(file.refusal.split())}" for file in files if file.refusal]
+    left = [f"{file.path.name}: {refusal_of(file)}" for file in files if file.refusal]
     used = [file for file in files if not file.refusal and any(stream.clocks for stream in file.streams)]
     if not used:
         why = left[0] if left else "no column of times"
@@ -77,9 +77,9 @@ def describe(
     in_folders = any(file.path.parent != folder for file in used)
     names, _ = recording_names(used, in_folders, [frozenset() for _ in used])
     fields = read_fields(used, names)
-    axes, others = axes_of(fields, answers, kind)
+    axes, others, without = axes_of(fields, answers, kind)
     answers.check_used()
-    left += others
+    left += [*others, *(f"{recording}: {why}" for recording, why in without.items())]
     if robot is not None:
         axes, others = _of_robot(axes, robot[1])
         left += others
@@ -91,7 +91,7 @@ def describe(
     rate, why = _rate(fields)
     machine = _machine_text(name, axes, rate, why) if robot is None else _with_rate(robot[0], rate, why)
     recipe = draft_recipe(
-        [*used, *unreadable(files)], None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names)
+        [*used, *unreadable(files)], None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names, without)
     )
     return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
 
@@ -106,14 +106,16 @@ def _with_time_unit(file: FileSummary, answers: Answers) -> FileSummary:
     return replace(file, stated={**file.stated, "time_unit": unit}, time_units=())
 
 
-def _chosen(name: str, axes: Sequence[AxisDraft], recordings: Mapping[Path, str]) -> Chosen:
-    """The lines of all axes; files of recordings with other units have lines of their own."""
+def _chosen(name: str, axes: Sequence[AxisDraft], recordings: Mapping[Path, str], without: Mapping[str, str]) -> Chosen:
+    """The lines of all axes; files of recordings with other units have lines of their own, those ``without`` none."""
     others = {recording for axis in axes for recording in axis.units}
     lines = {"": {key: line for axis in axes for key, line in _lines(axis)}}
     for other in others:
         in_its_units = (replace(axis, unit=axis.units.get(other, axis.unit)) for axis in axes)
         lines[other] = {key: line for axis in in_its_units for key, line in _lines(axis)}
-    return Chosen(name, lines, {path: recording for path, recording in recordings.items() if recording in others})
+    apart = {path: recording for path, recording in recordings.items() if recording in others}
+    left = {path: without[recording] for path, recording in recordings.items() if recording in without}
+    return Chosen(name, lines, apart, left)
 
 
 def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:

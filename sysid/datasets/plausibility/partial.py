@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from sysid.datasets.plausibility.axes import AxisFinding, axis_finding, merged
 from sysid.datasets.plausibility.figures import AxisFigures
-from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.plausibility.finding import Cause, Finding
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
 from sysid.names import uncut_name
@@ -54,7 +54,16 @@ def partial_findings(
             groups.setdefault(tuple(names), []).append(found[names[0]])
     for some, findings in groups.items():
         for merged_finding in merged(findings):
-            yield replace(merged_finding, recordings=some)
+            causes = (*merged_finding.causes, *_without_effect(findings))
+            yield replace(merged_finding, causes=causes, recordings=some)
+
+
+def _without_effect(findings: Sequence[AxisFinding]) -> Iterator[Cause]:
+    """A motion against its command, which it follows in other recordings, may also not be its own."""
+    axes = tuple(finding.axis for finding in findings if finding.key.endswith(":sign"))
+    if axes:
+        says = "without effect in these recordings: a drive that is off, or in another mode"
+        yield Cause("the command of axis", axes, says, remedy="Leave their files out: `left_out` in [recordings] of the recipe")
 
 
 def by_recording(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
