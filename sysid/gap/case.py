@@ -31,7 +31,7 @@ from sysid.gap.drive_delay import drive_delay
 from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.floor import problem_floor
+from sysid.gap.floor import problem_floors
 from sysid.gap.noise import noise_of_signals
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
@@ -149,25 +149,23 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
     coarse = coarse_sensors(plant, split.seen, noise)
     sources = {signal: each.source for signal, each in known.items()}
     case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse, order, sources)
-    return case, [_stage(case, problem) for problem in problems]
+    return case, _stages(case, problems)
 
 
-def _stage(case: Case, problem: Problem) -> Stage:
-    split = stage_split(case, problem)
-    resonance = _resonance(case, problem, split)
-    if resonance is not None:
-        problem = _with_drive_delay(case, problem, split, resonance)
-        resonance = _resonance(case, problem, split) or resonance
-    theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
-    sigma = problem_floor(problem, theta, split.fit, case.noise, case.seed)
-    return Stage(
-        problem,
-        split,
-        np.maximum(sigma, 1e-12),
-        case.theta,
-        resonance=resonance,
-        oscillation=_oscillation(case, problem, split),
-    )
+def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
+    found, looks = list[Stage](), list[tuple[Problem, Array, Sequence[Recording]]]()
+    for each in problems:
+        problem, split = each, stage_split(case, each)
+        resonance = _resonance(case, problem, split)
+        if resonance is not None:
+            problem = _with_drive_delay(case, problem, split, resonance)
+            resonance = _resonance(case, problem, split) or resonance
+        theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
+        looks.append((problem, theta, split.fit))
+        oscillation = _oscillation(case, problem, split)
+        found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
+    floors = problem_floors(looks, case.noise, case.seed)
+    return [replace(stage, sigma=np.maximum(floor, 1e-12)) for stage, floor in zip(found, floors, strict=True)]
 
 
 def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | None:

@@ -22,21 +22,36 @@ DRAWS = 3
 def problem_floor(
     problem: Problem, theta: Array, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int
 ) -> Array:
-    """RMSE of the stage's outputs if ``theta`` were true, (d,).
+    """RMSE of the stage's outputs if ``theta`` were true, (d,): see :func:`problem_floors`."""
+    return problem_floors([(problem, theta, recordings)], noise, seed)[0]
+
+
+def problem_floors(
+    stages: Sequence[tuple[Problem, Array, Sequence[Recording]]], noise: Mapping[str, float], seed: int
+) -> list[Array]:
+    """RMSE of the outputs of each stage if its parameters were true, (d,) each.
 
     Residual on copies with additional noise on every measured signal, less the residual on the recordings: the effect of noise
-    in output, inputs and initial state, through the filters of the stage.
+    in output, inputs and initial state, through the filters of the stage. All stages see the same copies, of which there is one
+    at a time.
     """
-    totals, count = np.zeros(len(problem.signals)), 0
-    for recording in recordings:
-        clean = problem.measured(recording) - problem.predict(theta[None], recording)[0]
+    totals, counts = [np.zeros(len(problem.signals)) for problem, _, _ in stages], np.zeros(len(stages))
+    every = {id(recording): recording for _, _, recordings in stages for recording in recordings}
+    for recording in every.values():
+        here = [k for k, (_, _, recordings) in enumerate(stages) if any(recording is own for own in recordings)]
+        clean = {k: _error(*stages[k][:2], recording) for k in here}
         for draw in range(DRAWS):
             noisy = with_noise(recording, noise, np.random.default_rng([seed, draw]))
-            difference = problem.measured(noisy) - problem.predict(theta[None], noisy)[0] - clean
-            there = ~np.isnan(difference).any(axis=1)
-            totals += (difference[there] ** 2).sum(axis=0)
-            count += int(there.sum())
-    return np.asarray(np.sqrt(totals / max(count, 1)))
+            for k in here:
+                difference = _error(*stages[k][:2], noisy) - clean[k]
+                there = ~np.isnan(difference).any(axis=1)
+                totals[k] += (difference[there] ** 2).sum(axis=0)
+                counts[k] += int(there.sum())
+    return [np.asarray(np.sqrt(total / max(count, 1))) for total, count in zip(totals, counts, strict=True)]
+
+
+def _error(problem: Problem, theta: Array, recording: Recording) -> Array:
+    return np.asarray(problem.measured(recording) - problem.predict(theta[None], recording)[0])
 
 
 def run_floors(

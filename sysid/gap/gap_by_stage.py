@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.case import Case, Stage
 from sysid.gap.excitation import axis_of, identifiable_targets
-from sysid.gap.floor import problem_floor
+from sysid.gap.floor import problem_floors
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Gap
@@ -25,19 +25,16 @@ Errors = Mapping[str, float]
 
 def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
     """RMSE of every stage driven by its measured input, on held-out recordings; of the speeds of command stages too."""
-    before: dict[str, float] = {}
-    after: dict[str, float] = {}
-    floor: dict[str, float] = {}
     # The forces of the links stage are outputs of the axes' stages too.
-    own = ((s.problem, s.split.held_out) for s in stages if s.problem.stage != "links")
-    for problem, held_out in (*own, *_speeds(case, stages)):
-        for values, scores in (
-            (before, stage_rmse(problem, case.theta, held_out)),
-            (after, stage_rmse(problem, repaired, held_out)),
-            (floor, problem_floor(problem, repaired, held_out, case.noise, case.seed)),
-        ):
-            values.update(zip(problem.signals, map(float, scores), strict=True))
-    return Gap(before, after, floor)
+    own = [(s.problem, s.split.held_out) for s in stages if s.problem.stage != "links"]
+    looks = [*own, *_speeds(case, stages)]
+    floors = problem_floors([(problem, repaired, held_out) for problem, held_out in looks], case.noise, case.seed)
+    found: tuple[dict[str, float], dict[str, float], dict[str, float]] = {}, {}, {}
+    for (problem, held_out), floor in zip(looks, floors, strict=True):
+        scores = stage_rmse(problem, case.theta, held_out), stage_rmse(problem, repaired, held_out), floor
+        for values, own_scores in zip(found, scores, strict=True):
+            values.update(zip(problem.signals, map(float, own_scores), strict=True))
+    return Gap(*found)
 
 
 def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence[Recording]]]:

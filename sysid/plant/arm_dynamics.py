@@ -34,9 +34,6 @@ Array = npt.NDArray[np.float64]
 BODY = 22
 _WAY, _MASS, _MOMENT, _INERTIA, _FORCE, _TORQUE = 3, 6, 7, 10, 16, 19
 
-#: Step of the central difference of the gravity torque over the position [rad or m].
-STEP = 1e-4
-
 
 @loop
 def dynamics(q, v, links, bodies, kept, mass, bias):
@@ -209,22 +206,39 @@ def link_series(links, bodies, q, v, a, ahead, own, bias, coupled, slope):
     """
     axes = q.shape[1]
     kept, mass, torque = np.empty((len(bodies), BODY)), np.empty((axes, axes)), np.empty(axes)
-    still, place, further = np.zeros(axes), np.empty(axes), np.empty(axes)
     coupled[:] = 0.0
     for k in range(len(q)):
         dynamics(q[k], v[k], links, bodies, kept, mass, torque)
         for i in range(axes):
-            own[i, k], bias[i, k] = mass[i, i], torque[i]
+            own[i, k], bias[i, k], slope[i, k] = mass[i, i], torque[i], _weight_slope(links, kept, i)
             for j in range(axes):
                 if j != i:
                     coupled[i, k] += ahead * mass[i, j] * a[k, j]
                     if k > 0:
                         coupled[i, k - 1] += (1.0 - ahead) * mass[i, j] * a[k - 1, j]
-        for i in range(axes):
-            for j in range(axes):
-                place[j] = q[k, j]
-            place[i] = q[k, i] + STEP
-            dynamics(place, still, links, bodies, kept, mass, further)
-            place[i] = q[k, i] - STEP
-            dynamics(place, still, links, bodies, kept, mass, torque)
-            slope[i, k] = (further[i] - torque[i]) / (2.0 * STEP)
+
+
+@inlined
+def _weight_slope(links, kept, i):
+    """Change of the gravity torque of axis ``i`` by its own position [N·m/rad or N/m], after :func:`dynamics`.
+
+    The second derivative of the potential energy: a joint turns the axes and first moments of those behind it.
+    """
+    total, w = 0.0, links[0, WEIGHT]
+    for j in range(len(kept)):
+        if int(links[j, ORDER]) != i:
+            continue
+        ux, uy, uz = kept[j, 0], kept[j, 1], kept[j, 2]
+        hx, hy, hz = kept[j, _MOMENT], kept[j, _MOMENT + 1], kept[j, _MOMENT + 2]
+        for before in range(j + 1):
+            if int(links[before, ORDER]) != i or links[before, PRISMATIC] != 0.0:
+                continue
+            bx, by, bz = kept[before, 0], kept[before, 1], kept[before, 2]
+            ex, ey, ez = _cross(bx, by, bz, ux, uy, uz)
+            if links[j, PRISMATIC] != 0.0:
+                value = ez * kept[j, _MASS] * w
+            else:
+                gx, gy, _ = _cross(bx, by, bz, hx, hy, hz)
+                value = w * (ex * hy - ey * hx + ux * gy - uy * gx)
+            total += (1.0 if before == j else 2.0) * links[j, RATIO] * links[before, RATIO] * value
+    return total

@@ -18,6 +18,7 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.machine.rigid_body import RigidBody, rigid_body
 from sysid.plant import axis_run, layout, residual, sensing, servo_axis, stage_tip, swing
+from sysid.plant.arm_dynamics import mass_ratios
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.machine_arrays import KIND, ORDER, PASSIVE, POSITION, SERVO, VELOCITY, MachineArrays, machine_arrays
@@ -138,14 +139,22 @@ class Model:
         dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, self.theta, recording)
         out, begins = np.full((len(thetas), len(command)), np.nan), series.begins(i)
         inputs = i, self.machine.command_shift(self.machine.axis_names[i]), segments.tobytes()
-        new = [k for k, theta in enumerate(thetas) if not series.runs.read(inputs, theta, out[k])]
+        alike = dict[bytes, list[int]]()  # lanes that have the series in common
+        for k, theta in enumerate(thetas):
+            if not series.runs.read(inputs, theta, out[k]):
+                alike.setdefault(mass_ratios(self.arrays, theta).tobytes(), []).append(k)
+        most = min(TOGETHER, -(-sum(map(len, alike.values())) // free_cores()))
+        groups = [part[k : k + most] for part in alike.values() for k in range(0, len(part), most)]
 
-        def lane(m: int) -> None:
-            theta, run, size = thetas[new[m]], out[new[m]], layout.axis_memory(dt)
-            servo_axis.drive_servo(theta, self.arrays, i, command, series.of(i, theta), *begins, segments, dt, size, run)
-            series.runs.keep(inputs, theta, run)
+        def group(m: int) -> None:
+            lanes, size = thetas[groups[m]], layout.axis_memory(dt)
+            runs = np.full((len(lanes), len(command)), np.nan)
+            servo_axis.drive_servo(lanes, self.arrays, i, command, series.of(i, lanes[0]), *begins, segments, dt, size, runs)
+            for k, theta, run in zip(groups[m], lanes, runs, strict=True):
+                out[k] = run
+                series.runs.keep(inputs, theta, run)
 
-        in_parallel(lane, len(new), len(command))
+        in_parallel(group, len(groups), len(command) * most)
         return out
 
     def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
@@ -394,6 +403,8 @@ def measured_point(recording: Recording, point: str) -> Array:
 WORKERS = cores()
 _pool: ThreadPoolExecutor | None = None
 _counting = threading.Lock()
+#: Lanes of servo axes that one call runs side by side: more than these are no faster each.
+TOGETHER = 4
 #: Number of threads that keep a core busy each.
 _busy = 0
 #: Fewer steps than this are faster on one core than on several.
@@ -413,13 +424,18 @@ def core_taken() -> Iterator[None]:
             _busy -= 1
 
 
+def free_cores() -> int:
+    """Cores for the lanes of a thread, at least one."""
+    return max(WORKERS - max(_busy - 1, 0), 1)
+
+
 def in_parallel(lane: Callable[[int], None], count: int, samples: int) -> None:
     """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all free cores where that is faster.
 
     The kernels release the interpreter lock.
     """
     global _pool
-    workers = min(WORKERS - max(_busy - 1, 0), count)
+    workers = min(free_cores(), count)
     if workers <= 1 or count * samples < SERIAL:
         for i in range(count):
             lane(i)

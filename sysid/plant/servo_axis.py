@@ -113,55 +113,85 @@ def advance(s, m, u, links, armature, rest, slope, place, undamped, kp, kv, low,
         s[j], s[j + 1] = y - lead * w, w
 
 
+@inlined
+def _next(law, entry, links, rest, slope, place, undamped, j, count, s, m, dt, p, axes, i, own):
+    """Step ``j`` of the ``count`` of a sample, from the setpoint on."""
+    u = chain.servo_setpoint(entry[1], entry[0], entry[2], j, count, p, i * AXIS_WIDTH, s, m, dt / count, own)
+    advance(
+        s, m, u, links, law[4], rest, slope, place, undamped, law[0], law[1], law[2], law[3], dt / count, p, axes, i, own
+    )  # fmt: skip
+    chain.stop(s, m, axes, i)
+
+
 @loop
-def run(p, arrays, i, s, command, series, first, last, dt, out):
-    """Samples ``first … last`` of axis ``i`` from the state ``s``: its position before the step of each sample."""
-    b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)
-    kp, kv, low, high, armature = chain.servo_law(p, arrays.axes, i)
+def run(ps, arrays, i, ss, laws, entries, command, series, first, last, dt, out):
+    """Samples ``first … last`` of axis ``i`` in every lane, from the states ``ss`` (lanes, size).
+
+    A step waits for the one before it: the lanes advance side by side, so that the processor works on several at a time.
+
+    Args:
+        ps: parameters (lanes, P).
+        laws, entries: places for the controller (lanes, 5) and the input of a sample (lanes, 3).
+        out: position before the step of each sample, (lanes, n).
+    """
+    b, size, m = i * AXIS_WIDTH, ss.shape[1], np.int64(0)
     fine, lead = series.shape[1] // len(command), arrays.axes[i, LEAD]
     own = servo_law.own_steps(lead, dt)
-    middle, lead = (0.0, lead) if own > 0 else (0.5, 0.0)
+    for lane in range(len(ps)):
+        laws[lane, 0], laws[lane, 1], laws[lane, 2], laws[lane, 3], laws[lane, 4] = chain.servo_law(ps[lane], arrays.axes, i)
     for k in range(first, last):
-        later, earlier, part = input_delay.ends(
-            command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
-        )
-        viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
-        moving = armature if chain.has_backlash(p, b) else armature + _between(series, OWN, fine * (k + 0.5))
-        count = servo_law.substeps(kp, kv + viscous + gradual, moving, dt)
-        count = own if own > 0 else max(count, fine)
-        out[k] = chain.servo_joint(p, b, s, m, arrays.axes, i)
-        behind = _between(series, TORQUE, fine * k)
-        chain.rest_on_flank(_between(series, TORQUE, fine * (k + 1.0)) - behind, p, b, s, m)
-        for j in range(count):
-            ahead = _between(series, TORQUE, fine * (k + (j + 1) / count))
-            rest, behind = (ahead - behind) * count / fine, ahead
-            at = fine * (k + (j + middle) / count)
-            links, slope, place = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
-            place += lead * _between(series, SPEED, at)
-            undamped = _between(series, UNDAMPED, at) if own > 0 else 0.0
-            u = chain.servo_setpoint(earlier, later, part, j, count, p, b, s, m, dt / count, own > 0)
-            advance(
-                s, m, u, links, armature, rest, slope, place, undamped, kp, kv, low, high, dt / count, p, arrays.axes, i,
-                own > 0,
-            )  # fmt: skip
-            chain.stop(s, m, arrays.axes, i)
+        begin = _between(series, TORQUE, fine * k)
+        for lane in range(len(ps)):
+            p, s = ps[lane], ss[lane]
+            entries[lane, 0], entries[lane, 1], entries[lane, 2] = input_delay.ends(
+                command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
+            )
+            out[lane, k] = chain.servo_joint(p, b, s, m, arrays.axes, i)
+            chain.rest_on_flank(_between(series, TORQUE, fine * (k + 1.0)) - begin, p, b, s, m)
+        if own > 0:
+            behind = begin
+            for j in range(own):
+                ahead = _between(series, TORQUE, fine * (k + (j + 1) / own))
+                at, rest = fine * (k + j / own), (ahead - behind) * own / fine
+                links, slope, undamped = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, UNDAMPED, at)
+                place = _between(series, PLACE, at) + lead * _between(series, SPEED, at)
+                for lane in range(len(ps)):
+                    _next(
+                        laws[lane], entries[lane], links, rest, slope, place, undamped, j, own, ss[lane], m, dt, ps[lane],
+                        arrays.axes, i, True,
+                    )  # fmt: skip
+                behind = ahead
+            continue
+        for lane in range(len(ps)):
+            p, s, law, behind = ps[lane], ss[lane], laws[lane], begin
+            viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
+            moving = law[4] if chain.has_backlash(p, b) else law[4] + _between(series, OWN, fine * (k + 0.5))
+            count = max(servo_law.substeps(law[0], law[1] + viscous + gradual, moving, dt), fine)
+            for j in range(count):
+                ahead = _between(series, TORQUE, fine * (k + (j + 1) / count))
+                at, rest, behind = fine * (k + (j + 0.5) / count), (ahead - behind) * count / fine, ahead
+                links, slope, place = _between(series, OWN, at), _between(series, SLOPE, at), _between(series, PLACE, at)
+                _next(law, entries[lane], links, rest, slope, place, 0.0, j, count, s, m, dt, p, arrays.axes, i, False)
 
 
 @kernel
-def drive_servo(p, arrays, i, command, series, places, speeds, segments, dt, size, out):
-    """Free run of servo axis ``i`` from its command over all segments.
+def drive_servo(ps, arrays, i, command, series, places, speeds, segments, dt, size, out):
+    """Free runs of servo axis ``i`` from its command over all segments.
 
     Args:
+        ps: parameters (lanes, P).
         command: (n,), ``series``: (SERIES, n · F).
         places, speeds: (n,), in which the segments begin.
         segments: (m, 2) first and last+1 sample of each stretch with commands.
-        out: position of the joint, (n,).
+        out: position of the joint, (lanes, n).
     """
-    s = np.empty(size)
+    lanes = len(ps)
+    ss, laws, entries = np.empty((lanes, size)), np.empty((lanes, 5)), np.empty((lanes, 3))
     for row in range(len(segments)):
         first, last = segments[row, 0], segments[row, 1]
-        start(p, arrays, i, s, places[first], speeds[first], first, dt)
-        run(p, arrays, i, s, command, series, first, last, dt, out)
+        for lane in range(lanes):
+            start(ps[lane], arrays, i, ss[lane], places[first], speeds[first], first, dt)
+        run(ps, arrays, i, ss, laws, entries, command, series, first, last, dt, out)
 
 
 @inlined

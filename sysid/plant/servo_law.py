@@ -75,8 +75,8 @@ def rub(free, resistance, v, theta, h, dry, give, time):
             return 0.0
         return (free - math.copysign(dry, free)) / resistance
     ahead = time / h
-    after = (free - ((1.0 - theta) - ahead) * v / give) / (resistance + (theta + ahead) / give)
-    friction = ((1.0 - theta) * v + theta * after + ahead * (after - v)) / give
-    if abs(friction) <= dry:
+    after = (give * free - ((1.0 - theta) - ahead) * v) / (give * resistance + theta + ahead)
+    friction = (1.0 - theta) * v + theta * after + ahead * (after - v)  # times ``give``
+    if abs(friction) <= give * dry:
         return after
     return (free - math.copysign(dry, friction)) / resistance

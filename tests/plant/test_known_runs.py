@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ def test_lanes_that_were_run_before(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     made, whole = [0], servo_axis.drive_servo
 
     def counted(*inputs: Any) -> None:
-        made[0] += 1
+        made[0] += len(inputs[0])
         whole(*inputs)
 
     monkeypatch.setattr(servo_axis, "drive_servo", counted)
@@ -44,6 +45,25 @@ def test_lanes_that_were_run_before(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     recording.derived.clear()
     np.testing.assert_array_equal(model.drive(thetas, recording, "j0"), again[::-1])
     assert made[0] == 13
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
+def test_lanes_beside_each_other_are_as_alone(tmp_path: Path, count: int) -> None:
+    """With and without the steps of the described simulator, and with lanes of other masses between them."""
+    text, dt = arm_text(2, 1), 0.01
+    machine, wanted = drafted(tmp_path, text), commands(2, 300, dt)
+    of_its_own = [replace(axis, servo=replace(axis.servo, step=0.0)) for axis in machine.axes]  # type: ignore[type-var]
+    for each in (machine, replace(machine, axes=tuple(of_its_own))):
+        model = compile_plant(nominal_plant(each))
+        thetas = np.repeat(model.theta[None], count, axis=0)
+        thetas[:, AT.stiffness_error] = np.linspace(0.6, 1.4, count)
+        thetas[::2, AT.input_delay] = 0.013
+        thetas[::3, AXIS_WIDTH + AT.link_mass_error] = 1.2
+        thetas[1::2, AT.backlash_drive] = 0.02
+        log = logged(text, wanted, dt)
+        whole = model.drive(thetas, recording_of(wanted, log, dt, each), "j0")
+        alone = [model.drive(theta[None], recording_of(wanted, log, dt, each), "j0")[0] for theta in thetas]
+        np.testing.assert_array_equal(whole, alone)
 
 
 def test_the_oldest_run_leaves(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.machine.moved_bodies import PARAMETERS
 from sysid.machine.rigid_body import RigidBody
 from sysid.plant import compile_plant, free_run, nominal_plant
-from sysid.plant.arm_dynamics import BODY, dynamics
+from sysid.plant.arm_dynamics import BODY, dynamics, link_series
 from sysid.plant.servo_law import weight
 from sysid.plant.stepper import Stepper
 from sysid.testing.check import typical_values
@@ -176,6 +176,20 @@ def test_mass_matrix_and_bias_are_those_of_pinocchio(values: list[float]) -> Non
     np.testing.assert_allclose(mass @ a + bias, wanted, atol=1e-9)
     np.testing.assert_allclose(mass, mass.T, atol=1e-12)
     assert arrays.bodies.shape[1] == PARAMETERS
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
+def test_the_change_of_the_weight_by_the_own_position(values: list[float]) -> None:
+    """Of sliding joints, and of an axis that moves two joints of the chain."""
+    arrays = compile_plant(nominal_plant(odd_machine())).arrays
+    step, q = 1e-5, np.array(values)
+    places = np.vstack([q, *(q + sign * step * row for row in np.eye(3) for sign in (1.0, -1.0))])
+    still = np.zeros_like(places)
+    own, bias, coupled, slope = np.zeros((4, 3, len(places)))
+    link_series(arrays.links, arrays.bodies, places, still, still, 1.0, own, bias, coupled, slope)
+    wanted = [(bias[i, 1 + 2 * i] - bias[i, 2 + 2 * i]) / (2.0 * step) for i in range(3)]
+    np.testing.assert_allclose(slope[:, 0], wanted, atol=1e-6)
+    assert np.abs(slope[0, 0]) > 0.0
 
 
 def heavier(urdf: str, *links: str) -> str:
