@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import clearly_worse
 from sysid.gap.data import Data
-from sysid.gap.fit import Fit, fit_candidates, spread_of
+from sysid.gap.fit import ROUGH, Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.price import divides
 from sysid.gap.stage_model import StageFit
@@ -66,7 +66,7 @@ def _in_place(data: Data, theta: Array, model: ModelFit, alternative: Candidate)
     rest = [c for c in model.candidates if c.effect.name not in alternative.effect.instead_of]
     known = [model.values_of(c) for c in rest]
     starts = [np.concatenate([*known, np.asarray(start)]) for start in alternative.starts]
-    return fit_candidates(data, theta, (*rest, alternative), starts)
+    return fit_candidates(data, theta, (*rest, alternative), starts, ROUGH)
 
 
 def _left(data: Data, fit: Fit | ModelFit) -> float:
@@ -75,12 +75,14 @@ def _left(data: Data, fit: Fit | ModelFit) -> float:
 
 def _fewest(data: Data, theta: Array, left: float, fit: Fit) -> Fit:
     """The fit without the effects beside the alternative, one by one, while it leaves at most a tenth more than ``left``."""
-    while len(fit.candidates) > 1:
+    most = EXPLAINED * max(left, 1.0)
+    while len(fit.candidates) > 1 and _left(data, fit) <= most:
         *rest, alternative = fit.candidates
         fewer = [[*(c for c in rest if c is not left_out), alternative] for left_out in rest]
-        fits = [fit_candidates(data, theta, some, [np.concatenate([fit.values_of(c) for c in some])]) for some in fewer]
+        starts = [[np.concatenate([fit.values_of(c) for c in some])] for some in fewer]
+        fits = [fit_candidates(data, theta, *each, ROUGH) for each in zip(fewer, starts, strict=True)]
         least = min(fits, key=lambda each: _left(data, each))
-        if _left(data, least) > EXPLAINED * max(left, 1.0):
+        if _left(data, least) > most:
             break
         fit = least
     return fit
@@ -101,8 +103,8 @@ def _beside(data: Data, theta: Array, found: StageFit, fit: Fit) -> StageFit:
     replaced = [c for c in decision.model.candidates if all(c.label != other.label for other in rest)]
     if len(replaced) != 1 or replaced[0] not in decision.named or len(replaced[0].unknowns) != len(alternative.unknowns):
         return found
-    same = fit_candidates(data, theta, decision.model.candidates, [decision.model.values])
-    gained = same.log_likelihood - fit.log_likelihood
+    same, instead = (fit_candidates(data, theta, each.candidates, [each.values]) for each in (decision.model, fit))
+    gained = same.log_likelihood - instead.log_likelihood
     if abs(gained) <= ALIAS:
         known = replace(replaced[0], aliases=(*replaced[0].aliases, (alternative.effect.name, alternative.target)))
         named = tuple(known if c is replaced[0] else c for c in decision.named)

@@ -75,12 +75,15 @@ def place(theta: Array, unknowns: Sequence[Unknown], lanes: Array) -> Array:
     return thetas
 
 
-def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], starts: Sequence[Array]) -> Fit:
+def fit_candidates(
+    data: Data, theta: Array, candidates: Sequence[Candidate], starts: Sequence[Array], tolerance: float = EXACT
+) -> Fit:
     """Fit all unknowns of ``candidates`` together, from each of ``starts``; the likeliest result is returned.
 
     Args:
         theta: vector of the plant under test.
         starts: rows of starting values, each (k,).
+        tolerance: relative, of the squared error in the last descent.
     """
     unknowns = tuple(u for c in candidates for u in c.unknowns)
     if not unknowns:
@@ -89,7 +92,7 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
     low, high = _bounds(unknowns)
     best: Fit | None = None
     for start in _promising(data, theta, unknowns, [np.clip(s, low, high) for s in starts]):
-        fitted = _descend(data, theta, tuple(candidates), unknowns, start, low, high)
+        fitted = _descend(data, theta, tuple(candidates), unknowns, start, low, high, tolerance)
         if best is None or fitted.log_likelihood > best.log_likelihood:
             best = fitted
     assert best is not None
@@ -128,6 +131,7 @@ def _descend(
     start: Array,
     low: Array,
     high: Array,
+    tolerance: float,
 ) -> Fit:
     scale = np.array([u.negligible for u in unknowns])
     plain = (DriftStrength(),) * len(data.sigma)
@@ -143,13 +147,14 @@ def _descend(
             x = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     if not data.models_drift or not any(drift.present for drift in drifts):
-        x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
+        if tolerance < ROUGH:
+            x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, tolerance)
         drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
         # Where the stage does not integrate, drift does not mislead plain least squares, which published figures use.
         if not data.models_drift or not any(drift.present for drift in drifts):
             break
-        moved = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, EXACT)
+        moved = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, tolerance)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
         if better <= log_likelihood:
             break
