@@ -70,8 +70,8 @@ def _between(recorded: AxisResponse, simulated: AxisResponse, row: float) -> Ite
             continue
         if _apart(one.begins, other.begins):
             yield different("begins", side, "1", one.begins, other.begins)
-        if abs(one.full - other.full) > ALIKE * max(one.full, other.full):
-            yield different("full", side, f"{recorded.unit}/s", (one.full, one.full), (other.full, other.full))
+        if _apart(one.full95, other.full95) and abs(one.full - other.full) > ALIKE * max(one.full, other.full):
+            yield different("full", side, f"{recorded.unit}/s", one.full95, other.full95)
 
 
 def _apart(one: tuple[float, float], other: tuple[float, float]) -> bool:

@@ -15,6 +15,7 @@ from version_content import content
 
 from sysid.cli import main
 from sysid.datasets import Store, ingest
+from sysid.datasets.versions.vacuum import vacuum
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 from sysid.execution.cluster import ClusterExecutor
@@ -71,4 +72,6 @@ def test_an_interrupted_ingest_leaves_no_version_and_the_next_call_makes_it(tmp_
         assert b"KeyboardInterrupt" in done.stderr
         assert list(Store(tmp_path / "ws").versions("lift")) == []
         assert ingest(logs, tmp_path / "ws", executor=ClusterExecutor(address)).version == 1
+    vacuum(Store(tmp_path / "ws"), lambda *_: ())  # a task that was running may have written after the interrupt
     assert list(Store(tmp_path / "ws").leftovers("lift")) == []
+    assert list(Store(tmp_path / "ws").versions("lift")) == [1]

@@ -220,4 +220,5 @@ def _motion(axis: EdgeAxis, command: Array, rate: float, rng: np.random.Generato
         path = path + 5.0 * (np.arange(n) >= n // 2)
     elif axis.motion == "counts":
         path = np.round(path * 100.0) / 100.0
-    return np.asarray(axis.size * path, dtype=np.float64)
+    with np.errstate(over="ignore"):
+        return np.asarray(axis.size * path, dtype=np.float64)

@@ -6,6 +6,7 @@ derivative of the measured place. ``f`` follows by least squares for every delay
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,8 +21,9 @@ Array = npt.NDArray[np.float64]
 WINDOW_S, STEP_S = 0.4, 0.1
 #: Knots of the characteristic; weight of its second differences beside the mean square of the regressors.
 KNOTS, SMOOTH = 21, 1e-3
-#: Lags that are tried, longest delay, and steps in which delays are searched [s].
-LAGS = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
+#: Lags that are tried first [s], and how often those halfway to the neighbours of the best one are tried then.
+LAGS, HALVED = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0), 2
+#: Longest delay, and steps in which delays are searched [s].
 LONGEST, COARSE, FINE, REACH = 1.5, 0.05, 0.02, 0.16
 #: A window counts away from the ends of the range, as a share of it; residuals beyond this multiple of their median do not.
 ENDS, FAR = 0.01, 8.0
@@ -92,21 +94,26 @@ def characteristic(parts: Sequence[tuple[Array, Array]], rate_hz: float) -> Char
         return None
     coarse = [each.lagged(0.1) for each in windows]
     first = min(np.arange(0.0, LONGEST, COARSE), key=lambda delay: _fitted(windows, coarse, delay)[1])
-    found: tuple[float, Array, float, float] | None = None
-    for lag in LAGS:
-        areas, near = [each.lagged(lag) for each in windows], first + 0.1 - lag
-        for delay in np.arange(max(near - REACH, 0.0), max(near + REACH, 0.0) + 1e-9, FINE):
-            speeds, residual = _fitted(windows, areas, delay)
-            if found is None or residual < found[0]:
-                found = residual, speeds, float(delay), lag
-    assert found is not None
-    residual, _, delay, lag = found
-    areas = [each.lagged(lag) for each in windows]
-    speeds, _ = _fitted(windows, areas, delay, robust=True)
-    rest = _rest(parts, windows)
+    tried = {lag: _best_delay(windows, lag, first + 0.1 - lag) for lag in LAGS}
+    for _ in range(HALVED):
+        lags = sorted(tried)
+        at = lags.index(min(tried, key=lambda lag: tried[lag]))
+        for lag in (0.5 * (a + b) for a, b in itertools.pairwise(lags[max(at - 1, 0) : at + 2])):
+            tried[lag] = _best_delay(windows, lag, first + 0.1 - lag)
+    lag = min(tried, key=lambda each: tried[each])
+    residual, delay = tried[lag]
+    speeds, _ = _fitted(windows, [each.lagged(lag) for each in windows], delay, robust=True)
+    rest = _rest(parts, windows, delay + lag)
     way = np.concatenate([each.way for each in windows])
     share = 1.0 - residual / max(float(np.mean(way**2)), 1e-300)
     return Characteristic(np.linspace(low, high, KNOTS), speeds, delay, lag, rest, share, len(way))
+
+
+def _best_delay(windows: Sequence[_Windows], lag: float, near: float) -> tuple[float, float]:
+    """Least mean square of the residual with a lag, and the delay ``near`` which it has [s]."""
+    areas = [each.lagged(lag) for each in windows]
+    delays = np.arange(max(near - REACH, 0.0), max(near + REACH, 0.0) + 1e-9, FINE)
+    return min((_fitted(windows, areas, float(delay))[1], float(delay)) for delay in delays)
 
 
 @dataclass(frozen=True)
@@ -161,14 +168,14 @@ def _fitted(windows: Sequence[_Windows], areas: Sequence[Array], delay: float, r
     return speeds, float(np.mean(residual**2))
 
 
-def _rest(parts: Sequence[tuple[Array, Array]], windows: Sequence[_Windows]) -> tuple[float, float]:
-    """The command that is held most while the axis rests, and its share of that time; NaN where none is usual."""
+def _rest(parts: Sequence[tuple[Array, Array]], windows: Sequence[_Windows], late: float) -> tuple[float, float]:
+    """The command that is held most ``late`` [s] before the axis rests, and its share of that time; NaN where none is usual."""
     most = float(np.quantile(np.abs(np.concatenate([each.way for each in windows])), 0.95))
     held = [np.empty(0)]
     for u, x in parts:
-        rows = round(WINDOW_S * windows[0].rate_hz)
-        still = np.abs(x[rows:] - x[:-rows]) <= RESTS * most
-        held.append(u[rows:][still])
+        rows, before = round(WINDOW_S * windows[0].rate_hz), round(late * windows[0].rate_hz)
+        still = np.flatnonzero(np.abs(x[rows:] - x[:-rows]) <= RESTS * most) + rows - before
+        held.append(u[still[still >= 0]])
     values, counts = np.unique(np.round(np.concatenate(held), 9), return_counts=True)
     if not len(values) or counts.max() < USUAL * counts.sum():
         return math.nan, 0.0

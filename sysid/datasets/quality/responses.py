@@ -56,12 +56,14 @@ class Direction:
         bins: by size of the command.
         begins: between which commands (absolute values) motion begins; (0, first) where the smallest ones move it, NaN where
             none does or the recordings have no such commands.
-        full: median speed at the largest commands (absolute value); NaN without any.
+        full, full95: median speed at the largest commands (absolute value), with its 95 % interval; NaN without any, and where
+            the axis moved at them too shortly for an interval.
     """
 
     bins: tuple[SpeedBin, ...]
     begins: tuple[float, float]
     full: float
+    full95: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def _peak(sums: Array, rate: float) -> tuple[float, float]:
 
 def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tuple[Direction, Direction]:
     """Both directions of the command of a valve axis."""
-    commands, speeds = [np.empty(0)], [np.empty(0)]
+    commands, speeds, weights = [np.empty(0)], [np.empty(0)], [np.empty(0)]
     place = np.concatenate([r.values(axis.driven) for r in recordings])
     low, high = np.nanmin(place), np.nanmax(place)
     most = max(float(np.nanmax(np.abs(r.values(axis_signal(axis.name, "command"))), initial=0.0)) for r in recordings)
@@ -195,14 +197,16 @@ def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tu
         counts = steady & inside & ~np.isnan(moved) & ~np.isnan(late)
         commands.append(late[counts])
         speeds.append(moved[counts])
-    u, v = np.concatenate(commands), np.concatenate(speeds)
+        weights.append(np.full(np.count_nonzero(counts), 1.0 / max(WINDOW, round(WINDOW_S * recording.rate_hz))))
+    u, v, own = np.concatenate(commands), np.concatenate(speeds), np.concatenate(weights)
     resting = v[np.abs(u) < 0.5 / BINS * most]
     noise = 1.4826 * float(np.median(np.abs(resting - np.median(resting)))) if len(resting) >= LEAST else 0.0
-    return _direction(u, v, most, noise), _direction(-u, -v, most, noise)
+    return _direction(u, v, own, most, noise), _direction(-u, -v, own, most, noise)
 
 
-def _direction(u: Array, v: Array, most: float, noise: float) -> Direction:
-    edges, bins = np.linspace(0.0, most, BINS + 1), []
+def _direction(u: Array, v: Array, own: Array, most: float, noise: float) -> Direction:
+    """One direction from commands and speeds (n,); ``own``: independent values that a sample counts for, (n,)."""
+    edges, bins, largest = np.linspace(0.0, most, BINS + 1), [], np.empty(0, dtype=bool)
     for low, high in itertools.pairwise(edges):
         inside = (u > low) & (u <= high * (1.0 + 1e-9))
         if low == 0.0:
@@ -210,11 +214,22 @@ def _direction(u: Array, v: Array, most: float, noise: float) -> Direction:
         if np.count_nonzero(inside) >= LEAST:
             at, size = float(np.median(u[inside])), float(np.median(v[inside]))
             bins.append(SpeedBin(at, size, int(np.count_nonzero(inside))))
+            largest = inside
     if not bins or bins[-1].command < 0.5 * most:
-        return Direction(tuple(bins), (math.nan, math.nan), math.nan)
+        return Direction(tuple(bins), (math.nan, math.nan), math.nan, (math.nan, math.nan))
     full = abs(bins[-1].speed)
     least = max(MOVES * full, NOISES * noise)
     still = [item.command for item in bins if abs(item.speed) <= least]
     last = max(still, default=0.0)
     moving = [item.command for item in bins if item.command > last and abs(item.speed) > least]
-    return Direction(tuple(bins), (last, min(moving, default=math.nan)), full)
+    full95 = _median95(math.copysign(1.0, bins[-1].speed) * v[largest], float(own[largest].sum()))
+    return Direction(tuple(bins), (last, min(moving, default=math.nan)), full, full95)
+
+
+def _median95(values: Array, count: float) -> tuple[float, float]:
+    """95 % interval of the median of values of which ``count`` are independent, by their order; NaN where these are too few."""
+    away = 0.5 * Z / math.sqrt(max(count, 1e-12))
+    if away >= 0.5:
+        return math.nan, math.nan
+    low, high = np.quantile(values, [0.5 - away, 0.5 + away])
+    return float(low), float(high)
