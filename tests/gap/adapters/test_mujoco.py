@@ -24,7 +24,7 @@ from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.adapters.start import joint_start
 from sysid.gap.localise import run_rmse
-from sysid.gap.result import Gap
+from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine
 
 Array = npt.NDArray[np.float64]
@@ -178,6 +178,18 @@ def test_a_delay_below_a_step_has_no_native_place(tmp_path: Path, delay: float, 
     repaired = write_repaired(open_mujoco(robot("joint"), dataset), effects, tmp_path / "joint.xml", dataset, promised)
     assert len(repaired.native) == int(native_too)
     assert (len(repaired.native), len(repaired.beside)) == (int(native_too), int(0.0 < delay < 0.01))
+
+
+@pytest.mark.parametrize(
+    ("delay", "interval", "wanted"),
+    [(0.0097, (0.0092, 0.0102), 0.01), (0.0097, (0.0095, 0.0099), 0.0097), (0.012, (0.008, 0.016), 0.012)],
+)
+def test_a_delay_that_may_be_a_whole_step_is_one(delay: float, interval: tuple[float, float], wanted: float) -> None:
+    """The model has steps of 10 ms."""
+    adapter = open_mujoco(robot("joint"), hidden_delay())
+    row = WrittenEffect("input_delay", "hinge", "named", {"delay": delay}, {}, {"delay": interval})
+    (found,) = repaired_effects(adapter, [row])
+    assert found.parameters == {"delay": wanted}
 
 
 def written(name: str, effects: list[KnownEffect], out: Path) -> RepairedModel:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.datasets.recording import Dataset
-from sysid.effects import effect_named
+from sysid.effects import effect_named, input_delay
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
@@ -77,13 +77,26 @@ def open_mujoco(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Si
 def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]) -> tuple[KnownEffect, ...]:
     """Input and output effects after a repair: those of the simulation under test, changed and completed by ``written``.
 
-    Effects whose values mean that they are absent are left out.
+    Effects whose values mean that they are absent are left out. A dead time below the time step of the model is that step if
+    its 95 % interval contains it: MuJoCo has none between them.
     """
     effects = {effect_key(item): item for item in adapter.effects}
     for row in written:
-        item = KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]
+        parameters = dict(row.parameters)
+        if row.name == input_delay.EFFECT.name and "delay" in row.interval95:
+            low, high = (float(np.asarray(end)) for end in row.interval95["delay"])
+            step = _time_step(adapter)
+            parameters["delay"] = step if low <= step <= high and parameters["delay"] < step else parameters["delay"]
+        item = KnownEffect(row.name, row.target, parameters, row.side)  # type: ignore[arg-type]
         effects[effect_key(item)] = item
     return tuple(item for item in effects.values() if not _is_absent(item))
+
+
+def _time_step(adapter: SimulatorAdapter) -> float:
+    """Time step of the model [s]."""
+    simulator = adapter.runs.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    return float(load_mjcf(simulator.path, simulator.assets).opt.timestep)
 
 
 def _is_absent(item: KnownEffect) -> bool:
