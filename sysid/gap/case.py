@@ -153,7 +153,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 
 
 def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
-    found, looks = list[Stage](), list[tuple[Problem, Array, Sequence[Recording]]]()
+    found, parts = list[Stage](), list[tuple[Problem, Array, Sequence[Recording]]]()
     for each in problems:
         problem, split = each, stage_split(case, each)
         resonance = _resonance(case, problem, split)
@@ -161,10 +161,10 @@ def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
             problem = _with_drive_delay(case, problem, split, resonance)
             resonance = _resonance(case, problem, split) or resonance
         theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
-        looks.append((problem, theta, split.fit))
+        parts.append((problem, theta, split.fit))
         oscillation = _oscillation(case, problem, split)
         found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
-    floors = problem_floors(looks, case.noise, case.seed)
+    floors = problem_floors(parts, case.noise, case.seed)
     return [replace(stage, sigma=np.maximum(floor, 1e-12)) for stage, floor in zip(found, floors, strict=True)]
 
 

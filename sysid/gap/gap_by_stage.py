@@ -27,10 +27,10 @@ def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
     """RMSE of every stage driven by its measured input, on held-out recordings; of the speeds of command stages too."""
     # The forces of the links stage are outputs of the axes' stages too.
     own = [(s.problem, s.split.held_out) for s in stages if s.problem.stage != "links"]
-    looks = [*own, *_speeds(case, stages)]
-    floors = problem_floors([(problem, repaired, held_out) for problem, held_out in looks], case.noise, case.seed)
+    parts = [*own, *_speeds(case, stages)]
+    floors = problem_floors([(problem, repaired, held_out) for problem, held_out in parts], case.noise, case.seed)
     found: tuple[dict[str, float], dict[str, float], dict[str, float]] = {}, {}, {}
-    for (problem, held_out), floor in zip(looks, floors, strict=True):
+    for (problem, held_out), floor in zip(parts, floors, strict=True):
         scores = stage_rmse(problem, case.theta, held_out), stage_rmse(problem, repaired, held_out), floor
         for values, own_scores in zip(found, scores, strict=True):
             values.update(zip(problem.signals, map(float, own_scores), strict=True))
