@@ -13,7 +13,8 @@ from hypothesis import settings
 
 # Properties are tried on the same examples each run, so that a failure belongs to the change under test;
 # `make test-slow` draws new ones (HYPOTHESIS_PROFILE=explore). No deadlines: each test has its time limit.
-settings.register_profile("steady", derandomize=True, deadline=None)
+# What sets no number of its own is tried on a quarter of the examples of the slow tier, which draws new ones.
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=25)
 settings.register_profile("explore", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
