@@ -36,9 +36,13 @@ def problem_floors(
     at a time.
     """
     totals, counts = [np.zeros(len(problem.signals)) for problem, _, _ in stages], np.zeros(len(stages))
-    every = {id(recording): recording for _, _, recordings in stages for recording in recordings}
-    for recording in every.values():
-        here = [k for k, (_, _, recordings) in enumerate(stages) if any(recording is own for own in recordings)]
+    every, users = dict[int, Recording](), dict[int, list[int]]()
+    for k, (_, _, recordings) in enumerate(stages):
+        for recording in recordings:
+            every[id(recording)] = recording
+            users.setdefault(id(recording), []).append(k)
+    for key, recording in every.items():
+        here = users[key]
         clean = {k: _error(*stages[k][:2], recording) for k in here}
         for draw in range(DRAWS):
             noisy = with_noise(recording, noise, np.random.default_rng([seed, draw]))

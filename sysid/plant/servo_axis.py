@@ -140,16 +140,16 @@ def run(ps, arrays, i, ss, laws, entries, command, series, first, last, dt, out)
     for lane in range(len(ps)):
         laws[lane, 0], laws[lane, 1], laws[lane, 2], laws[lane, 3], laws[lane, 4] = chain.servo_law(ps[lane], arrays.axes, i)
     for k in range(first, last):
-        begin = _between(series, TORQUE, fine * k)
+        torque = _between(series, TORQUE, fine * k)
         for lane in range(len(ps)):
             p, s = ps[lane], ss[lane]
             entries[lane, 0], entries[lane, 1], entries[lane, 2] = input_delay.ends(
                 command[k], p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt
             )
             out[lane, k] = chain.servo_joint(p, b, s, m, arrays.axes, i)
-            chain.rest_on_flank(_between(series, TORQUE, fine * (k + 1.0)) - begin, p, b, s, m)
+            chain.rest_on_flank(_between(series, TORQUE, fine * (k + 1.0)) - torque, p, b, s, m)
         if own > 0:
-            behind = begin
+            behind = torque
             for j in range(own):
                 ahead = _between(series, TORQUE, fine * (k + (j + 1) / own))
                 at, rest = fine * (k + j / own), (ahead - behind) * own / fine
@@ -163,7 +163,7 @@ def run(ps, arrays, i, ss, laws, entries, command, series, first, last, dt, out)
                 behind = ahead
             continue
         for lane in range(len(ps)):
-            p, s, law, behind = ps[lane], ss[lane], laws[lane], begin
+            p, s, law, behind = ps[lane], ss[lane], laws[lane], torque
             viscous, gradual = chain.servo_friction(s[m + STATE.speed], p, b)
             moving = law[4] if chain.has_backlash(p, b) else law[4] + _between(series, OWN, fine * (k + 0.5))
             count = max(servo_law.substeps(law[0], law[1] + viscous + gradual, moving, dt), fine)

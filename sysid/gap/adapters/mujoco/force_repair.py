@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from sysid.errors import InputError
 from sysid.gap import steps
 from sysid.gap.adapters.mujoco.force_axes import open_force_model
 from sysid.gap.adapters.mujoco.force_fit import fitted_to_run
-from sysid.gap.adapters.mujoco.free_run import Differences, stretches_to_run
+from sysid.gap.adapters.mujoco.free_run import Differences, Stretch, stretches_to_run
 from sysid.gap.adapters.mujoco.inertials import ADJUSTED, TOGETHER, in_command_units, write_inertials
 from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.native import Change
@@ -60,7 +61,7 @@ def write_force_model(
         assets: further folders below which the model may open files.
 
     Raises:
-        InputError: MuJoCo refuses the written model, or its error is larger than promised.
+        InputError: MuJoCo refuses the written model, or its error with the values of the result is larger than promised.
         SettingsError: ``out`` is the model itself.
     """
     check_other_file(model, out)
@@ -75,9 +76,8 @@ def write_force_model(
     elif adjusted:
         why = NO_PLACE
     repair.write(chosen)
-    inertials = [change.effect for change in chosen.native if change.effect.name == ADJUSTED]
     loaded = open_force_model(out, dataset, repair.folders).plant
-    study = steps.open_study(dataset, in_command_units(loaded, inertials))
+    study = steps.open_study(dataset, in_command_units(loaded, chosen.inertials))
     measured = stage_gap(study.case, study.stages, study.case.theta).before
     gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
     left = (*chosen.left, *(adjusted if why else ()))
@@ -105,10 +105,14 @@ class ChangedModel:
     fitted: str = ""
 
     @property
+    def inertials(self) -> list[KnownEffect]:
+        """The adjusted inertial parameters in it."""
+        return [change.effect for change in self.native if change.effect.name == ADJUSTED]
+
+    @property
     def constants(self) -> dict[str, float]:
         """Axis → force constant relative to the recorded commands; 1 where it is absent."""
-        adjusted = [change.effect for change in self.native if change.effect.name == ADJUSTED]
-        return {item.target: float(np.asarray(item.parameters["scale"])) for item in adjusted}
+        return {item.target: float(np.asarray(item.parameters["scale"])) for item in self.inertials}
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,19 @@ class Repair:
     @property
     def folders(self) -> tuple[Path, ...]:
         return (*self.assets, self.model.parent)
+
+    @cached_property
+    def noise(self) -> Mapping[str, float]:
+        """Signal → standard deviation of its sensor."""
+        return noise_levels(self.dataset)
+
+    @cached_property
+    def fit(self) -> Sequence[Stretch]:
+        return stretches_to_run(self.tested, split_of(self.dataset).fit)
+
+    @cached_property
+    def select(self) -> Sequence[Stretch]:
+        return stretches_to_run(self.tested, split_of(self.dataset).select)
 
     def with_named(self, rows: Sequence[WrittenEffect]) -> ChangedModel:
         """The model with everything but the adjusted parameters."""
@@ -172,8 +189,7 @@ class Repair:
                 raise InputError(self.out, "values without a place in MJCF", "others")
             return self._open(candidate)
 
-        stretches = stretches_to_run(self.tested, split_of(self.dataset).fit)
-        refined = build(fitted_to_run(rows, stretches, noise_levels(self.dataset), opened))
+        refined = build(fitted_to_run(rows, self.fit, self.noise, opened))
         other = found if refined is None else self._run(refined)
         if not other.error < found.error:
             return found
@@ -181,13 +197,12 @@ class Repair:
 
     def _run(self, candidate: ChangedModel) -> ChangedModel:
         """A candidate with the error of its free run."""
-        stretches = stretches_to_run(self.tested, split_of(self.dataset).select)
         try:
-            runs = Differences(*self._open(candidate), noise_levels(self.dataset))
+            runs = Differences(*self._open(candidate), self.noise)
         except InputError as refusal:
             return replace(candidate, why=refusal.found)
         try:
-            error = runs.rms(stretches)
+            error = runs.rms(self.select)
         except InputError:
             return replace(candidate, why="the free run diverges")
         return replace(candidate, error=error, why=NO_RUN if np.isnan(error) else "")

@@ -80,12 +80,11 @@ def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]
     Effects whose values mean that they are absent are left out. A dead time below the time step of the model is that step if
     its 95 % interval contains it: MuJoCo has none between them.
     """
-    effects = {effect_key(item): item for item in adapter.effects}
+    effects, step = {effect_key(item): item for item in adapter.effects}, _time_step(adapter)
     for row in written:
         parameters = dict(row.parameters)
         if row.name == input_delay.EFFECT.name and "delay" in row.interval95:
             low, high = (float(np.asarray(end)) for end in row.interval95["delay"])
-            step = _time_step(adapter)
             parameters["delay"] = step if low <= step <= high and parameters["delay"] < step else parameters["delay"]
         item = KnownEffect(row.name, row.target, parameters, row.side)  # type: ignore[arg-type]
         effects[effect_key(item)] = item
