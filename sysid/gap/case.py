@@ -32,6 +32,7 @@ from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floors
+from sysid.gap.measured_input import with_measured_input
 from sysid.gap.noise import noise_of_signals
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
@@ -149,7 +150,8 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
     coarse = coarse_sensors(plant, split.seen, noise)
     sources = {signal: each.source for signal, each in known.items()}
     case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, noise), split, seed, own, coarse, order, sources)
-    return case, _stages(case, problems)
+    run = case.runner(plant) if own is None else None  # a user's simulator may be slow, and its effects are not known yet
+    return case, _stages(case, [with_measured_input(problem, case.noise, run) for problem in problems])
 
 
 def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:

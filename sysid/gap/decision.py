@@ -50,7 +50,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
-from sysid.gap.equivalence import at_bound, beyond_rate, near_known, reaches, within_equivalence
+from sysid.gap.equivalence import at_bound, beyond_rate, near_known, within_equivalence
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.price import pays, smallest_sets
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
@@ -71,7 +71,6 @@ REPAIRS = "it may compensate for the formula of a similar effect"
 PARTIAL = "it changes only some of the speeds, which it would change alike"
 LOST = "on recordings left out of the fit it reduces the error by too little compared with what remains"
 BESIDE = "it reduces the error enough only beside an effect that is not certain"
-FILTERS = "noise of its measured input explains a change of its size"
 AT_BOUND = "a value ends at a bound of its range, so that something else is missing"
 UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
 REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
@@ -205,10 +204,9 @@ def decide(
     servo = fewest is not None and not exact and not integrates
     if not accumulates:
         acceptable = likely if fewest is None or not servo else list(fewest(likely[0]))
-        acceptable, filters = _without_filters(acceptable, nameable, rope, without)
         model = acceptable[0]
     else:
-        acceptable, filters = _nearest(models, unsure, free, own_evidence, needed), []
+        acceptable = _nearest(models, unsure, free, own_evidence, needed)
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
@@ -267,9 +265,8 @@ def decide(
         more = [c for c in richer.candidates if c.label not in model.labels]
         near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), LITTLE) for c in more]
         model = richer
-    near += [miss for miss in filters if all(miss.candidate.key != c.key for c in model.candidates)]
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
-    seen = {c.key for c in (*model.candidates, *(miss.candidate for miss in filters))}
+    seen = {c.key for c in model.candidates}
     for other in (*acceptable, *survivors):
         for candidate in other.candidates:
             if candidate.key not in seen:
@@ -296,32 +293,6 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
     """The models without those that have the effects of ``chosen``, in whatever form."""
     here = {c.key for c in chosen.candidates}
     return [f for f in models if {c.key for c in f.candidates} != here]
-
-
-def _without_filters(
-    acceptable: Sequence[ModelFit],
-    nameable: Sequence[str],
-    rope: Mapping[EffectKey, float],
-    without: Callable[[ModelFit, Candidate], ModelFit] | None,
-) -> tuple[list[ModelFit], list[NearMiss]]:
-    """The acceptable sets without backlashes that are not certainly larger than ``rope``, the others refitted; and these.
-
-    A backlash within the noise of a measured input filters that noise, which the free run of the plant does not contain: its
-    value describes the recordings, not the machine. One that the recordings do not excite stays: that its size is not certain
-    does not tell a filter from an effect. What else has a region of its own filters nothing and stays, the offset of a clock
-    and a dead time: without them, backlash takes their place.
-    """
-    found, filters = dict[frozenset[str], ModelFit](), list[NearMiss]()
-    for model in acceptable:
-        tested = [c for c in model.candidates if c.label in nameable and c.key in rope and c.effect.rate_independent]
-        small = [c for c in tested if reaches(c, model, np.array(rope[c.key]))]
-        rest = model
-        for candidate in small if without is not None else ():
-            values, deviations = model.values_of(candidate), model.deviations_of(candidate)
-            filters += [NearMiss(candidate, values, deviations, FILTERS)] if model is acceptable[0] else []
-            rest = without(rest, candidate)  # type: ignore[misc]
-        found.setdefault(rest.labels, rest)
-    return list(found.values()), filters
 
 
 def _beyond_price(

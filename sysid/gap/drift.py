@@ -86,6 +86,32 @@ def whiten_lanes(residuals: Array, activity: Array, drift: DriftStrength) -> Arr
     return errors / np.sqrt(variances)
 
 
+def smooth_level(residual: Array, activity: Array, drift: DriftStrength) -> Array:
+    """The level given all samples before and after (n,), NaN where these are missing.
+
+    Fixed-interval smoother of the local level model (de Jong, J. Am. Stat. Assoc. 84, 1989, 1085–1088).
+
+    Args:
+        activity: (n,); its mean is 1, as in :func:`estimate_drift`.
+    """
+    error, variance, out = np.empty(len(residual)), np.empty(len(residual)), np.empty(len(residual))
+    _filter(residual, activity, drift.calm, drift.moving, 1.0, error, variance)
+    _smooth(residual, error, variance, out)
+    return out
+
+
+@kernel
+def _smooth(residual: Array, error: Array, variance: Array, out: Array) -> None:
+    pull = 0.0
+    for k in range(len(residual) - 1, -1, -1):
+        if np.isnan(residual[k]):
+            out[k] = np.nan
+            continue
+        spread = variance[k] - 1.0  # of the level before the sample
+        pull = (error[k] + pull) / variance[k]
+        out[k] = residual[k] - error[k] + spread * pull
+
+
 def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory: float = 1.0) -> tuple[DriftStrength, float]:
     """Maximum likelihood over a grid, refined once; returns the drift and the log-likelihood (up to a constant).
 

@@ -35,6 +35,10 @@ FORCES = ("force", "links")
 SHORT_RUN = 5.0
 
 
+def _unchanged(recording: Recording) -> Recording:
+    return recording
+
+
 @dataclass(frozen=True)
 class Problem:
     """A stage driven by its measured input.
@@ -53,6 +57,8 @@ class Problem:
         force_filter: of a force stage.
         force: recording → force of the drive inside the stage, (n,) [N·m or N], where the plant describes one.
         carried: axes whose links it moves; the errors of their masses show in it.
+        inputs: measured signals that drive it; ``estimated``: recording → the recording with estimates of these;
+            ``by_estimates``: the same stage for such recordings.
     """
 
     stage: Stage
@@ -70,6 +76,9 @@ class Problem:
     within: tuple[Stage, ...] = ()
     force: Callable[[Recording], Array] | None = None
     carried: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    estimated: Callable[[Recording], Recording] = _unchanged
+    by_estimates: Problem | None = None
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -250,7 +259,14 @@ def joint_problem(model: Model, axis: Axis) -> Problem:
         *other_clocks(model, axis_signal(axis.name, "cylinder"), joint),
     )
     return Problem(
-        "joint", axis.name, targets, (joint,), predict, lambda recording: recording.values(joint)[:, None], _every_row
+        "joint",
+        axis.name,
+        targets,
+        (joint,),
+        predict,
+        lambda recording: recording.values(joint)[:, None],
+        _every_row,
+        inputs=(axis_signal(axis.name, "cylinder"),),
     )
 
 
@@ -266,6 +282,7 @@ def tip_problem(model: Model) -> Problem:
         lambda recording: measured_point(recording, "ee"),
         _every_row,
         poses=True,
+        inputs=tuple(joints),
     )
 
 
@@ -279,6 +296,7 @@ def tool_problem(model: Model) -> Problem:
         model.tool,
         lambda recording: measured_point(recording, "tool"),
         _every_row,
+        inputs=point_signals("ee"),
     )
 
 

@@ -15,6 +15,7 @@ from sysid.gap.data import Data
 from sysid.gap.equivalence import equivalent_half
 from sysid.gap.fit import spread_of
 from sysid.gap.intervals import jackknifed, known_of
+from sysid.gap.likelihood.rows import SPANS
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
@@ -49,7 +50,8 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
     """The stage with the intervals of its unknowns, where it has names: the hull of those of both likelihoods.
 
     The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
-    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs.
+    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs; where
+    the search has averaged its input, whose extremes determine backlash, where they leave less.
     """
     result = stage.found
     if not result.named or result.stage_fit is None:
@@ -66,7 +68,8 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
         squares = known_of(replace(seen, drifting=False), stage.theta, result.fit, case.noise, case.seed)
         presence = _hull(own, squares.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
-    fit = known.fit if EXPLAINED * after < before else result.fit
+    margin = 1.0 if stage.problem.stage in SPANS else EXPLAINED
+    fit = known.fit if margin * after < before else result.fit
     return replace(stage, result=replace(result, fit=fit, limits=limits, presence=presence))
 
 

@@ -93,7 +93,8 @@ def fit_stage(
     span = 0.0 if any(c.effect.target == "stream" for c in candidates) else SPANS.get(problem.stage, 0.0)
     hidden = averaged_out(problem, recordings, theta, sigma, span)
     if span > 0.0:
-        recordings = [averaged(r, problem.stage) for r in recordings]
+        recordings = [averaged(problem.estimated(r), problem.stage) for r in recordings]
+        problem = problem.by_estimates or problem
     rows = StageRows(problem, recordings, theta, sigma, hidden)
     sample = recordings[0].rate_hz / full  # of the log, in samples of the averaged recordings
     samples = max(1, round(1.0 / sample)) * rows.series[0].width

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
-from sysid.effects import backlash, clock_offset, inertia_error, input_delay, load_bias
+from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
@@ -36,11 +36,8 @@ from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.progress import Progress
-from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
-#: Backlash narrower than this many standard deviations of the noise of its input acts as a filter of that noise.
-BACKLASH_OVER_NOISE = 4.0
 #: Condition that an error of a rotor's inertia fails.
 ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
 LOAD = "the first moment of its link is adjusted, and the postures of the recordings do not separate its torque from a constant"
@@ -103,7 +100,7 @@ def find_stage(
     elif is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
-        model, rope = compile_plant(case.plant), _equivalence(case, problem.stage, candidates)
+        model, rope = compile_plant(case.plant), _equivalence(case, candidates)
         shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
 
         def search(some: Sequence[Candidate]) -> StageFit:
@@ -185,29 +182,15 @@ def _scales_of_drives(case: Case) -> set[EffectKey]:
     return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
-def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:
-    """Least half-widths of regions of equivalence: of clock offsets, dead times, and backlash with a noisy measured input."""
+def _equivalence(case: Case, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:
+    """Least half-widths of regions of equivalence, of clock offsets and dead times."""
     found: dict[EffectKey, float] = {}
     for candidate in candidates:
         if candidate.effect is input_delay.EFFECT and case.order is not None:
             found[candidate.key] = case.order.open_s
         elif candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
-        elif candidate.effect is backlash.EFFECT and stage == "end_effector":
-            found[candidate.key] = BACKLASH_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
-        elif candidate.effect is backlash.EFFECT and stage == "joint":
-            found[candidate.key] = BACKLASH_OVER_NOISE * _cylinder_noise(case, candidate.target)
     return found
-
-
-def _cylinder_noise(case: Case, axis: str) -> float:
-    """Noise of a measured cylinder, converted to the joint by its linkage [rad]."""
-    linkage = case.plant.linkages[axis]
-    stroke = case.plant.machine.axis(axis).stroke
-    ends = stroke if stroke is not None else (0.0, 1.0)
-    places = np.linspace(*ends, 9)
-    steepest = float(np.max(np.abs(np.gradient(linkage.joint(places), places))))
-    return steepest * case.noise.get(axis_signal(axis, "cylinder"), 0.0)
 
 
 def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> StageResult:

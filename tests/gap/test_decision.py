@@ -129,42 +129,6 @@ def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     assert unsure.named == ()
 
 
-def _without_one(candidate: Candidate, region: float) -> decision.Decision:
-    """The decision on an effect of 0.1 beside a dead-band of 0.1, with a region of equivalence of its own."""
-    both, alone = model(BAND, candidate, away=0.1), model(BAND, worse=0.5, away=0.12)
-
-    def without(fit: ModelFit, removed: Candidate) -> ModelFit:
-        return alone if fit is both and removed is candidate else NOTHING
-
-    models = [NOTHING, both, model(candidate, worse=3.0, left=3.0)]
-    return decide(models, [*ALL, candidate.label], {candidate.key: region}, integrates=False, without=without)
-
-
-def test_what_noise_of_the_input_explains_leaves_the_model_and_the_rest_is_refitted() -> None:
-    """A backlash within the noise of its input filters that noise; the plant without that noise must not contain it."""
-    small = _without_one(PLAY, 0.2)
-    assert small.model.candidates == (BAND,)
-    assert small.model.values == pytest.approx([0.12, 0.12])
-    assert small.acceptable == (small.model,)
-    assert small.named == (BAND,)
-    (near,) = small.near_misses
-    assert (near.candidate, near.lacks) == (PLAY, decision.FILTERS)
-    assert near.values == pytest.approx([0.1])
-    large = _without_one(PLAY, 0.05)
-    assert large.model.candidates == (BAND, PLAY)
-
-
-def test_only_play_filters_noise() -> None:
-    """A dead time that the order of command and sample leaves open stays: without it, backlash takes its place, too wide."""
-    tried = [c for c in OFFERED.values() if c is not BAND and len(c.unknowns) == 1 and not c.effect.rate_independent]
-    assert len(tried) > 10
-    for candidate in tried:
-        found = _without_one(candidate, 0.2)
-        assert found.model.candidates == (BAND, candidate)
-        assert candidate not in found.named
-        assert decision.FILTERS not in {near.lacks for near in found.near_misses}
-
-
 def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_servo() -> None:
     """A dead time and a lag fit fast errors; beside the sag alone neither reduces the error, which is worth its price."""
     remains = {

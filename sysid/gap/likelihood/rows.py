@@ -22,8 +22,7 @@ Array = npt.NDArray[np.float64]
 BIN = 0.04
 #: Length of the blocks of cross-validation [s]: long against the correlation time of a disturbance.
 BLOCK = 5.0
-#: Inputs and outputs of stages without dynamics between two samples are averaged over this time [s], so that backlash or
-#: saturation with a noisy input does not filter its noise; other stages keep their rate.
+#: Inputs and outputs of stages without dynamics between two samples are averaged over this time [s]; others keep their rate.
 SPANS: dict[Stage, float] = {"joint": 0.1, "end_effector": 0.1}
 
 
