@@ -11,7 +11,7 @@ from sagging_servo import machine_files
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.decision import LITTLE, REPLACED, decide
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.servo.fewest import fewest_sets
+from sysid.gap.servo.sag import fewest_sets
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import machine_from_files
 from sysid.plant import nominal_plant

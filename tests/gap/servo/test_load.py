@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sagging_servo import AXES, Servos, machine_files, recording
 
-from sysid.gap.servo.load import load_known
+from sysid.gap.servo.sag import load_known
 from sysid.machine import machine_from_files
 
 EVERY = dict.fromkeys(AXES, True)

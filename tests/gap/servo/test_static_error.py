@@ -10,7 +10,7 @@ from sagging_servo import AXES, DELAY, LAG, NOISE, Servos, machine_files, record
 
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import drive_problem
-from sysid.gap.servo.static_error import StaticError, static_error
+from sysid.gap.servo.sag import StaticError, static_error
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, nominal_plant
 
