@@ -21,7 +21,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import base_misalignment, tip_offset
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, decide
 from sysid.gap.fit import place
@@ -38,8 +37,9 @@ from sysid.plant import Model
 Array = npt.NDArray[np.float64]
 Set = frozenset[int]
 
-#: Effects of the measurement, with which every search begins: its frame, and the measured point where it is not surveyed.
-MEASUREMENT = (base_misalignment.EFFECT, tip_offset.EFFECT)
+#: Targets of effects of the measurement, with which every search begins: its frame, and the measured point where it is not
+#: surveyed. Other effects of the stage belong to an axis or a sensor.
+MEASUREMENT = ("base", "ee")
 #: Rounds of search and linearisation.
 ROUNDS = 6
 #: Further models beside those without an effect: exchanges and additions, the likeliest.
@@ -72,7 +72,7 @@ def fit_pose_stage(
     stays, whether the poses determine it or not.
     """
     rows = PoseRows(model, problem, recordings, theta, sigma)
-    there = [c for c in candidates if c.label in nameable or c.effect in MEASUREMENT]
+    there = [c for c in candidates if c.label in nameable or c.effect.target in MEASUREMENT]
     fitting = _Fitting(rows, there)
     search, best = fitting.converged(on_fit)
     fitting.weights = rows.weights(fitting.residual(search, best))
@@ -183,7 +183,7 @@ class _Fitting:
     def _registered(self) -> Array:
         """Nominal values, with those of the measurement fitted to the described geometry."""
         owners = [candidate for candidate in self.candidates for _ in candidate.unknowns]
-        frame = [k for k, owner in enumerate(owners) if owner.effect in MEASUREMENT]
+        frame = [k for k, owner in enumerate(owners) if owner.effect.target in MEASUREMENT]
         values = self.nominal.copy()
         if frame:
             values[frame] = self.rows.registered([self.unknowns[k] for k in frame], self.nominal[frame])
@@ -192,7 +192,7 @@ class _Fitting:
     @property
     def base(self) -> Set:
         """The effects of :data:`MEASUREMENT`, with which every search begins."""
-        return frozenset(k for k, c in enumerate(self.candidates) if c.effect in MEASUREMENT)
+        return frozenset(k for k, c in enumerate(self.candidates) if c.effect.target in MEASUREMENT)
 
     def search(self) -> SetSearch:
         """The regression linearised at the current values, under the current sizes."""
