@@ -14,6 +14,7 @@ import numpy as np
 from sysid.effects import joint_compliance, sensor_bias
 from sysid.gap.case import Case, Stage
 from sysid.gap.equivalence import equivalent_change
+from sysid.gap.fit import place
 from sysid.gap.servo.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error
 from sysid.gap.thresholds import STANDARD_ERRORS
 from sysid.plant import compile_plant, gravity_load
@@ -98,10 +99,8 @@ def _load_unknown(case: Case, stage: Stage) -> bool:
 
 def _static_error(case: Case, stage: Stage) -> StaticError | None:
     """The error at rest beside the other effects of the stage."""
-    theta = stage.found.fit.theta.copy()
-    for candidate in stage.found.fit.candidates:
-        if candidate.effect in AT_REST:
-            for unknown in candidate.unknowns:
-                theta[list(unknown.places)] = unknown.nominal
+    fit = stage.found.fit
+    absent = [unknown for candidate in fit.candidates if candidate.effect in AT_REST for unknown in candidate.unknowns]
+    theta = place(fit.theta, absent, np.array([[unknown.nominal for unknown in absent]]))[0]
     least = float(stage.sigma[0]) * max(STANDARD_ERRORS, equivalent_change(stage.found.final_rmse))
     return static_error(stage.problem, case.plant.machine, theta, stage.split.seen, least)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import CATALOGUE, effect_named, payload
-from sysid.gap.adapters.mujoco.simulator import drives_of
+from sysid.gap.adapters.mujoco.simulator import drives_of, gear_of
 from sysid.machine import KnownEffect, Machine
 from sysid.machine.sources.mjcf_actuator import Drive
 from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library
@@ -136,7 +136,7 @@ def write_inside(
 def _damping(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
     if "coefficient" not in item.parameters:
         return None
-    own = drive.damping + float(model.actuator_damping[drive.actuator]) * _gear(model, drive) ** 2
+    own = drive.damping + float(model.actuator_damping[drive.actuator]) * gear_of(model, drive.actuator) ** 2
     value = _value(item, "coefficient") - own
     if value < 0.0:
         return None
@@ -156,7 +156,7 @@ def _friction(spec: Any, model: Any, machine: Machine, drive: Drive, item: Known
 def _bias(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
     mujoco, actuator = mujoco_library(), spec.actuators[drive.actuator]
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[0] = -_value(item, "force") / _gear(model, drive)
+    actuator.biasprm[0] = -_value(item, "force") / gear_of(model, drive.actuator)
     return f'actuator {actuator.name}: biasprm="{actuator.biasprm[0]:.6g}"'
 
 
@@ -224,9 +224,8 @@ def write_inertials(spec: Any, model: Any, plant: Plant, source: str) -> list[Ch
     """
     drives, found = drives_of(model, plant.machine, source), arm_inertia(plant)
     bodies = _bodies(model, plant, found.bodies)
-    armatures = dict(zip(plant.machine.axis_names, found.armatures, strict=True))
-    scales = dict(zip(plant.machine.axis_names, found.scales, strict=True))
-    rotors = {axis: _joint_armature(model, drives[axis], value) for axis, value in armatures.items()}
+    scales = dict(zip(drives, found.scales, strict=True))
+    rotors = {axis: _joint_armature(model, drives[axis], own) for axis, own in zip(drives, found.armatures, strict=True)}
     if bodies is None or any(value < 0.0 for value in rotors.values()):
         return None
     if any(scales[axis] != 1.0 and not _scalable(model, drive) for axis, drive in drives.items()):
@@ -331,10 +330,6 @@ def _value(item: KnownEffect, key: str) -> float:
     return float(np.asarray(item.parameters[key]))
 
 
-def _gear(model: Any, drive: Drive) -> float:
-    return float(model.actuator_gear[int(model.actuator_outadr[drive.actuator]), 0])
-
-
 def _joint_armature(model: Any, drive: Drive, armature: float) -> float:
     """What the joint has of an armature, beside the actuator."""
-    return float(armature) - float(model.actuator_armature[drive.actuator]) * _gear(model, drive) ** 2
+    return float(armature) - float(model.actuator_armature[drive.actuator]) * gear_of(model, drive.actuator) ** 2

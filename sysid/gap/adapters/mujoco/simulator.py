@@ -243,14 +243,11 @@ def _begin(model: Any, data: Any, actuator: int) -> None:
     """Activation and history of an actuator at rest under its present control."""
     mujoco, dyns = mujoco_library(), mujoco_library().mjtDyn
     at, kind = int(model.actuator_ctrladr[actuator]), int(model.actuator_dyntype[actuator])
-    if kind in (dyns.mjDYN_FILTER, dyns.mjDYN_FILTEREXACT):
+    if kind in (dyns.mjDYN_FILTER, dyns.mjDYN_FILTEREXACT) or (kind == dyns.mjDYN_PID and model.actuator_actnum[actuator]):
         data.act[model.actuator_actadr[actuator]] = data.ctrl[at]
     elif kind == dyns.mjDYN_INTEGRATOR:
         joint = int(model.actuator_trnid[actuator, 0])
-        gear = float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
-        data.act[model.actuator_actadr[actuator]] = gear * data.qpos[model.jnt_qposadr[joint]]
-    elif kind == dyns.mjDYN_PID and model.actuator_actnum[actuator]:
-        data.act[model.actuator_actadr[actuator]] = data.ctrl[at]
+        data.act[model.actuator_actadr[actuator]] = gear_of(model, actuator) * data.qpos[model.jnt_qposadr[joint]]
     samples = int(model.actuator_history[actuator, 0])
     if samples > 0:
         times = model.opt.timestep * np.arange(-samples, 0)
@@ -284,6 +281,11 @@ def drives_of(model: Any, machine: Machine, source: str) -> dict[str, Drive]:
             raise SettingsError(where, found_as, "the same actuation in both", remedy)
         found[axis.name] = drive
     return found
+
+
+def gear_of(model: Any, actuator: int) -> float:
+    """Gear ratio between an actuator and its joint."""
+    return float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
 
 
 def point_of(model: Any, link: str, source: str) -> tuple[int, str]:
