@@ -31,8 +31,7 @@ from sysid.cores import cores
 from sysid.datasets import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
-from sysid.gap.adapters.mujoco.force_axes import is_force_driven, open_force_model
-from sysid.gap.adapters.mujoco.force_repair import write_force_model
+from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model, write_force_model
 from sysid.gap.adapters.mujoco.repair import open_mujoco, repaired_effects, write_repaired
 from sysid.machine import Machine, machine_from_files
 
@@ -350,9 +349,9 @@ def ours(
     dataset = Dataset.of(machine, recordings, ROLES)  # type: ignore[arg-type]
     begin_time, out = time.perf_counter(), folder / "repaired.xml"
     if is_force_driven(machine):
-        tested = open_force_model(model, dataset)
-        result = find_gap(dataset, tested.plant, forms="simple")  # MuJoCo has one friction for both directions
-        path = write_force_model(model, tested.plant, result.written, out, dataset, result.stage_gap).path
+        plant = open_force_model(model, dataset)
+        result = find_gap(dataset, plant, forms="simple")  # MuJoCo has one friction for both directions
+        path = write_force_model(model, plant, result.written, out, dataset, result.stage_gap).path
     else:
         adapter = open_mujoco(model, dataset)
         result = find_gap(dataset, adapter)

@@ -129,7 +129,7 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     """One text for each recording to make; effects that the same motion excites are grouped over their axes."""
     from sysid.effects import effect_named
     from sysid.gap.excitation import TRAVEL_UNITS, axis_of
-    from sysid.gap.servo.advice import advice_on_sag, sagging_axis
+    from sysid.gap.servo.sag import advice_on_sag, sagging_axis
     from sysid.names import listed
     from sysid.reports.words import effect_place, effect_title
 

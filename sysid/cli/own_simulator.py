@@ -31,12 +31,12 @@ def open_simulator(place: str, dataset: Dataset, assets: tuple[Path, ...] = ()) 
     """
     if not place.startswith(MUJOCO):
         return load_simulator(place)
-    from sysid.gap.adapters.mujoco.force_axes import is_force_driven, open_force_model
+    from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model
     from sysid.gap.adapters.mujoco.repair import open_mujoco
 
     path = Path(place.removeprefix(MUJOCO))
     if is_force_driven(dataset.machine):
-        return open_force_model(path, dataset, assets).plant
+        return open_force_model(path, dataset, assets)
     return open_mujoco(path, dataset, assets)
 
 

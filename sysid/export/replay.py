@@ -21,7 +21,7 @@ from sysid.errors import ExcitationError
 from sysid.export.geometry import base_pose, tip_offset
 from sysid.export.shipped_run import true_signals
 from sysid.export.target import Simulation, Start
-from sysid.gap.adapters.start import joint_start
+from sysid.gap.adapters.simulator import joint_start
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import STATE
 from sysid.plant.rollout import run_steps, start_states, true_run

@@ -34,7 +34,7 @@ from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floors
 from sysid.gap.measured_input import with_measured_input
 from sysid.gap.noise import noise_of_signals
-from sysid.gap.poses.effects import shown_by_poses
+from sysid.gap.poses.folds import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
 from sysid.gap.result import CommandOrder, Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps

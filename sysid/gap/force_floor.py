@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.arm.friction import friction_columns
+from sysid.gap.arm.forces import friction_columns
 from sysid.gap.likelihood.discrepancy.drives import force_columns
 from sysid.gap.problem import Problem
 from sysid.gap.thresholds import EXPLAINED

@@ -23,7 +23,7 @@ from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import FORCES
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
-from sysid.gap.servo.coupled import with_coupled_values
+from sysid.gap.servo.arm import with_coupled_values
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult

@@ -22,7 +22,7 @@ from sysid.gap.likelihood.variances import Start, estimated, first_variances, lo
 from sysid.gap.price import smallest_sets
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
-from sysid.gap.servo.fewest import fewest_sets, sags
+from sysid.gap.servo.sag import fewest_sets, sags
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
 from sysid.plant import Model

@@ -15,8 +15,8 @@ from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import WEIGHT, posture_share
+from sysid.gap.arm.rows import CERTAIN
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
-from sysid.gap.arm.unknowns import CERTAIN
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset

@@ -32,7 +32,7 @@ from sysid.gap.promotion import first_promotion, free_run_check, names_check, st
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.response_difference import ResponseDifference, response_differences
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
-from sysid.gap.servo.advice import advice_on_sag, sagging_axis
+from sysid.gap.servo.sag import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
 from sysid.gap.statement import Agreement

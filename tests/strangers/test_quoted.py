@@ -19,7 +19,7 @@ from sysid.cli.init_from import Choices, drafted_files
 from sysid.errors import SysidError
 from sysid.files import json_text
 from sysid.foreign import is_unicode, visible
-from sysid.gap.adapters.mujoco.side_file import read_side_file, write_side_file
+from sysid.gap.adapters.mujoco.repair import read_side_file, write_side_file
 from sysid.machine import KnownEffect
 from sysid.machine.sources import mjcf_model
 from sysid.plant import effects_toml

@@ -19,10 +19,9 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE
 from sysid.errors import SettingsError
+from sysid.gap.adapters.identification import Surrogate, fit_surrogate, identify_linkages, identify_sway
 from sysid.gap.adapters.input_output_effects import apply_input_effects, apply_output_effects
-from sysid.gap.adapters.linkage_and_sway import identify_linkages, identify_sway
 from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, SteppedSimulator, command_signals
-from sysid.gap.adapters.surrogate import Surrogate, fit_surrogate
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
@@ -74,7 +73,7 @@ class SimulatorAdapter:
         """
         plant = self.plant
         for item in effects:
-            if self._forced(item.target):
+            if any(axis.name == item.target and axis.actuation == "force" for axis in self.machine.axes):
                 raise SettingsError(
                     f"simulator {self.name}", f"{item.name} acts inside", "an input or output effect", "Build it in."
                 )
@@ -122,7 +121,7 @@ class SimulatorAdapter:
                 values = self._signals(thetas, recording, (joint,))
                 if axis.name in self._model.linked:
                     own = self._model.joint(thetas, replace(recording, table=seen), axis.name)[:, :, None]
-                    values = own + self._linkage_discrepancy(thetas, recording, axis.name)
+                    values = own + self._discrepancy("joint", axis.name, thetas, recording)
                 put((joint,), values)
             speed = axis_signal(axis.name, "speed")
             if speed in recording.signals and speed in known:
@@ -134,13 +133,12 @@ class SimulatorAdapter:
         if known.issuperset(ee):
             values = self._signals(thetas, recording, ee)
             if self._kinematic:
-                values = self._model.tip(thetas, replace(recording, table=seen)) + self._kinematic_discrepancy(
-                    thetas, recording
-                )
+                at = replace(recording, table=seen)
+                values = self._model.tip(thetas, at) + self._discrepancy("end_effector", "ee", thetas, recording)
             put(ee, values)
         if known.issuperset(ee) and self._model.has_tool(thetas[0], recording):
             at = replace(recording, table=seen)
-            put(tool, self._model.tool(thetas, at) + self._tool_discrepancy(thetas, recording))
+            put(tool, self._model.tool(thetas, at) + self._discrepancy("tool", "tool", thetas, recording))
         elif known.issuperset(tool):
             put(tool, self._signals(thetas, recording, tool))
         return pd.DataFrame(columns)
@@ -180,9 +178,6 @@ class SimulatorAdapter:
         joints = (axis_signal(name, "joint") for name in self.machine.axis_names)
         return self._model.posed and self.signals.issuperset((*joints, *point_signals("ee")))
 
-    def _forced(self, target: str) -> bool:
-        return any(axis.name == target and axis.actuation == "force" for axis in self.machine.axes)
-
     def _covers(self, problem: Problem) -> bool:
         if problem.stage == "force":
             return False
@@ -214,17 +209,11 @@ class SimulatorAdapter:
     def _with_discrepancy(self, problem: Problem, theta: Array) -> Callable[[Array, Recording], Array]:
         known = dict[int, tuple[Recording, Array]]()
 
-        def discrepancy(recording: Recording) -> Array:
-            if problem.stage == "joint":
-                return self._linkage_discrepancy(theta[None], recording, problem.target)
-            if problem.stage == "end_effector":
-                return self._kinematic_discrepancy(theta[None], recording)
-            return self._tool_discrepancy(theta[None], recording)
-
         def predict(thetas: Array, recording: Recording) -> Array:
             found = known.get(id(recording))
             if found is None or found[0] is not recording:
-                found = known[id(recording)] = (recording, discrepancy(recording))
+                own = self._discrepancy(problem.stage, problem.target, theta[None], recording)
+                found = known[id(recording)] = recording, own
             return problem.predict(thetas, recording) + found[1]
 
         return predict
@@ -235,30 +224,31 @@ class SimulatorAdapter:
         simulated = self._signals(thetas, recording, (driven,))[:, :, 0]
         measured = self._model.true_signal(thetas, recording, driven)[0]
         load = self._model.load(thetas, recording)[self._model.axis_index(axis)]
-        stretches = self._stretches(recording)
+        stretches = stretches_of(self._model, recording)
         out = apply_output_effects(self._model, thetas, simulated, measured, load, axis, stretches, recording.rate_hz)
         return self._model.sensed(thetas, driven, out, 1.0 / recording.rate_hz)[:, :, None]
 
-    # Discrepancy of the simulator from the plant's stage, each (1, n, d).
+    def _discrepancy(self, stage: str, target: str, thetas: Array, recording: Recording) -> Array:
+        """Of the simulator from the plant's stage, (1, n, d); zero where it does not return both ends of the stage."""
+        inputs, outputs = self._ends(stage, target)
+        if not self.signals.issuperset((*inputs, *outputs)):
+            return np.zeros((1, 1, len(outputs)))
+        at, neutral = self._as_simulated(thetas, recording, inputs), self._model.theta[None]
+        if stage == "joint":
+            own = self._model.joint(neutral, at, target)[:, :, None]
+        else:
+            own = self._model.tip(neutral, at) if stage == "end_effector" else self._model.tool(neutral, at)
+        return self._signals(thetas, recording, outputs) - own
 
-    def _linkage_discrepancy(self, thetas: Array, recording: Recording, axis: str) -> Array:
-        joint = axis_signal(axis, "joint")
-        if not {joint, self.machine.axis(axis).driven} <= self.signals:
-            return np.zeros((1, 1, 1))
-        at = self._as_simulated(thetas, recording, (self.machine.axis(axis).driven, joint))
-        own = self._model.joint(self._model.theta[None], at, axis)
-        return self._signals(thetas, recording, (joint,)) - own[:, :, None]
-
-    def _kinematic_discrepancy(self, thetas: Array, recording: Recording) -> Array:
-        at = self._as_simulated(thetas, recording, [axis_signal(name, "joint") for name in self.machine.axis_names])
-        return self._signals(thetas, recording, point_signals("ee")) - self._model.tip(self._model.theta[None], at)
-
-    def _tool_discrepancy(self, thetas: Array, recording: Recording) -> Array:
+    def _ends(self, stage: str, target: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Signals on which a stage of the plant depends, and those that it predicts."""
         ee, tool = point_signals("ee"), point_signals("tool")
-        if not self.signals.issuperset((*ee, *tool)):
-            return np.zeros((1, 1, 3))
-        at = self._as_simulated(thetas, recording, (*ee, *tool))
-        return self._signals(thetas, recording, tool) - self._model.tool(self._model.theta[None], at)
+        if stage == "joint":
+            joint = axis_signal(target, "joint")
+            return (self.machine.axis(target).driven, joint), (joint,)
+        if stage == "end_effector":
+            return tuple(axis_signal(name, "joint") for name in self.machine.axis_names), ee
+        return (*ee, *tool), tool
 
     # -- runs ----------------------------------------------------------------------------------------------------------
 
@@ -269,7 +259,7 @@ class SimulatorAdapter:
     def _signals(self, thetas: Array, recording: Recording, signals: Sequence[str]) -> Array:
         """Output of the simulator itself, (lanes, n, d); NaN where it returns none."""
         factor, fine = self._fine(recording)
-        stretches = factor * self._stretches(recording)
+        stretches = factor * stretches_of(self._model, recording)
         axes = [split_signal(name)[0] for name in command_signals(recording, self.machine)]
         inputs = apply_input_effects(self._model, thetas, fine, axes, stretches)
         commands = {axis_signal(axis, "command"): values for axis, values in inputs.items()}
@@ -293,9 +283,6 @@ class SimulatorAdapter:
             table = table.assign(time=np.arange(len(table)) / rate)
             known = self._held[id(recording)] = (recording, replace(recording, table=table, rate_hz=rate))
         return factor, known[1]
-
-    def _stretches(self, recording: Recording) -> Stretches:
-        return stretches_of(self._model, recording)
 
 
 def stretches_of(model: Model, recording: Recording) -> Stretches:

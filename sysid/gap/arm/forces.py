@@ -1,4 +1,9 @@
-"""Forces of all force axes of an arm at measured motion, on common rows and without the friction of the joints."""
+"""Forces of all force axes of an arm at measured motion, on common rows and without the friction of the joints.
+
+Any friction of a joint is a sum of linear columns, to be left out of a comparison of link torques: in each direction a constant
+and a slope, a constant load, a share of the link torque (load-dependent friction), and the inertia of a rotor that machine.toml
+does not state. Masses do not depend on which friction is named.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.arm.friction import friction_columns, without
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceInputs, force_inputs
@@ -16,6 +20,31 @@ from sysid.plant.link_torque import link_torque
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
+
+#: Columns of the friction of a joint; the last is the acceleration, or zero where the inertia of the rotor is known.
+FRICTION = 7
+#: The column of a constant load.
+CONSTANT = 4
+
+
+def friction_columns(v: Array, a: Array, load: Array, known: bool = False) -> Array:
+    """Columns for speed, acceleration and link torque, each (n,) → (n, 7); ``known``: whether the inertia of the rotor is."""
+    forward, backward = (v > 0.0).astype(float), (v < 0.0).astype(float)
+    rotor = np.zeros_like(a) if known else a
+    return np.column_stack([forward, backward, v * forward, v * backward, np.ones_like(v), np.abs(load) * np.sign(v), rotor])
+
+
+def axis_friction(inputs: ForceInputs, axis: Axis, load: Array) -> Array:
+    """The same for the motion of an axis under the torque of its links (n,): (n, 7)."""
+    return friction_columns(inputs.speed, inputs.acceleration, load, axis.inertia is not None)
+
+
+def without(table: Array, friction: Array) -> Array:
+    """``table`` (m, k) less its least-squares fit by the columns of friction (m, 7)."""
+    size = np.linalg.norm(friction, axis=0)
+    q, r = np.linalg.qr(friction[:, size > 0.0] / size[size > 0.0])
+    q = q[:, np.abs(np.diag(r)) > 1e-9]
+    return np.asarray(table - q @ (q.T @ table))
 
 
 class ArmForces:
@@ -55,22 +84,19 @@ class ArmForces:
 
     def _on_common(self, recording: Recording, forces: Callable[[ForceInputs, Axis], Array]) -> Array:
         """Forces (lanes, m) of each axis, without friction, on the common rows: (lanes, n, d)."""
-        there, frictions = self.rows(recording), self._frictions(recording)
+        there, kept = self.rows(recording), [own.rows for own in self._known[recording.name][1]]
         parts = [forces(own, axis) for own, axis in zip(self.inputs(recording), self.axes, strict=True)]
         out = np.full((len(parts[0]), len(there), len(self.axes)), np.nan)
-        for j, (part, friction) in enumerate(zip(parts, frictions, strict=True)):
-            own = self._known[recording.name][1][j]
-            out[:, np.searchsorted(there, own.rows), j] = without(part.T, friction).T
+        for j, (part, friction) in enumerate(zip(parts, self._frictions(recording), strict=True)):
+            out[:, np.searchsorted(there, kept[j]), j] = without(part.T, friction).T
         return out
 
     def _frictions(self, recording: Recording) -> list[Array]:
         """Filtered columns of friction of each axis, (m, 7), at the motion of the original recording."""
         if recording.name not in self._friction:
             original, inputs = self._known[recording.name]
-            found = []
-            for own, axis in zip(inputs, self.axes, strict=True):
-                load = link_torque(self.model, self.model.theta, original, axis.name).carried
-                columns = friction_columns(own.speed, own.acceleration, load, axis.inertia is not None)
-                found.append(own.compared(columns))
-            self._friction[recording.name] = found
+            self._friction[recording.name] = [
+                own.compared(axis_friction(own, axis, link_torque(self.model, self.model.theta, original, axis.name).carried))
+                for own, axis in zip(inputs, self.axes, strict=True)
+            ]
         return self._friction[recording.name]

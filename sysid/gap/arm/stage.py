@@ -10,30 +10,31 @@ parameters).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
-from sysid.gap.arm.friction import CONSTANT, FRICTION, without
-from sysid.gap.arm.rows import AxisRows, axis_rows, inefficiency, linearised, with_carried
-from sysid.gap.arm.unknowns import (
+from sysid.gap.arm.forces import CONSTANT, FRICTION, without
+from sysid.gap.arm.rows import (
     FORCE_CONSTANT,
     ROTOR,
-    LinkErrors,
+    AxisRows,
+    axis_rows,
     change_of,
     columns_of,
     doubled,
     from_linear,
-    linear_width,
+    inefficiency,
+    linearised,
     link_errors,
     places,
     plausible,
-    slope_of,
     to_linear,
+    with_carried,
 )
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, NearMiss
@@ -51,7 +52,7 @@ from sysid.plant.layout import AT, AXIS_WIDTH
 
 Array = npt.NDArray[np.float64]
 
-#: Typical relative errors of :data:`KINDS`, and spread of their natural logarithm: masses are weighed or computed from CAD to
+#: Typical relative errors of each kind, and spread of their natural logarithm: masses are weighed or computed from CAD to
 #: about five percent; inertias are often those of a simpler solid, and the constant between current and torque includes the
 #: efficiency of a gear.
 EXPECTED, SPREAD = np.array([0.05, 0.05, 0.1, 0.1, 0.1, 0.1]), np.array([0.7, 0.7, 0.7, 0.7, 0.7, 2.3])
@@ -113,41 +114,38 @@ def _settled(before: Sequence[AxisRows], rows: Sequence[AxisRows]) -> bool:
     return all(np.linalg.norm(own.carried - old.carried) <= SETTLED * np.linalg.norm(own.carried) for old, own in pairs)
 
 
-@dataclass(frozen=True)
-class _Stack:
-    """Rows of all axes, friction projected out, weighted: ``target`` (rows,), ``effects`` (rows, K), ``errors`` (rows, p)."""
-
-    target: Array
-    effects: Array
-    errors: Array
-    block: npt.NDArray[np.int64]
-    independent: float
-
-    @property
-    def blocks(self) -> int:
-        return int(self.block.max(initial=0)) + 1
-
-
 class _Whole:
-    """The regression of a whole arm."""
+    """The regression of a whole arm on the linear coordinates of all candidates."""
 
     def __init__(
         self, model: Model, rows: Sequence[AxisRows], theta: Array, sigma: Array, candidates: Sequence[Candidate]
     ) -> None:
         self.model, self.rows, self.theta, self.sigma = model, rows, theta, sigma
         self.candidates = tuple(candidates)
-        self.unknowns = tuple(u for c in candidates for u in c.unknowns)
         self.places = places(candidates)
-        self.errors: LinkErrors = link_errors(model, theta)
-        self.kind = np.concatenate([self.errors.kind, np.repeat([FORCE_CONSTANT, ROTOR], len(rows))])
-        self.changes = np.concatenate(
-            [np.zeros((0, *self.errors.change.shape[1:])), *(change_of(model, theta, c) for c in candidates)]
-        )
+        self.link_errors, kind = link_errors(model, theta)
+        self.kind = np.concatenate([kind, np.repeat([FORCE_CONSTANT, ROTOR], len(rows))])
+        self.changes = np.concatenate([self.link_errors[:0], *(change_of(model, c) for c in candidates)])
         self.nominal = self._linear([np.array([u.nominal for u in c.unknowns]) for c in candidates])
+        own = prior_of(self.candidates)
+        width = self._linear([own.width[at] for at in self.places])
+        self.prior = Prior(self.nominal, width, own.low, own.high, np.minimum(own.finest, width))
         self.weights = 1.0 / sigma
-        self.independent = np.array([float(len(axis.target)) for axis in rows])
-        self._weigh()
-        self.stack = self._stacked(self.weights)
+        counts = self._weigh()
+        self.count = max(float(counts.sum()) - FRICTION * len(rows), 1.0)
+        target, effects, errors = self._stacked()
+        self.regression = GaussianRegression(
+            target,
+            effects,
+            errors,
+            self.kind,
+            self.prior,
+            self.nominal,
+            round(self.count),
+            Sizes(EXPECTED, 1.0),
+            EXPECTED,
+            SPREAD,
+        )
         self._sizes: dict[Set, Sizes] = {}
         self._posteriors: dict[Set, Posterior] = {}
 
@@ -158,60 +156,41 @@ class _Whole:
         return other
 
     def _linear(self, values: Sequence[Array]) -> Array:
+        """Linear coordinates (K,) of values of each candidate."""
         return np.concatenate([np.empty(0), *(to_linear(c, v) for c, v in zip(self.candidates, values, strict=True))])
-
-    @cached_property
-    def prior(self) -> Prior:
-        """Of the linear coordinates of all candidates."""
-        own = prior_of(self.candidates)
-        width = np.concatenate(
-            [np.empty(0), *(linear_width(c, own.width[at]) for c, at in zip(self.candidates, self.places, strict=True))]
-        )
-        return Prior(self.nominal, width, own.low, own.high, np.minimum(own.finest, width))
-
-    def _projected(self, axis: AxisRows, weight: float) -> Array:
-        """Target, effects and errors of an axis without what its friction explains, weighted, (m, 1 + K + p)."""
-        effects = columns_of(axis.links, self.changes)
-        return weight * without(np.column_stack([axis.target, effects, self._of_errors(axis)]), axis.friction)
 
     def _of_errors(self, axis: AxisRows) -> Array:
         """Slopes of the force of an axis by all small errors, with its friction, (m, p)."""
         constants, rotors = np.zeros((2, len(axis.target), len(self.rows)))
         here = [own.axis for own in self.rows].index(axis.axis)
         constants[:, here], rotors[:, here] = axis.carried, axis.rotor
-        return np.column_stack([columns_of(axis.links, self.errors.change), constants, rotors])
+        return np.column_stack([columns_of(axis.links, self.link_errors), constants, rotors])
 
-    def _stacked(self, weights: Array) -> _Stack:
-        parts = [self._projected(axis, float(w)) for axis, w in zip(self.rows, weights, strict=True)]
-        whole, k = np.concatenate(parts), len(self.unknowns)
-        block = np.concatenate([axis.block for axis in self.rows])
-        independent = max(float(self.independent.sum()) - FRICTION * len(self.rows), 1.0)
-        return _Stack(whole[:, 0], whole[:, 1 : 1 + k], whole[:, 1 + k :], block, independent)
+    def _stacked(self) -> tuple[Array, Array, Array]:
+        """Rows of all axes, friction projected out, weighted: target (rows,), candidates (rows, K), small errors (rows, p)."""
+        parts = []
+        for axis, weight in zip(self.rows, self.weights, strict=True):
+            table = np.column_stack([axis.target, columns_of(axis.links, self.changes), self._of_errors(axis)])
+            parts.append(float(weight) * without(table, axis.friction))
+        whole, first = np.concatenate(parts), 1 + len(self.nominal)
+        return whole[:, 0], whole[:, 1:first], whole[:, first:]
 
-    def _weigh(self) -> None:
-        """Weights by the error of each axis beside all effects and errors, its rows counted by their inefficiency."""
+    def _weigh(self) -> Array:
+        """Weights by the error of each axis beside all effects and errors; its number of independent rows, (axes,)."""
+        independent = np.empty(len(self.rows))
+        ends = np.cumsum([0, *(len(axis.target) for axis in self.rows)])
         for _ in range(3):
-            stack = self._stacked(self.weights)
-            columns = np.hstack([stack.effects * self.prior.width, stack.errors * EXPECTED[self.kind]])
-            left = stack.target - columns @ np.linalg.solve(
-                columns.T @ columns + np.eye(columns.shape[1]), columns.T @ stack.target
-            )
-            ends = np.cumsum([0, *(len(axis.target) for axis in self.rows)])
+            target, effects, errors = self._stacked()
+            columns = np.hstack([effects * self.prior.width, errors * EXPECTED[self.kind]])
+            left = target - columns @ np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ target)
             for j, axis in enumerate(self.rows):
-                own = left[ends[j] : ends[j + 1]] / self.weights[j]
-                rms = max(float(np.sqrt(np.mean(own**2))), float(self.sigma[j]))
                 here = slice(ends[j], ends[j + 1])
-                factor = inefficiency(own, np.hstack([stack.effects[here], stack.errors[here]]), axis.block)
+                own = left[here] / self.weights[j]
+                rms = max(float(np.sqrt(np.mean(own**2))), float(self.sigma[j]))
+                factor = inefficiency(own, np.hstack([effects[here], errors[here]]), axis.block)
                 self.weights[j] = 1.0 / (rms * np.sqrt(factor))
-                self.independent[j] = len(axis.target) / factor
-
-    @cached_property
-    def regression(self) -> GaussianRegression:
-        stack = self.stack
-        return GaussianRegression(
-            stack.target, stack.effects, stack.errors, self.kind, self.prior, self.nominal, round(stack.independent),
-            Sizes(EXPECTED, 1.0), EXPECTED, SPREAD,
-        )  # fmt: skip
+                independent[j] = len(axis.target) / factor
+        return independent
 
     def unknowns_of(self, members: Set) -> npt.NDArray[np.intp]:
         """Indices of the linear coordinates of a set, candidate by candidate in ascending order."""
@@ -244,14 +223,16 @@ class _Whole:
         """Most likely linear changes of a set (k,), and small errors (p,), together."""
         columns, scale = self._scaled(members)
         noise, count = self.sizes(members).noise, len(self.unknowns_of(members))
-        found = scale * np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ self.stack.target / noise)
+        found = scale * np.linalg.solve(
+            columns.T @ columns + np.eye(columns.shape[1]), columns.T @ self.regression.target / noise
+        )
         return found[:count], found[count:]
 
     def _scaled(self, members: Set) -> tuple[Array, Array]:
         """Columns of a set and of all small errors with prior and noise of unit size, and the size of each."""
         at, sizes = self.unknowns_of(members), self.sizes(members)
         scale = np.concatenate([self.prior.width[at], sizes.tau[self.kind]])
-        return np.hstack([self.stack.effects[:, at], self.stack.errors]) * scale / sizes.noise, scale
+        return np.hstack([self.regression.columns[:, at], self.regression.errors]) * scale / sizes.noise, scale
 
     def open_loads(self, members: Set) -> dict[str, float]:
         """Standard deviation of the constant load on each axis that the adjusted links may have instead [N·m or N].
@@ -279,42 +260,42 @@ class _Whole:
         chosen = [self.candidates[k] for k in sorted(members)]
         unknowns = tuple(u for c in chosen for u in c.unknowns)
         linear = np.clip(self.nominal[at] + change, self.prior.low[at], self.prior.high[at])
-        parts = places(chosen)
-        values = np.concatenate([np.empty(0), *(from_linear(c, linear[p]) for c, p in zip(chosen, parts, strict=True))])
-        slope = np.zeros((len(values), len(values)))
-        for c, p in zip(chosen, parts, strict=True):
-            slope[np.ix_(p, p)] = slope_of(c, linear[p])
-        theta = place(self.theta, unknowns, values[None])[0] if unknowns else self.theta.copy()
-        theta = self._with_errors(theta, members, change, errors)
-        tau = sizes.tau[self.kind]
-        effects = self.stack.effects[:, at]
-        table = np.hstack([self.stack.errors * tau, effects * self.prior.width[at]]) / sizes.noise
-        products = block_products(table, self.stack.target / sizes.noise, self.stack.block, self.stack.blocks)
-        predictive = predictive_densities(products, products.right.sum(axis=0), products.information)
-        left = self.stack.target - effects @ change - self.stack.errors @ errors
-        count = max(self.stack.independent, 1.0)
-        response = np.sqrt((effects**2).sum(axis=0) / count)
-        inverse = np.linalg.inv(slope) if len(values) else slope
+        values, slope = np.empty(len(at)), np.zeros((len(at), len(at)))
+        for candidate, here in zip(chosen, places(chosen), strict=True):
+            values[here], slope[np.ix_(here, here)] = from_linear(candidate, linear[here])
+        effects, tau = self.regression.columns[:, at], sizes.tau[self.kind]
+        table = np.hstack([self.regression.errors * tau, effects * self.prior.width[at]]) / sizes.noise
+        block = np.concatenate([axis.block for axis in self.rows])
+        products = block_products(table, self.regression.target / sizes.noise, block, int(block.max(initial=0)) + 1)
+        residual = self.regression.target - effects @ change - self.regression.errors @ errors
+        left = float(np.sqrt(residual @ residual / self.count))
         return ModelFit(
-            tuple(chosen), unknowns, values, theta, slope @ posterior.covariance @ slope.T, np.zeros(len(values)),
-            self.evidence(members), predictive, float(np.sqrt(left @ left / count)) / sizes.noise,
-            np.abs(response @ inverse) if len(values) else response, float(np.sqrt(left @ left / count)),
-        )  # fmt: skip
+            candidates=tuple(chosen),
+            unknowns=unknowns,
+            values=values,
+            theta=self._with_errors(place(self.theta, unknowns, values[None])[0], members, change, errors),
+            covariance=slope @ posterior.covariance @ slope.T,
+            confounded=np.zeros(len(at)),
+            evidence=self.evidence(members),
+            predictive=predictive_densities(products, products.right.sum(axis=0), products.information),
+            rms=left / sizes.noise,
+            response=np.abs(np.sqrt((effects**2).sum(axis=0) / self.count) @ np.linalg.inv(slope)),
+            left=left,
+        )
 
     def _with_errors(self, theta: Array, members: Set, change: Array, errors: Array) -> Array:
         """The vector with the errors of the links; inertias of rotors that machine.toml does not state beside them."""
         theta = theta.copy()
         if self.needed(members) < LEAST:
             errors = np.zeros_like(errors)
-        off = np.tensordot(errors[: len(self.errors.kind)], self.errors.change, axes=1)
+        off = np.tensordot(errors[: len(self.link_errors)], self.link_errors, axes=1)
         rigid = self.model.rigid
         assert rigid is not None
         for i, body in enumerate(rigid.body_of):
             first = i * AXIS_WIDTH + AT.inertial_error
             theta[first : first + PARAMETERS] += off[body]
-        at = self.unknowns_of(members)
-        whole = np.tensordot(change, self.changes[at], axes=1).reshape(-1) + off.reshape(-1)
-        scales, rotors = errors[len(self.errors.kind) :].reshape(2, -1)
+        whole = np.tensordot(change, self.changes[self.unknowns_of(members)], axes=1).reshape(-1) + off.reshape(-1)
+        scales, rotors = errors[len(self.link_errors) :].reshape(2, -1)
         for axis, scale, rotor in zip(self.rows, scales, rotors, strict=True):
             block = self.model.axis_index(axis.axis) * AXIS_WIDTH
             first, stated = block + AT.inertial_error + PARAMETERS, self.model.machine.axis(axis.axis).inertia
@@ -331,7 +312,7 @@ class _Whole:
         at = self.unknowns_of(members)
         alone = replace(
             self.regression,
-            errors=np.empty((len(self.stack.target), 0)),
+            errors=np.empty((len(self.regression.target), 0)),
             kind=np.empty(0, dtype=np.int64),
             sizes=Sizes(np.empty(0), self.sizes(members).noise),
             expected=np.empty(0),

@@ -1,4 +1,6 @@
-"""Roles of static poses in a dataset without motion: those of the dataset, else five folds, each predicted by the others.
+"""Static poses in a dataset without motion: the effects that they show, and their roles.
+
+The roles are those of the dataset, else those of five folds, each predicted by the others.
 
 Poses are independent measurements, but neighbours may share a drift of the calibration (temperature, a target that slipped). A
 test on poses drawn at random would share that drift with the fit; one contiguous block at the end tests a part of the work
@@ -21,6 +23,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.datasets.roles.shortage import ROLES
+from sysid.gap.candidates import Candidate
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +31,12 @@ Array = npt.NDArray[np.float64]
 FOLDS, ROUNDS, LEAST = 5, 3, 2
 #: Largest relative difference of parameter vectors that are the same.
 SAME = 1e-9
+
+
+def shown_by_poses(candidate: Candidate) -> bool:
+    """Whether static poses can show an effect: it has no memory of the motion and is not one of a clock."""
+    effect = candidate.effect
+    return effect.target != "stream" and not effect.memory(1.0) and effect.stage in ("joint", "end_effector", "sensor")
 
 
 def pose_roles(dataset: Dataset) -> dict[Role, tuple[Recording, ...]]:

@@ -2,45 +2,58 @@
 
 Geometry, sensors, compliance and the frame of the measurement are in one search from the start: calibrated one after the other,
 the first would absorb what the others cause. The tip is a smooth function of all unknowns, so the search runs in the linearised
-model, which is renewed at the values of the set found until both stay.
+model, which is renewed at the values of the set found until both stay. A set costs a small Cholesky factorisation there, so
+that all exchanges of the catalogue are tested instead of a few promising ones.
+
+In units of the priors, the poses determine a direction of the unknowns where the posterior deviation is well below the prior's.
+Directions that are not determined are sparse after a rotation to few members (varimax: Kaiser, Psychometrika 23 (1958),
+187–200), so that each reads as a sentence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import base_misalignment, tip_offset
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, decide
 from sysid.gap.fit import place
+from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
-from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, GaussianRegression, Sizes
+from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, UNDETERMINED, GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, prior_of
-from sysid.gap.poses.combinations import undetermined
-from sysid.gap.poses.models import as_model
-from sysid.gap.poses.registration import registered
-from sysid.gap.poses.rows import PoseRows, weights_of
-from sysid.gap.poses.search import Set, SetSearch
+from sysid.gap.poses.rows import PoseRows
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import LEAST
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
+Set = frozenset[int]
 
-#: Effects of the measurement, with which every search begins: its frame, and the measured point where it is not surveyed.
-MEASUREMENT = (base_misalignment.EFFECT, tip_offset.EFFECT)
+#: Targets of effects of the measurement, with which every search begins: its frame, and the measured point where it is not
+#: surveyed. Other effects of the stage belong to an axis or a sensor.
+MEASUREMENT = ("base", "ee")
 #: Rounds of search and linearisation.
 ROUNDS = 6
 #: Further models beside those without an effect: exchanges and additions, the likeliest.
 NEIGHBOURS = 40
+#: Largest number of effects: as many as the poses determine, at least so many rows for each unknown.
+ROWS_PER_UNKNOWN = 3
+#: Exchanges, additions and drops at most; each raises the evidence.
+MOST_STEPS = 200
+#: Least gain in evidence of a step [nats].
+GAIN = 1e-6
+#: Members of a combination below this weight are left out of its sentence; largest number of members that make a sentence.
+LEAST_WEIGHT, MOST_MEMBERS = 0.3, 4
+#: Iterations of the rotation.
+TURNS = 50
 
 
 def fit_pose_stage(
@@ -59,12 +72,100 @@ def fit_pose_stage(
     stays, whether the poses determine it or not.
     """
     rows = PoseRows(model, problem, recordings, theta, sigma)
-    there = [c for c in candidates if c.label in nameable or c.effect in MEASUREMENT]
+    there = [c for c in candidates if c.label in nameable or c.effect.target in MEASUREMENT]
     fitting = _Fitting(rows, there)
     search, best = fitting.converged(on_fit)
-    fitting.weights = weights_of(rows, fitting.residual(search, best))
+    fitting.weights = rows.weights(fitting.residual(search, best))
     search, best = fitting.converged(on_fit, best)
     return _decided(fitting, search, best, nameable)
+
+
+@dataclass
+class SetSearch:
+    """Sets of ``candidates``, by number, in the regression on the unknowns of all of them; each evaluated once."""
+
+    regression: GaussianRegression
+    candidates: Sequence[Candidate]
+    known: dict[Set, Posterior] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([0, *(len(c.unknowns) for c in self.candidates)])
+        self._places = [np.arange(first, end, dtype=np.intp) for first, end in pairwise(ends)]
+
+    def unknowns(self, members: Set) -> npt.NDArray[np.intp]:
+        """Indices of the unknowns of a set, candidate by candidate in ascending order."""
+        return np.concatenate([np.empty(0, dtype=np.intp), *(self._places[k] for k in sorted(members))])
+
+    def posterior(self, members: Set) -> Posterior:
+        if members not in self.known:
+            self.known[members] = self.regression.posterior(self.unknowns(members))
+        return self.known[members]
+
+    def evidence(self, members: Set) -> float:
+        """Of a set; minus infinity where a value leaves its bounds, or where it has too many unknowns for the rows."""
+        if ROWS_PER_UNKNOWN * len(self.unknowns(members)) > self.regression.rows:
+            return -np.inf
+        found = self.posterior(members)
+        return found.evidence if found.inside else -np.inf
+
+    def likeliest(self, start: Set) -> Set:
+        """The set from which no addition, drop or exchange raises the evidence."""
+        best = start if np.isfinite(self.evidence(start)) else frozenset()
+        for _ in range(MOST_STEPS):
+            for neighbours in (self.larger, self.smaller, self.exchanged):
+                found = max(neighbours(best), key=self.evidence, default=best)
+                if self.evidence(found) > self.evidence(best) + GAIN:
+                    best = found
+                    break
+            else:
+                return best
+        return best
+
+    def larger(self, members: Set) -> list[Set]:
+        return [self._joined(members, k) for k in range(len(self.candidates)) if k not in members]
+
+    def smaller(self, members: Set) -> list[Set]:
+        return [members - {k} for k in sorted(members)]
+
+    def exchanged(self, members: Set) -> list[Set]:
+        """One effect in place of one or two others."""
+        less = [members - {k} for k in sorted(members)]
+        return [new for rest in less for new in self.larger(rest) if new != members]
+
+    def _joined(self, members: Set, new: int) -> Set:
+        """The set with a candidate, without its special cases and other forms of it."""
+        one = self.candidates[new]
+        rest = (k for k in members if self.candidates[k].key != one.key and not one.contains(self.candidates[k]))
+        return frozenset((*rest, new))
+
+    def undetermined(self) -> Iterator[str]:
+        """A sentence for each combination of the unknowns of all candidates that the poses do not determine."""
+        names = [f"{c.effect.name}({c.target}).{u.key}" for c in self.candidates for u in c.unknowns]
+        if not names:
+            return
+        whole, _ = self.regression.marginal
+        plausible = np.array([_plausible(c.starts, k) for c in self.candidates for k in range(len(c.unknowns))])
+        gram = whole[:-1, :-1] * np.outer(plausible, plausible)
+        values, vectors = np.linalg.eigh(gram)
+        open_ = vectors[:, 1.0 / np.sqrt(1.0 + np.maximum(values, 0.0)) > UNDETERMINED]
+        for direction in _sparse(open_).T:
+            summands = [name for name, weight in zip(names, direction, strict=True) if abs(weight) >= LEAST_WEIGHT]
+            if 2 <= len(summands) <= MOST_MEMBERS:
+                yield f"these poses do not separate {' and '.join(summands)}: only their sum is determined"
+
+
+def _plausible(starts: tuple[tuple[float, ...], ...], k: int) -> float:
+    """Plausible size of an unknown: half the spread of its start values, else 0.01 (m or rad)."""
+    return float(np.ptp([row[k] for row in starts])) / 2.0 or 0.01
+
+
+def _sparse(loadings: Array) -> Array:
+    """Varimax rotation of orthonormal directions (k, m)."""
+    turned = loadings
+    for _ in range(TURNS if loadings.shape[1] > 1 else 0):
+        u, _, vt = np.linalg.svd(loadings.T @ (turned**3 - turned * (turned**2).mean(axis=0)))
+        turned = loadings @ (u @ vt)
+    return turned
 
 
 class _Fitting:
@@ -73,8 +174,6 @@ class _Fitting:
     def __init__(self, rows: PoseRows, candidates: Sequence[Candidate]) -> None:
         self.rows, self.candidates = rows, tuple(candidates)
         self.unknowns = tuple(u for c in candidates for u in c.unknowns)
-        ends = np.cumsum([0, *(len(c.unknowns) for c in candidates)])
-        self.places = [np.arange(a, b, dtype=np.intp) for a, b in pairwise(ends)]
         self.prior = prior_of(self.candidates)
         self.nominal = np.array([u.nominal for u in self.unknowns])
         self.values = self._registered()
@@ -83,24 +182,21 @@ class _Fitting:
 
     def _registered(self) -> Array:
         """Nominal values, with those of the measurement fitted to the described geometry."""
-        frame = [int(k) for c in sorted(self.base) for k in self.places[c]]
+        owners = [candidate for candidate in self.candidates for _ in candidate.unknowns]
+        frame = [k for k, owner in enumerate(owners) if owner.effect.target in MEASUREMENT]
         values = self.nominal.copy()
         if frame:
-            values[frame] = registered(self.rows, [self.unknowns[k] for k in frame], self.nominal[frame])
+            values[frame] = self.rows.registered([self.unknowns[k] for k in frame], self.nominal[frame])
         return np.asarray(np.clip(values, self.prior.low, self.prior.high))
 
     @property
     def base(self) -> Set:
         """The effects of :data:`MEASUREMENT`, with which every search begins."""
-        return frozenset(k for k, c in enumerate(self.candidates) if c.effect in MEASUREMENT)
-
-    @property
-    def base_labels(self) -> frozenset[str]:
-        return frozenset(self.candidates[k].label for k in self.base)
+        return frozenset(k for k, c in enumerate(self.candidates) if c.effect.target in MEASUREMENT)
 
     def search(self) -> SetSearch:
         """The regression linearised at the current values, under the current sizes."""
-        whole = place(self.rows.theta, self.unknowns, self.values[None])[0] if self.unknowns else self.rows.theta
+        whole = place(self.rows.theta, self.unknowns, self.values[None])[0]
         residual, slopes = self.rows.linearised(whole, self.unknowns)
         target = residual + slopes @ (self.values - self.nominal)
         weights = self.rows.by_row(self.weights)
@@ -113,7 +209,7 @@ class _Fitting:
         if self.sizes is None:  # beside every effect, so that what an effect explains is not an error of the arm
             self.sizes = found.with_sizes(np.arange(len(self.unknowns), dtype=np.intp))
             found = found.under(self.sizes)
-        return SetSearch(found, self.candidates, self.places)
+        return SetSearch(found, self.candidates)
 
     def converged(self, on_fit: Callable[[str], None], best: Set | None = None) -> tuple[SetSearch, Set]:
         """Set of effects, values and sizes that stay when each is renewed beside the others."""
@@ -143,19 +239,44 @@ class _Fitting:
 
     def residual(self, search: SetSearch, members: Set) -> Array:
         """Residual beside the effects of a set, (rows,) in noise floors, before weighting."""
-        at = search.unknowns(members)
-        weights = np.maximum(self.rows.by_row(self.weights), 1e-9)
-        regression = search.regression
-        return np.asarray((regression.target - regression.columns[:, at] @ search.posterior(members).change) / weights)
+        change = search.regression.columns[:, search.unknowns(members)] @ search.posterior(members).change
+        return np.asarray((search.regression.target - change) / self._by_row)
+
+    @property
+    def _by_row(self) -> Array:
+        """Weight of each row, (rows,), never zero."""
+        return np.maximum(self.rows.by_row(self.weights), 1e-9)
+
+    def model_of(self, search: SetSearch, members: Set) -> ModelFit:
+        """A set as a model of the decision, with the predictive density of each block of poses."""
+        regression, at, found = search.regression, search.unknowns(members), search.posterior(members)
+        unknowns = tuple(self.unknowns[k] for k in at)
+        values = np.clip(regression.nominal[at] + found.change, regression.prior.low[at], regression.prior.high[at])
+        noise, tau = regression.sizes.noise, regression.sizes.tau[regression.kind]
+        effects = regression.columns[:, at]
+        table = np.hstack([regression.errors * tau, effects * regression.prior.width[at]]) / noise
+        products = block_products(table, regression.target / noise, self.rows.block, self.rows.blocks)
+        residual, count = self.residual(search, members), max(regression.rows, 1)
+        left = float(np.sqrt(residual @ residual / count))
+        return ModelFit(
+            candidates=tuple(self.candidates[k] for k in sorted(members)),
+            unknowns=unknowns,
+            values=values,
+            theta=place(self.rows.theta, unknowns, values[None])[0],
+            covariance=found.covariance,
+            confounded=np.zeros(len(at)),  # the covariance contains what the errors of the arm could do in its place
+            evidence=found.evidence,
+            predictive=predictive_densities(products, products.right.sum(axis=0), products.information),
+            rms=left / noise,
+            response=np.sqrt(((effects / self._by_row[:, None]) ** 2).sum(axis=0) / count),
+            left=left,
+        )
 
 
 def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence[str]) -> StageFit:
     regression = search.regression
     bare = replace(regression, errors=np.empty((len(regression.target), 0)), kind=np.empty(0, dtype=np.int64))
-
-    @cache
-    def model_of(members: Set) -> ModelFit:
-        return as_model(fitting.rows, search, members, fitting.weights)
+    model_of = cache(partial(fitting.model_of, search))
 
     def members_of(model: ModelFit) -> Set:
         labels = model.labels
@@ -182,12 +303,11 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
     near = sorted((*search.exchanged(best), *richer), key=search.evidence, reverse=True)
     near = [s for s in near if np.isfinite(search.evidence(s))][:NEIGHBOURS]
     sets = dict.fromkeys((best, *search.smaller(best), *near, fitting.base, frozenset()))
+    first = frozenset(search.candidates[k].label for k in fitting.base)
 
     def decided() -> Decision:
         models = [model_of(s) for s in sets]
-        return decide(
-            models, nameable, needed=needed, integrates=False, without=without, independent=True, first=fitting.base_labels
-        )
+        return decide(models, nameable, needed=needed, integrates=False, without=without, independent=True, first=first)
 
     decision = decided()
     for _ in range(4):
@@ -198,16 +318,13 @@ def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence
         decision = decided()
     decision = _with_confounded(decision, search, members_of(decision.model))
     chosen = decision.model
-    models = sorted((model_of(s) for s in sets), key=lambda f: -f.evidence)
-    dropped = {c.label: without(chosen, c) for c in chosen.candidates}
-    remainder = Explained(chosen.left, float(regression.sizes.noise), {})
     return StageFit(
-        tuple(models),
+        tuple(sorted((model_of(s) for s in sets), key=lambda f: -f.evidence)),
         decision,
-        dropped,
-        remainder,
+        {c.label: without(chosen, c) for c in chosen.candidates},
+        Explained(chosen.left, float(regression.sizes.noise), {}),
         chosen,
-        combinations=tuple(undetermined(search)),
+        combinations=tuple(search.undetermined()),
         framed=model_of(fitting.base),
     )
 
@@ -221,9 +338,7 @@ def _with_confounded(decision: Decision, search: SetSearch, members: Set) -> Dec
     labels = {c.label: k for k, c in enumerate(search.candidates)}
     tied, named = list(decision.tied), []
     for candidate in decision.named:
-        own = labels[candidate.label]
-        others = list(_replacing(search, members, own))
-        if others:
+        if others := list(_replacing(search, members, labels[candidate.label])):
             tied.append((candidate, *(search.candidates[k] for k in others)))
         else:
             named.append(candidate)

@@ -1,1 +1,1 @@
-"""Position axes under load: whether their gravity load is known, and their error at rest."""
+"""Position axes: ``sag`` under a gravity load, its ``ties`` with errors of the sensor, and servos that move one ``arm``."""

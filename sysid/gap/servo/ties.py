@@ -1,29 +1,26 @@
-"""Ties between the sensor of a position axis and its sag, where its gravity load is not known, or varies as the error does."""
+"""Ties between the sensor of a position axis and its sag, where its gravity load is not known, or varies as the error does.
+
+Over a small range a gravity moment is proportional to the angle, as is an error of the sensor's scale; where it hardly varies
+it is constant, as is a bias. The errors that a stage has found are fitted by a compliance times the load. What this leaves is
+compared with the change that has no practical significance beside the remaining error (the region of practical equivalence).
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.effects import joint_compliance, sensor_bias, sensor_scale
-from sysid.gap.candidates import Candidate
+from sysid.effects import joint_compliance, sensor_bias
 from sysid.gap.case import Case, Stage
 from sysid.gap.equivalence import equivalent_change
-from sysid.gap.servo.alike import sag_replaces
-from sysid.gap.servo.load import load_known
-from sysid.gap.servo.static_error import StaticError, static_error
+from sysid.gap.fit import place
+from sysid.gap.servo.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error
 from sysid.gap.thresholds import STANDARD_ERRORS
+from sysid.plant import compile_plant, gravity_load
 
-Array = npt.NDArray[np.float64]
 Tie = tuple[tuple[str, str], ...]
-#: What the note of a tie states of the load.
-UNKNOWN, ALIKE = "is not known", "varies as that error does"
-
-#: Effects of the sensor that look like the sag of an unknown load: constant, or in proportion to the angle.
-OF_SENSOR = (sensor_bias.EFFECT.name, sensor_scale.EFFECT.name)
-#: Condition for a name that such an effect fails.
+#: Condition for a name that an error of the sensor fails.
 LOAD_UNKNOWN = "the gravity load of the axis is not known, and sag under a load looks the same"
 #: The same where the load is known.
 LOAD_ALIKE = "sag in proportion to the gravity load of the axis looks the same, within what remains unexplained"
@@ -31,15 +28,14 @@ LOAD_ALIKE = "sag in proportion to the gravity load of the axis looks the same, 
 
 def without_sensor_names(case: Case, stage: Stage) -> Stage:
     """A stage without names for errors of the sensor that may be sag under the load; their values stay in the plant."""
-    result, fitted = stage.found, stage.found.stage_fit
-    named = [k.candidate.label for k in result.named if _of_sensor(k.candidate) and not k.ties]
-    if not named or fitted is None or not _of_servo(case, stage):
+    result = stage.found
+    named = [k.candidate.label for k in result.named if k.candidate.effect in OF_SENSOR and not k.ties]
+    if not named or result.stage_fit is None or not _of_servo(case, stage):
         return stage
     unknown = _load_unknown(case, stage)
     if not unknown and not sag_replaces(case, stage):
         return stage
-    lost = dict.fromkeys(named, LOAD_UNKNOWN if unknown else LOAD_ALIKE)
-    return replace(stage, result=result.without_names(lost))
+    return replace(stage, result=result.without_names(dict.fromkeys(named, LOAD_UNKNOWN if unknown else LOAD_ALIKE)))
 
 
 def sag_tie(case: Case, stage: Stage) -> tuple[Tie, str] | None:
@@ -49,30 +45,43 @@ def sag_tie(case: Case, stage: Stage) -> tuple[Tie, str] | None:
     """
     if not _of_servo(case, stage) or stage.result is None or not stage.result.fit.candidates:
         return None
-    there = [c for c in stage.result.fit.candidates if _of_sensor(c)]
     fitted = stage.result.stage_fit
     misses = fitted.decision.near_misses if fitted is not None else ()
-    named = any(m.lacks in (LOAD_UNKNOWN, LOAD_ALIKE) for m in misses)
     unknown = _load_unknown(case, stage)
     error = _static_error(case, stage) if unknown else None
-    if error is None and not named:
+    if error is None and not any(m.lacks in (LOAD_UNKNOWN, LOAD_ALIKE) for m in misses):
         return None
     axis = case.plant.machine.axis(stage.problem.target)
-    bias = [(OF_SENSOR[0], axis.driven)] if unknown else []
-    tie = dict.fromkeys([*(c.key[:2] for c in there), *bias, (joint_compliance.EFFECT.name, axis.name)])
-    return tuple(tie), f"{stage.label}: {_text(error, unknown)}"
-
-
-def _text(error: StaticError | None, unknown: bool) -> str:
-    alike = f"an error of the sensor and sag under a gravity load that {UNKNOWN if unknown else ALIKE} look the same"
+    there = [c.key[:2] for c in stage.result.fit.candidates if c.effect in OF_SENSOR]
+    bias = [(sensor_bias.EFFECT.name, axis.driven)] if unknown else []
+    tie = tuple(dict.fromkeys([*there, *bias, (joint_compliance.EFFECT.name, axis.name)]))
+    load = "is not known" if unknown else "varies as that error does"
+    alike = f"an error of the sensor and sag under a gravity load that {load} look the same"
     if error is None:
-        return alike
+        return tie, f"{stage.label}: {alike}"
     depends = ", which depends on the posture" if error.by_posture else ""
-    return f"error at rest of {error.rms:.3g} (RMS of {error.holds} holds){depends}; {alike}"
+    return tie, f"{stage.label}: error at rest of {error.rms:.3g} (RMS of {error.holds} holds){depends}; {alike}"
 
 
-def _of_sensor(candidate: Candidate) -> bool:
-    return candidate.effect.name in OF_SENSOR
+def sag_replaces(case: Case, stage: Stage) -> bool:
+    """Whether a sag in proportion to the load is equivalent to the sensor errors of the position axis of a searched stage."""
+    machine, fit, model = case.plant.machine, stage.found.fit, compile_plant(case.plant)
+    axis = machine.axis(stage.problem.target)
+    i, thetas = model.axis_index(axis.name), np.stack([stage.theta, fit.theta])
+    errors, loads = [], []
+    for recording in stage.split.seen:
+        nominal, found = model.true_signal(thetas, recording, axis.driven)
+        errors.append(nominal - found)
+        loads.append(gravity_load(machine, recording)[:, i])
+    error, load = np.concatenate(errors), np.concatenate(loads)
+    there = np.isfinite(error) & np.isfinite(load)
+    error, load = error[there], load[there]
+    size = float(load @ load)
+    if size <= 0.0 or not error.any():
+        return False
+    left = error - load * float(load @ error) / size
+    allowed = equivalent_change(stage.found.final_rmse) * float(stage.sigma[0])
+    return float(np.sqrt(np.mean(left**2))) <= allowed
 
 
 def _of_servo(case: Case, stage: Stage) -> bool:
@@ -90,10 +99,8 @@ def _load_unknown(case: Case, stage: Stage) -> bool:
 
 def _static_error(case: Case, stage: Stage) -> StaticError | None:
     """The error at rest beside the other effects of the stage."""
-    theta = stage.found.fit.theta.copy()
-    for candidate in stage.found.fit.candidates:
-        if _of_sensor(candidate) or candidate.effect.name == joint_compliance.EFFECT.name:
-            for unknown in candidate.unknowns:
-                theta[list(unknown.places)] = unknown.nominal
+    fit = stage.found.fit
+    absent = [unknown for candidate in fit.candidates if candidate.effect in AT_REST for unknown in candidate.unknowns]
+    theta = place(fit.theta, absent, np.array([[unknown.nominal for unknown in absent]]))[0]
     least = float(stage.sigma[0]) * max(STANDARD_ERRORS, equivalent_change(stage.found.final_rmse))
     return static_error(stage.problem, case.plant.machine, theta, stage.split.seen, least)

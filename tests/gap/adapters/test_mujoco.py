@@ -19,10 +19,16 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import InputError, SettingsError
 from sysid.gap import find_gap
 from sysid.gap.adapters.mujoco import native
-from sysid.gap.adapters.mujoco.repair import RepairedModel, open_mujoco, repaired_effects, write_repaired
-from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file
+from sysid.gap.adapters.mujoco.repair import (
+    RepairedModel,
+    open_mujoco,
+    read_side_file,
+    repaired_effects,
+    side_file,
+    write_repaired,
+)
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
-from sysid.gap.adapters.start import joint_start
+from sysid.gap.adapters.simulator import joint_start
 from sysid.gap.localise import run_rmse
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine
@@ -90,7 +96,7 @@ def test_a_recording_may_begin_in_motion(name: str, share: float, monkeypatch: p
 
     found = errors()
     assert found.max() < share
-    monkeypatch.setattr("sysid.gap.adapters.start.CERTAIN", np.inf)  # at rest
+    monkeypatch.setattr("sysid.gap.adapters.simulator.CERTAIN", np.inf)  # at rest
     assert found.max() < 0.5 * errors().max()
 
 
@@ -288,7 +294,7 @@ def test_what_mjcf_lacks_stays_beside_the_model(tmp_path: Path) -> None:
 
 
 def test_a_difference_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "WRITERS", {"input_delay": lambda *_: "nothing"})
+    monkeypatch.setattr(native, "INPUT_WRITERS", {"input_delay": lambda *_: "nothing"})
     with pytest.raises(InputError, match=r"\.joint: the error of the written model is .* expected at most .* as promised"):
         written("servo_arm", [KnownEffect("input_delay", "lift", {"delay": 0.06})], tmp_path / "out.xml")
 

@@ -22,12 +22,10 @@ from sysid.cli.output import Printer
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.gap import find_gap
-from sysid.gap.adapters.mujoco.force_axes import machine_of as described
-from sysid.gap.adapters.mujoco.force_axes import open_force_model
-from sysid.gap.adapters.mujoco.force_repair import NO_PLACE, write_force_model
+from sysid.gap.adapters.mujoco.force_repair import NO_PLACE, open_force_model, write_force_model
+from sysid.gap.adapters.mujoco.force_repair import machine_of as described
 from sysid.gap.adapters.mujoco.free_run import Differences, stretches_to_run
-from sysid.gap.adapters.mujoco.inertials import TOGETHER, in_command_units, write_inertials
-from sysid.gap.adapters.mujoco.inside import write_inside
+from sysid.gap.adapters.mujoco.native import TOGETHER, in_command_units, write_inertials, write_inside
 from sysid.gap.adapters.mujoco.repair import RepairedModel, write_spec
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.result import Gap, WrittenEffect
@@ -89,7 +87,7 @@ def recorded(seconds: float, **friction: float) -> Dataset:
 
 def test_the_plant_of_a_model_needs_the_same_forces() -> None:
     dataset = recorded(4.0)
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     assert {(e.name, e.target): e.parameters for e in plant.effects} == {
         ("viscous_friction", "shoulder"): {"coefficient": 0.8},
         ("coulomb_friction", "shoulder"): {"force": 0.5},
@@ -230,7 +228,7 @@ PROMISED = Gap(*(dict.fromkeys(("shoulder.command", "elbow.command"), value) for
 
 
 def repaired_with(adjusted: list[WrittenEffect], dataset: Dataset, out: Path) -> RepairedModel:
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     return write_force_model(robot("torque_arm"), plant, [*RIGHT, *adjusted], out, dataset, PROMISED)
 
 
@@ -248,7 +246,7 @@ def test_an_adjusted_load_that_the_free_run_contradicts_is_left_out(tmp_path: Pa
 
 def test_the_console_and_the_json_state_why_it_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dataset, bias = recorded(4.0, damping=1.6, loss=0.6), WrittenEffect("load_bias", "elbow", "adjusted", {"force": 0.1})
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     result: Any = SimpleNamespace(written=(*RIGHT, bias), stage_gap=PROMISED)
     said = write_model(Printer(), plant, result, dataset, robot("torque_arm"), tmp_path / "out.xml")
     (left,) = said["beside"]
@@ -345,7 +343,7 @@ def with_intervals(shoulder: float, elbow: float, width: float) -> list[WrittenE
 
 def test_values_are_fitted_once_more_to_the_free_run(tmp_path: Path) -> None:
     dataset = swung(4.0)
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     rows, out = with_intervals(1.63, 0.59, 0.05), tmp_path / "out.xml"
     repaired = write_force_model(robot("torque_arm"), plant, rows, out, dataset, PROMISED)
     model = mujoco.MjModel.from_xml_path(str(out))
@@ -359,7 +357,7 @@ def test_values_are_fitted_once_more_to_the_free_run(tmp_path: Path) -> None:
 
 def test_values_that_are_fitted_stay_within_their_intervals(tmp_path: Path) -> None:
     dataset = swung(4.0)
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     out = tmp_path / "out.xml"
     write_force_model(robot("torque_arm"), plant, with_intervals(1.8, 0.6, 0.02), out, dataset, PROMISED)
     assert mujoco.MjModel.from_xml_path(str(out)).dof_damping[0] == pytest.approx(0.98 * 1.8, rel=1e-3)
@@ -374,7 +372,7 @@ def test_values_without_an_interval_stay(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
     dataset = recorded(10.0, damping=1.6, loss=0.6)
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     result = find_gap(dataset, plant)
     assert {(e.name, e.target): dict(e.parameters) for e in result.effects} == {
         ("viscous_friction", "shoulder"): {"coefficient": pytest.approx(1.6, rel=0.01)},
@@ -393,7 +391,7 @@ def test_friction_is_named_and_repaired(tmp_path: Path) -> None:
 def test_adjusted_links_are_in_the_repaired_model(tmp_path: Path) -> None:
     """Masses a little off and a wrong force constant get no name; the repaired file has them all the same."""
     dataset = recorded(10.0, damping=1.6, loss=0.6, heavier=1.04, constant=0.97)
-    plant = open_force_model(robot("torque_arm"), dataset).plant
+    plant = open_force_model(robot("torque_arm"), dataset)
     result = find_gap(dataset, plant)
     assert {row.name for row in result.written if row.kind == "adjusted"} >= {"inertial_error"}
     out = tmp_path / "out.xml"

@@ -13,11 +13,10 @@ from planar_arm import C2, I2, M1, M2, planar
 from sysid.datasets import Dataset, Recording
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
-from sysid.gap.arm.friction import without
+from sysid.gap.arm.forces import without
 from sysid.gap.arm.posture import posture_share
-from sysid.gap.arm.rows import axis_rows
+from sysid.gap.arm.rows import axis_rows, doubled, plausible
 from sysid.gap.arm.stage import fit_links_stage
-from sysid.gap.arm.unknowns import doubled, plausible
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import stage_candidates
 from sysid.gap.stages import search_stages

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Sizes
 from sysid.gap.likelihood.stage import Prior
-from sysid.gap.poses.tangents import KINDS, tangents_of
+from sysid.gap.poses.rows import KINDS, tangents_of
 from tests.helpers.pose_sets import Arm, Hidden, tips
 
 
@@ -36,9 +36,9 @@ def test_tilts_of_the_axes_are_among_the_errors() -> None:
     kinematics = arm.machine(1e-4).kinematics()
     assert kinematics is not None
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
-    found = tangents_of(kinematics, q)
+    tangents, kind = tangents_of(kinematics, q)
     small = 1e-6
     moved = (tips(arm, Hidden(tilt={1: (small, 0.0, 0.0)}), q) - tips(arm, Hidden(), q)) / small
-    columns = found.columns[:, :, found.kind == KINDS.index("tilt")].reshape(120, -1)
+    columns = tangents[:, :, kind == KINDS.index("tilt")].reshape(120, -1)
     left = moved.ravel() - columns @ np.linalg.lstsq(columns, moved.ravel(), rcond=None)[0]
     assert np.linalg.norm(left) < 0.02 * np.linalg.norm(moved)

@@ -1,5 +1,8 @@
 """The repaired MJCF: effects in their native places, the others in a file beside it, and its gap after it is loaded again.
 
+What cannot be written into the model is in ``<model>.effects.toml`` in its folder. The adapter loads it with the model: its
+input effects act on the commands, its output effects on the signals.
+
 The search applies effects to the commands at the time step of the model; native ones act inside its actuators, where a filter
 and an interpolated delay differ by a part of a step. What has a native place is therefore fitted once more in place, from the
 values found, by least squares on the fit and selection recordings.
@@ -11,21 +14,20 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from sysid.config import Strict, load_settings
 from sysid.datasets.recording import Dataset
 from sysid.effects import effect_named, input_delay
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
-from sysid.gap.adapters.mujoco.axes import drives_of
 from sysid.gap.adapters.mujoco.native import Change, write_native
-from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file, write_side_file
-from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
 from sysid.gap.localise import run_rmse
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import split_of
@@ -33,9 +35,12 @@ from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import EffectKey, KnownEffect
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
 from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.plant import effects_toml
 from sysid.plant.plant import effect_key
+from sysid.quoting import comment, toml_value
 
 Array = npt.NDArray[np.float64]
+E = TypeVar("E", KnownEffect, WrittenEffect)
 
 #: Largest error of a loaded model beyond the promised one: a share of what the repair removes, or one noise floor.
 TOLERANCE = 0.01
@@ -65,6 +70,42 @@ class RepairedModel:
     fitted: str = ""
 
 
+@dataclass(frozen=True)
+class SideFile(Strict):
+    """Content of the file."""
+
+    schema: Literal[1]
+    model: str
+    effects: tuple[KnownEffect, ...] = ()
+
+
+def side_file(model: Path) -> Path:
+    """Path of the file that belongs to an MJCF."""
+    return model.with_suffix(".effects.toml")
+
+
+def read_side_file(model: Path) -> tuple[KnownEffect, ...]:
+    """The effects beside an MJCF; none without the file.
+
+    Raises:
+        SettingsError: an unknown key or a wrong value.
+    """
+    path = side_file(model)
+    return load_settings(path, SideFile).effects if path.is_file() else ()
+
+
+def write_side_file(model: Path, effects: Sequence[KnownEffect]) -> None:
+    """Write the effects beside an MJCF; without any, remove an earlier file."""
+    if not effects:
+        side_file(model).unlink(missing_ok=True)
+        return
+    name = comment(model.name)
+    head = f"# Effects beside {name}, which MJCF cannot express. sysid gap --simulator mujoco:{name} loads them.\n"
+    text = f"{head}schema = 1\nmodel = {toml_value(model.name)}\n\n{effects_toml(effects)}"
+    with written_whole(side_file(model)) as half:
+        half.write_text(text, "utf-8")
+
+
 def open_mujoco(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> SimulatorAdapter:
     """The simulator of an MJCF with the effects in the file beside it.
 
@@ -80,7 +121,8 @@ def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]
     Effects whose values mean that they are absent are left out. A dead time below the time step of the model is that step if
     its 95 % interval contains it: MuJoCo has none between them.
     """
-    effects, step = {effect_key(item): item for item in adapter.effects}, _time_step(adapter)
+    effects, simulator = {effect_key(item): item for item in adapter.effects}, _simulator(adapter)
+    step = float(load_mjcf(simulator.path, simulator.assets).opt.timestep)
     for row in written:
         parameters = dict(row.parameters)
         if row.name == input_delay.EFFECT.name and "delay" in row.interval95:
@@ -91,11 +133,10 @@ def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]
     return tuple(item for item in effects.values() if not _is_absent(item))
 
 
-def _time_step(adapter: SimulatorAdapter) -> float:
-    """Time step of the model [s]."""
+def _simulator(adapter: SimulatorAdapter) -> MujocoSimulator:
     simulator = adapter.runs.simulator
     assert isinstance(simulator, MujocoSimulator)
-    return float(load_mjcf(simulator.path, simulator.assets).opt.timestep)
+    return simulator
 
 
 def _is_absent(item: KnownEffect) -> bool:
@@ -116,8 +157,7 @@ def write_repaired(
         InputError: the gap of the written model is larger than promised, by more than its noise floor and :data:`TOLERANCE`.
         SettingsError: ``out`` is the model itself.
     """
-    simulator = adapter.runs.simulator
-    assert isinstance(simulator, MujocoSimulator)
+    simulator = _simulator(adapter)
     check_other_file(simulator.path, out)
     native, beside = _write(simulator, effects, out)
     if native:
@@ -132,10 +172,8 @@ def write_repaired(
 
 def _write(simulator: MujocoSimulator, effects: Sequence[KnownEffect], out: Path) -> tuple[list[Change], list[KnownEffect]]:
     """Write the model and the file beside it; what went where."""
-    spec, machine = load_spec(simulator.path, simulator.assets), simulator.machine
-    model = load_mjcf(simulator.path, simulator.assets)
-    drives = dict(zip(machine.axis_names, drives_of(model, machine, simulator.name), strict=True))
-    native, beside = write_native(spec, drives, effects)
+    spec, model = load_spec(simulator.path, simulator.assets), load_mjcf(simulator.path, simulator.assets)
+    native, beside = write_native(spec, drives_of(model, simulator.machine, simulator.name), effects)
     relocate(spec, simulator.path, out)
     write_spec(spec, out)
     write_side_file(out, beside)
@@ -154,14 +192,8 @@ def _fitted_in_place(
     noise, recordings = noise_levels(dataset), split_of(dataset).seen
     signals = [f"{axis.name}.{axis.drives}" for axis in dataset.machine.axes if axis.driven in noise]
 
-    def with_values(values: Array) -> list[KnownEffect]:
-        changed = [dict(item.parameters) for item in native]
-        for (k, name), value in zip(places, values, strict=True):
-            changed[k][name] = float(value)
-        return [replace(item, parameters=own) for item, own in zip(native, changed, strict=True)]
-
     def residuals(values: Array) -> Array:
-        _write(simulator, [*with_values(values), *beside], out)
+        _write(simulator, [*with_values(native, places, values), *beside], out)
         model = open_mujoco(out, dataset, _folders(simulator))
         parts = []
         for recording in recordings:
@@ -177,7 +209,15 @@ def _fitted_in_place(
         diff_step=np.full(len(start), 1e-3),
         max_nfev=EVALUATIONS,
     )
-    return with_values(found.x)
+    return with_values(native, places, found.x)
+
+
+def with_values(effects: Sequence[E], places: Sequence[tuple[int, str]], values: Array) -> list[E]:
+    """The effects with other values of the parameters at ``places``: number of the effect, name of the parameter."""
+    found = list(effects)
+    for (k, name), value in zip(places, values, strict=True):
+        found[k] = replace(found[k], parameters={**found[k].parameters, name: float(value)})
+    return found
 
 
 def _folders(simulator: MujocoSimulator) -> tuple[Path, ...]:

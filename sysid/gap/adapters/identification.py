@@ -1,9 +1,10 @@
-"""Surrogate model of one axis of a simulator: the command stage of the plant, fitted to the simulator's output.
+"""What is identified of a simulator from its runs: linkages (cylinder → joint), tool sway, and a surrogate of each axis.
 
-A search needs thousands of runs: many candidate effects, each from many start values. Where the surrogate agrees with the
-simulator within the noise of the sensor, on recorded commands and on commands altered by test effects, the search runs on the
-surrogate, at microseconds a run; the effects found are then fitted again, compared and proven on the simulator itself. A less
-accurate surrogate still provides the start of a fit.
+The surrogate of an axis is the command stage of the plant, fitted to the output of the simulator. A search needs thousands of
+runs: many candidate effects, each from many start values. Where the surrogate agrees with the simulator within the noise of the
+sensor, on recorded commands and on commands altered by test effects, the search runs on the surrogate, at microseconds a run;
+the effects found are then fitted again, compared and proven on the simulator itself. A less accurate surrogate still provides
+the start of a fit.
 """
 
 from __future__ import annotations
@@ -13,24 +14,82 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
-from sysid.datasets.recording import Recording
+from sysid.datasets.recording import Dataset, Recording
+from sysid.effects import gripper_sway
 from sysid.gap.adapters.input_output_effects import apply_input_effects
+from sysid.gap.adapters.simulator import Signals
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, place, spread_of, starting_values
-from sysid.gap.problem import SHORT_RUN, Problem, drive_problem
-from sysid.machine import Axis
-from sysid.plant import Model, Plant, axis_run, layout
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import SHORT_RUN, Problem, drive_problem, tool_problem
+from sysid.machine import Axis, KnownEffect, Machine, TabulatedLinkage
+from sysid.plant import Model, Plant, axis_run, compile_plant, layout
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.model import SETTLE_WINDOW, frozen, in_parallel
+from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
+#: Noise assumed for a tool position that is not measured [m].
+ASSUMED_NOISE = 1e-4
+#: Number of points of a tabulated linkage.
+POINTS = 256
 #: A surrogate is rejected where its residual over short runs exceeds this share of the motion within them.
 MAX_SHORT_RUN_SHARE = 0.1
 #: It is accurate where its residual over whole recordings is below this multiple of the sensor noise.
 MAX_ERROR = 0.3
+
+
+def identify_linkages(machine: Machine, runs: Sequence[Signals]) -> dict[str, TabulatedLinkage]:
+    """Axis → map from cylinder to joint, where the simulator returns both and the map is monotonic."""
+    found = {}
+    for axis in machine.axes:
+        joint = axis_signal(axis.name, "joint")
+        pairs = [(run[axis.driven], run[joint]) for run in runs if axis.driven in run and joint in run]
+        if axis.drives == "cylinder" and pairs:
+            x, q = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            there = ~np.isnan(x) & ~np.isnan(q)
+            table = _table(x[there], q[there])
+            if table is not None:
+                found[axis.name] = table
+    return found
+
+
+def identify_sway(plant: Plant, dataset: Dataset, runs: Sequence[Signals]) -> KnownEffect | None:
+    """Sway of the simulator's tool below its end effector; None where it does not sway, or not as a pendulum."""
+    ee, tool = point_signals("ee"), point_signals("tool")
+    whole = [run for run in runs if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
+    if not whole:
+        return None
+    model, rate = compile_plant(plant), dataset.machine.rate_hz
+    recordings = [Recording(f"run-{k}", pd.DataFrame(dict(run)), rate) for k, run in enumerate(whole)]
+    noise = noise_levels(dataset)
+    data = Data(tool_problem(model), recordings, np.array([noise.get(s, ASSUMED_NOISE) for s in tool]))
+    without = spread_of(data.residuals(model.theta[None]))
+    if without < 1.0:
+        return None
+    found = [c for c in candidates_at(plant, model.theta, ("tool",), ("tool",)) if c.effect is gripper_sway.EFFECT]
+    fit = fit_candidates(data, model.theta, found, starting_values(found, (), 0))
+    return found[0].instance(fit.values_of(found[0])) if spread_of(data.residuals(fit.theta[None])) < 0.1 * without else None
+
+
+def _table(x: Array, q: Array) -> TabulatedLinkage | None:
+    """Means over even bins of ``x`` (m,), made monotonic; None where the cylinder hardly moved."""
+    span = float(np.ptp(x)) if len(x) else 0.0
+    if span <= 0.0:
+        return None
+    bins = np.minimum((POINTS * (x - x.min()) / span).astype(np.int64), POINTS - 1)
+    count = np.bincount(bins, minlength=POINTS)
+    full = count > 0
+    if full.sum() < 3:
+        return None
+    at, of = (np.bincount(bins, values, POINTS)[full] / count[full] for values in (x, q))
+    sign = 1.0 if of[-1] > of[0] else -1.0
+    rising = np.maximum.accumulate(sign * of) + np.arange(len(of)) * max(float(np.ptp(of)), 1e-12) * 1e-9
+    return TabulatedLinkage(at, sign * rising)
 
 
 @dataclass(frozen=True)

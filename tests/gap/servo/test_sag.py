@@ -1,25 +1,108 @@
-"""Sets of effects of a servo whose formulas are wrong, on models made by hand."""
+"""Sag of a servo: whether its gravity load is known, its error at rest, and sets of effects on models made by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from sagging_servo import machine_files
+from sagging_servo import AXES, DELAY, LAG, NOISE, Servos, machine_files, recording
 
+from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.decision import LITTLE, REPLACED, decide
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.servo.fewest import fewest_sets
+from sysid.gap.problem import drive_problem
+from sysid.gap.servo.sag import StaticError, fewest_sets, load_known, static_error
 from sysid.gap.thresholds import EXPLAINED
-from sysid.machine import machine_from_files
-from sysid.plant import nominal_plant
+from sysid.machine import KnownEffect, machine_from_files
+from sysid.plant import compile_plant, nominal_plant
+
+EVERY = dict.fromkeys(AXES, True)
+
+
+@pytest.mark.parametrize(
+    ("masses", "known"),
+    [(True, EVERY), (False, {**dict.fromkeys(AXES, False), "yaw": True}), (None, dict.fromkeys(AXES, False))],
+)
+def test_masses_or_a_vertical_axis_make_the_load_known(masses: bool | None, known: dict[str, bool]) -> None:
+    machine = machine_from_files(machine_files(masses), "servos")
+    motion = recording(Servos(), "take", 1, 10.0)
+    assert {axis: load_known(machine, axis, [motion]) for axis in AXES} == known
+
+
+def test_a_slide_carries_no_weight_where_it_is_horizontal() -> None:
+    files = machine_files(False)
+    for direction, known in (("0 0 1", False), ("1 0 0", True)):
+        urdf = files["arm.urdf"].replace('"yaw_joint" type="revolute"', '"yaw_joint" type="prismatic"', 1)
+        urdf = urdf.replace('<axis xyz="0 0 1"/>', f'<axis xyz="{direction}"/>', 1)
+        machine = machine_from_files({**files, "arm.urdf": urdf}, "servos")
+        assert load_known(machine, "yaw", [recording(Servos(), "take", 1, 10.0)]) == known
+
+
+def test_without_a_recorded_posture_the_load_is_not_known() -> None:
+    assert not load_known(machine_from_files(machine_files(False), "servos"), "yaw", [])
+
+
+def error_of(axis: str, recordings: list[Recording]) -> StaticError | None:
+    """The error at rest beside the dead time and the lag of the servos."""
+    machine = machine_from_files(machine_files(None), "servos")
+    plant = nominal_plant(machine)
+    for name in AXES:
+        plant = plant.with_effect(KnownEffect("input_delay", name, {"delay": DELAY}))
+        plant = plant.with_effect(KnownEffect("first_order_lag", name, {"time_constant": LAG}))
+    model = compile_plant(plant)
+    return static_error(drive_problem(model, machine.axis(axis)), machine, model.theta, recordings, 2.0 * NOISE)
+
+
+def takes(servos: Servos) -> list[Recording]:
+    return [recording(servos, f"take-{k}", k) for k in range(2)]
+
+
+def test_sag_is_an_error_at_rest_that_depends_on_the_posture() -> None:
+    found = error_of("shoulder", takes(Servos(compliance={"shoulder": 0.1})))
+    assert found is not None
+    assert found.by_posture
+    assert found.holds > 20
+    assert 0.03 < found.rms < 0.09  # up to 0.64 N·m
+
+
+def test_a_bias_does_not_depend_on_the_posture() -> None:
+    found = error_of("yaw", takes(Servos(bias={"yaw": 0.01})))
+    assert found is not None
+    assert found.rms == pytest.approx(0.01, rel=0.1)
+    assert not found.by_posture
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_a_servo_that_reaches_its_setpoint_has_none(axis: str) -> None:
+    assert error_of(axis, takes(Servos())) is None
+
+
+def test_what_has_the_sign_of_the_motion_is_friction() -> None:
+    """The joint stops short of the setpoint by 10 mrad, from either side."""
+
+    def stopped(take: Recording) -> Recording:
+        command = take.values("yaw.command")
+        moved = np.sign(np.diff(command, prepend=command[0]))
+        last = np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))
+        return replace(take, table=take.table.assign(**{"yaw.joint": take.values("yaw.joint") - 0.01 * moved[last]}))
+
+    assert error_of("yaw", [stopped(take) for take in takes(Servos())]) is None
+
+
+def test_motion_without_holds_does_not_show_it() -> None:
+    time = np.arange(2000) / 50.0
+    take = takes(Servos(bias={"yaw": 0.01}))[0]
+    moving = replace(take, table=take.table.iloc[:2000].assign(**{"yaw.command": np.sin(time)}).reset_index(drop=True))
+    assert error_of("yaw", [moving]) is None
+
 
 PLANT = nominal_plant(machine_from_files(machine_files(True), "servos"))
 TARGETS = ("shoulder", "shoulder.joint")
 OFFERED = candidates_at(PLANT, PLANT.vector(), "command", TARGETS, Scales(loads={"shoulder": 0.5}))
-SAG, BIAS, SCALE, LAG, DELAY = (
+SAG, BIAS, SCALE, SECOND_LAG, DEAD_TIME = (
     next(c for c in OFFERED if c.effect.name == name)
     for name in ("joint_compliance", "sensor_bias", "sensor_scale", "second_order_lag", "input_delay")
 )
@@ -53,7 +136,7 @@ LEFT = {
     frozenset({"second_order_lag", "input_delay", "joint_compliance"}): 31.0,
     frozenset({"second_order_lag", "input_delay", "sensor_bias"}): 60.0,
 }
-WHOLE = model((LAG, DELAY, SAG, BIAS), 30.0)
+WHOLE = model((SECOND_LAG, DEAD_TIME, SAG, BIAS), 30.0)
 
 
 def test_what_remains_within_a_tenth_needs_no_effect() -> None:
@@ -99,11 +182,11 @@ def test_the_effects_that_are_worth_their_price_are_named() -> None:
     }
     refit = refit_of(left)
     found = decide(
-        [model((), NOTHING), model((LAG, DELAY, SAG), 40.0)],
+        [model((), NOTHING), model((SECOND_LAG, DEAD_TIME, SAG), 40.0)],
         [c.label for c in OFFERED],
         integrates=False,
         without=lambda f, c: refit([d for d in f.candidates if d is not c], f),
         fewest=lambda f: fewest_sets(f, OFFERED, refit, EXPLAINED),
     )
-    assert set(found.named) == {LAG, SAG}
+    assert set(found.named) == {SECOND_LAG, SAG}
     assert {near.candidate.effect.name: near.lacks for near in found.near_misses} == {"input_delay": LITTLE}
