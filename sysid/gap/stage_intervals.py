@@ -10,12 +10,12 @@ from scipy.stats import norm
 
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
 from sysid.gap.equivalence import equivalent_half
 from sysid.gap.fit import spread_of
 from sysid.gap.intervals import jackknifed, known_of
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED, Z

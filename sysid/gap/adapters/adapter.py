@@ -23,7 +23,7 @@ from sysid.gap.adapters.input_output_effects import apply_input_effects, apply_o
 from sysid.gap.adapters.linkage_and_sway import identify_linkages, identify_sway
 from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, SteppedSimulator, command_signals
 from sysid.gap.adapters.surrogate import Surrogate, fit_surrogate
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant

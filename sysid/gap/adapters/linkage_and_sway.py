@@ -14,7 +14,7 @@ from sysid.gap.adapters.simulator import Signals
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, spread_of, starting_values
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import tool_problem
 from sysid.machine import KnownEffect, Machine, TabulatedLinkage
 from sysid.plant import Plant, compile_plant

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.gap.case import Case, Stage
 from sysid.gap.equivalence import equivalent_change
+from sysid.gap.prepare.case import Case, Stage
 from sysid.plant import compile_plant, gravity_load
 
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from sysid.effects import link_mass_error
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
 from sysid.gap.fit import place, spread_of
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.problem import drive_problem
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED, Z

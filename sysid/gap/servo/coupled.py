@@ -17,9 +17,9 @@ from scipy.optimize import least_squares
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.fit import place
 from sysid.gap.likelihood.stage import steps_of
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey, KnownEffect

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from sysid.effects import joint_compliance, sensor_bias, sensor_scale
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.equivalence import equivalent_change
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.servo.alike import sag_replaces
 from sysid.gap.servo.load import load_known
 from sysid.gap.servo.static_error import StaticError, static_error
