@@ -244,7 +244,7 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
-    scales = scales_of(case.plant, stage)
+    scales = _scales_of(case.plant, stage)
     found = candidates_at(case.plant, stage.theta, problem.stages, problem.targets, scales)
     found += candidates_at(case.plant, stage.theta, ("links",), problem.carried, scales)
     found = [c for c in found if _has_nominal(c, case.plant, problem, scales) and not _hidden_by_spring(c, stage)]
@@ -254,6 +254,16 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
         spins = len(problem.carried) == len(case.plant.machine.axes) and not scales.loads.get(problem.target)
         found = without_servo_aliases(found, case.plant.machine, spins)
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
+
+
+def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
+    """For every candidate, whether the fit and selection recordings excite it."""
+    found = {}
+    for stage in stages:
+        for candidate in stage_candidates(case, stage):
+            if candidate.key not in found:  # the same for all forms of an effect
+                found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
+    return tuple(found.values())
 
 
 def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
@@ -285,16 +295,7 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
     return True
 
 
-def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
-    """A result found on a surrogate of the stage, fitted to the stage itself."""
-    seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    unseen = Data(stage.problem, stage.split.select, stage.sigma)
-    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
-    nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
-    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
-
-
-def scales_of(plant: Plant, stage: Stage) -> Scales:
+def _scales_of(plant: Plant, stage: Stage) -> Scales:
     """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
     force = _typical_force(stage) if "force" in stage.problem.stages else 1.0
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
@@ -340,11 +341,10 @@ def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str,
     return {(known.name, axis): {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}}
 
 
-def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
-    """For every candidate, whether the fit and selection recordings excite it."""
-    found = {}
-    for stage in stages:
-        for candidate in stage_candidates(case, stage):
-            if candidate.key not in found:  # the same for all forms of an effect
-                found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
-    return tuple(found.values())
+def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
+    """A result found on a surrogate of the stage, fitted to the stage itself."""
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    unseen = Data(stage.problem, stage.split.select, stage.sigma)
+    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
+    nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
+    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)

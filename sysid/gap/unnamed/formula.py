@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from sysid.gap.unnamed.periodic import Frequencies, Periodogram, best_period, searched
 from sysid.gap.unnamed.residual_series import (
-    PARTS,
     Factor,
     ResidualSeries,
     Term,
@@ -32,8 +31,6 @@ from sysid.gap.unnamed.residual_series import (
 )
 
 Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 #: Columns of terms that enter a formula together.
 Group = tuple[int, ...]
 
@@ -199,7 +196,7 @@ def _search(series: Sequence[ResidualSeries], ar1: float, periodic_over: Sequenc
         rest = _after_first_group(columns, terms, centred) if any(term.periodic for term in terms) else centred
         for variable in periodic_over:
             for modulation in modulations(blocks):
-                period = _period(blocks, keep, ar1, rest, variable, modulation)
+                period = _period(blocks, ar1, rest, variable, modulation)
                 if period is not None:
                     for term in ripple(variable, period, modulation):
                         add(term)
@@ -247,21 +244,16 @@ def _functions(name: str, blocks: Sequence[ResidualSeries]) -> list[Factor]:
 
 
 def _period(
-    blocks: Sequence[ResidualSeries], keep: Sequence[Mask], ar1: float, y: Array, variable: str, modulation: tuple[Factor, ...]
+    blocks: Sequence[ResidualSeries], ar1: float, y: Array, variable: str, modulation: tuple[Factor, ...]
 ) -> float | None:
     """Period at the peak of the periodogram of ``y`` over a variable; None where its span is too short for a period."""
     z = np.concatenate([block.variables[variable] for block in blocks])
-    size = np.concatenate([Term(modulation).values(block) for block in blocks])
     moved = np.concatenate([np.abs(np.diff(block.variables[variable])) for block in blocks])
     low, high = np.percentile(z, (0.5, 99.5))
     frequencies = Frequencies.of(float(high - low), moved)
     if frequencies is None:
         return None
-    begin, ends = list[Rows](), 0
-    for block, there in zip(blocks, keep, strict=True):
-        begin.append(ends + PARTS * (np.flatnonzero(there) + 1))  # the first entry of a block has none before it
-        ends += len(block.variables[variable])
-    whole = [Periodogram(z, size, np.concatenate(begin).astype(np.int64), blocks[0].weights, ar1, y)]
+    whole = [Periodogram.of(blocks, variable, modulation, ar1, y)]
     return best_period(whole, searched(whole, frequencies), frequencies)
 
 

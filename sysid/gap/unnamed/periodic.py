@@ -73,6 +73,20 @@ class Periodogram:
     ar1: float
     y: Array
 
+    @classmethod
+    def of(
+        cls, series: Sequence[ResidualSeries], variable: str, modulation: tuple[Factor, ...], ar1: float, y: Array
+    ) -> Periodogram:
+        """That of ``y``, given where the prewhitened residual of ``series`` is measured, over one of their variables."""
+        begin, ends = list[Rows](), 0
+        for part in series:
+            measured = np.isfinite(quasi_difference(part.target, ar1))
+            begin.append(ends + PARTS * (np.flatnonzero(measured) + 1))  # the first entry of a series has none before it
+            ends += len(part.variables[variable])
+        z = np.concatenate([part.variables[variable] for part in series])
+        size = np.concatenate([Term(modulation).values(part) for part in series])
+        return cls(z, size, np.concatenate(begin).astype(np.int64), series[0].weights, ar1, y)
+
     def powers(self, first: float, step: float, count: int) -> Array:
         """Explained sum of squares at the frequencies ``first + k·step``, (count,)."""
         share = _shares(self.z, self.size, self.begin, self.weights, self.ar1, self.y, first, step, count)
@@ -226,13 +240,12 @@ def _periods(series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], a
     periodograms, span, increment = dict[int, Periodogram](), np.inf, 0.0
     for k, part in enumerate(series):
         y = quasi_difference(part.target, ar1)
-        there = np.flatnonzero(np.isfinite(y))
-        if len(there) < MIN_ENTRIES:
+        y = y[np.isfinite(y)]
+        if len(y) < MIN_ENTRIES:
             continue
-        z, size = part.variables["time"], Term(modulation).values(part)
-        begin = (PARTS * (there + 1)).astype(np.int64)
-        periodograms[k] = Periodogram(z, size, begin, part.weights, ar1, y[there] - y[there].mean())
-        span, increment = min(span, float(np.ptp(z))), max(increment, float(np.median(np.diff(z))))
+        periodograms[k] = Periodogram.of([part], "time", modulation, ar1, y - y.mean())
+        time = part.variables["time"]
+        span, increment = min(span, float(np.ptp(time))), max(increment, float(np.median(np.diff(time))))
     frequencies = Frequencies.of(span, np.array([increment]), MAX_CYCLES_IN_TIME) if periodograms else None
     if frequencies is None:
         return None

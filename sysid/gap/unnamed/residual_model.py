@@ -168,7 +168,7 @@ def _window(problem: Problem, model: Model, recording: Recording, period: float)
     else:
         predicted = problem.predict(model.theta[None], recording)[0][:, 0]
         left = problem.measured(recording)[:, 0] - predicted
-        if problem.stage == "command":
+        if axis.driven in problem.signals:
             position = filled(predicted) + gaussian_filter1d(filled(left), 0.5 * SMOOTH * rate, mode="nearest")
             speed = np.append(np.diff(filled(predicted)), 0.0) * rate if problem.integrates else None
         else:
