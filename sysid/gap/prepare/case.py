@@ -247,7 +247,11 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     scales = _scales_of(case.plant, stage)
     found = candidates_at(case.plant, stage.theta, problem.stages, problem.targets, scales)
     found += candidates_at(case.plant, stage.theta, ("links",), problem.carried, scales)
-    found = [c for c in found if _has_nominal(c, case.plant, problem, scales) and not _hidden_by_spring(c, stage)]
+    found = [c for c in found if _has_nominal(c, case.plant, problem, scales)]
+    if stage.resonance is not None:
+        # A spring reverses the motor several times in each motion, where errors of its damping and of the delay of the force
+        # hide the shape of dry friction at low speeds.
+        found = [c for c in found if coulomb_friction.EFFECT.name not in c.effect.generalises]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     if "force" in problem.within:
@@ -264,14 +268,6 @@ def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
             if candidate.key not in found:  # the same for all forms of an effect
                 found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
     return tuple(found.values())
-
-
-def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
-    """Whether the shape of dry friction at low speeds is offered on a drive with a spring, which does not show it.
-
-    The spring reverses the motor several times in each motion; errors of its damping and of the delay of the force act there.
-    """
-    return stage.resonance is not None and coulomb_friction.EFFECT.name in candidate.effect.generalises
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: Scales) -> bool:

@@ -143,11 +143,6 @@ def _start(left: Callable[[float, float], float], low: float, high: float) -> Ar
     return np.log(min(grid, key=lambda pair: left(*pair)))
 
 
-def _segment_length(rate_hz: float, longest: int) -> int:
-    """Length of the segments of recordings, of which the longest has ``longest`` samples [samples]."""
-    return round(min(SEGMENT * rate_hz, longest / SEGMENTS))
-
-
 def _octave_mean(frequency: Array, noise: Array) -> Array:
     """Power of the noise, averaged over the octave around each frequency, (f,); at least a billionth of the largest."""
     mean = octave_sums(frequency, noise) / np.maximum(octave_sums(frequency, np.ones(len(frequency))), 1.0)
@@ -191,7 +186,7 @@ def _force_response(recordings: Sequence[Recording], axis: Axis, settings: Force
         return None
     rate = motions[0].rate_hz
     motions = [motion for motion in motions if motion.rate_hz == rate]
-    length = _segment_length(rate, max(len(motion.force) for motion in motions))
+    length = round(min(SEGMENT * rate, max(len(motion.force) for motion in motions) / SEGMENTS))
     parts = []
     for motion in motions:
         position, speed = motion_of(motion)
@@ -289,7 +284,7 @@ def speed_resonance(problem: Problem, recordings: Sequence[Recording], theta: Ar
 def _speed_response(problem: Problem, recordings: Sequence[Recording], theta: Array) -> _Response | None:
     """Measured over predicted speed; None where the recordings are too short or interrupted."""
     rate = recordings[0].rate_hz
-    length = _segment_length(rate, max(len(r) for r in recordings))
+    length = round(min(SEGMENT * rate, max(len(r) for r in recordings) / SEGMENTS))
     parts = []
     for recording in recordings:
         pair = np.column_stack([problem.predict(theta[None], recording)[0][:, 0], problem.measured(recording)[:, 0]])

@@ -163,7 +163,8 @@ def _window(problem: Problem, model: Model, recording: Recording, period: float)
         inputs = force_inputs(recording, axis, problem.force_filter)
         left = np.full(len(recording), np.nan)
         left[inputs.rows] = inputs.force - inputs.model_force(model, model.theta[None], axis.name)[0]
-        left = _nearest(left, 2 * stride)
+        near = distance_transform_edt(~np.isfinite(left)) <= 2 * stride  # of a row of the comparison
+        left = np.where(near, filled(left), np.nan)
         position, commands, load = inputs.position, np.zeros_like(commands), np.zeros(len(recording))
     else:
         predicted = problem.predict(model.theta[None], recording)[0][:, 0]
@@ -213,9 +214,3 @@ def _p_value(before: Problem, theta: Array, after: Problem, other: Array, record
             squares.append((np.diff(means) if problem.integrates else means) ** 2)
         gains.append(squares[0] - squares[1])
     return gain_p_value(np.concatenate(gains), seed)
-
-
-def _nearest(values: Array, reach: int) -> Array:
-    """Values interpolated within ``reach`` samples of a finite entry, NaN elsewhere."""
-    away = np.asarray(distance_transform_edt(~np.isfinite(values)))
-    return np.where(away <= reach, filled(values), np.nan)
