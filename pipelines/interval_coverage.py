@@ -32,8 +32,8 @@ from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.drift import BIN
 from sysid.gap.fit import Fit, fit_candidates, jacobian
-from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
+from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant, free_run, nominal_plant

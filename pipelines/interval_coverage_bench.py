@@ -29,8 +29,8 @@ from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
+from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.problem import Problem
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant, nominal_plant

@@ -33,9 +33,9 @@ from sysid.bench.nominal import CommandChain
 from sysid.bench.recipe import BenchRecipe, HiddenSettings
 from sysid.datasets import ingest
 from sysid.gap import find_gap
-from sysid.gap.case import Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates
+from sysid.gap.prepare.case import Stage, open_case, stage_candidates
 from sysid.plant import nominal_plant
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -22,7 +22,7 @@ from sysid.export.replay import Replay, replay
 from sysid.export.target import ForceSimulation, Simulation, Target
 from sysid.export.targets import fallback
 from sysid.files import make_folder
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
 

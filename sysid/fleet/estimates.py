@@ -12,12 +12,12 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.effects.units import parameter_unit
 from sysid.fleet.effects import FleetEffect, ParameterHistory
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.drift import to_bins
 from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.intervals.criterion import criterion_at
 from sysid.gap.intervals.curvature import curvature_at
+from sysid.gap.prepare.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.problem import Problem, for_recordings
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent

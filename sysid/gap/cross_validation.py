@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Stage
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates
+from sysid.gap.prepare.case import Stage
 
 Array = npt.NDArray[np.float64]
 

@@ -182,16 +182,16 @@ def _scale(values: Array) -> float:
     return float(max(scale, 1e-12))
 
 
-def to_bins(values: Array, rate_hz: float, seconds: float = BIN) -> Array:
+def to_bins(values: Array, rate_hz: float) -> Array:
     """Means over bins along the second to last axis, (…, n, d) → (…, m, d); NaN where fewer than half the samples are there."""
     # (0 − value)/−1 is the value, so that one kernel serves both.
     nothing = np.zeros(values.shape[-2:])
     flat = np.ascontiguousarray(values, dtype=np.float64).reshape(math.prod(values.shape[:-2]), *values.shape[-2:])
-    found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz, seconds)
+    found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz)
     return found.reshape(*values.shape[:-2], *found.shape[1:])
 
 
-def bins_of(measured: Array, predicted: Array, sigma: Array, rate_hz: float, seconds: float = BIN) -> Array:
+def bins_of(measured: Array, predicted: Array, sigma: Array, rate_hz: float) -> Array:
     """Means of (measured − predicted)/σ over bins, in one pass.
 
     Args:
@@ -201,7 +201,7 @@ def bins_of(measured: Array, predicted: Array, sigma: Array, rate_hz: float, sec
     Returns:
         (lanes, m, d), NaN where fewer than half the samples of a bin are there.
     """
-    width = max(1, round(seconds * rate_hz))
+    width = max(1, round(BIN * rate_hz))
     out = np.empty((len(predicted), len(measured) // width, len(sigma)))
     _bin_lanes(np.ascontiguousarray(measured), np.ascontiguousarray(predicted), sigma, width, out)
     return out

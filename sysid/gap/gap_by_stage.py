@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.case import Case, Stage
 from sysid.gap.excitation import axis_of, identifiable_targets
-from sysid.gap.floor import problem_floors
 from sysid.gap.localise import stage_rmse
+from sysid.gap.prepare.case import Case, Stage
+from sysid.gap.prepare.noise import problem_floors
 from sysid.gap.problem import Problem, speed_problem
 from sysid.gap.result import Gap
 from sysid.gap.statement import Agreement

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.gap.case import Stage
 from sysid.gap.cross_validation import Fitted, cross_validated_error
 from sysid.gap.decision import BESIDE, LOST, ORDINARY
 from sysid.gap.held_out import distance_moved, held_out_error, is_excited
+from sysid.gap.prepare.case import Stage
 from sysid.gap.price import pays, pays_beside, typical_errors
 
 Error = Callable[[Stage, Fitted], float]

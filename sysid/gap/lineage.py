@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid.extras import versions_of
 from sysid.files import plain
-from sysid.gap.case import Case
+from sysid.gap.prepare.case import Case
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap
 from sysid.release import __version__

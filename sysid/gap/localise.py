@@ -11,7 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import StageGap
-from sysid.gap.unnamed.resonance import resonance_frequencies
+from sysid.gap.unnamed.periodic import resonance_frequencies
 
 Array = npt.NDArray[np.float64]
 

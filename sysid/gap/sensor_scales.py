@@ -11,9 +11,9 @@ from dataclasses import replace
 
 from sysid.effects import sensor_scale
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Stage
 from sysid.gap.decision import REFUTED, NearMiss
 from sysid.gap.fit import place
+from sysid.gap.prepare.case import Stage
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey

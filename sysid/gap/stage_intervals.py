@@ -10,13 +10,13 @@ from scipy.stats import norm
 
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
 from sysid.gap.equivalence import equivalent_half
 from sysid.gap.fit import spread_of
 from sysid.gap.intervals import jackknifed, known_of
 from sysid.gap.likelihood.rows import SPANS
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED, Z
@@ -50,8 +50,8 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
     """The stage with the intervals of its unknowns, where it has names: the hull of those of both likelihoods.
 
     The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
-    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs; where
-    the search has averaged its input, whose extremes determine backlash, where they leave less.
+    and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs, or
+    less, if the search has averaged its input, whose extremes determine backlash.
     """
     result = stage.found
     if not result.named or result.stage_fit is None:

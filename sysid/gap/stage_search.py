@@ -18,8 +18,6 @@ from sysid.gap.arm.posture import WEIGHT, posture_share
 from sysid.gap.arm.rows import CERTAIN
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
 from sysid.gap.candidates import Candidate, adjusted_link
-from sysid.gap.case import Case, Stage, on_itself, stage_candidates
-from sysid.gap.clocks import open_offset
 from sysid.gap.comparison import difference
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
@@ -27,6 +25,8 @@ from sysid.gap.fit import Fit, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
 from sysid.gap.poses.stage import fit_pose_stage
+from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
+from sysid.gap.prepare.clocks import open_offset
 from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import BEHIND, SCALE

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.adapters.adapter import SimulatorAdapter
-from sysid.gap.case import Case, Stage
-from sysid.gap.force_floor import shown_floor
+from sysid.gap.prepare.case import Case, Stage
+from sysid.gap.prepare.noise import shown_floor
 from sysid.gap.sensor_scales import with_sensor_scales
 from sysid.gap.servo.arm import beside_each_other, with_link_masses
 from sysid.gap.stage_result import StageResult

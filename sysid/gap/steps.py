@@ -22,12 +22,12 @@ from sysid.files import plain
 from sysid.gap import localise as disagreement
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.adapters.simulator import Simulator
-from sysid.gap.case import Case, Stage, excitation, held_out_of, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
-from sysid.gap.floor import floor_spread, run_floors
 from sysid.gap.gap_by_stage import agreement, stage_gap
 from sysid.gap.held_out import held_out_error
 from sysid.gap.lineage import lineage_of
+from sysid.gap.prepare.case import Case, Stage, excitation, held_out_of, open_case, stage_candidates
+from sysid.gap.prepare.noise import floor_spread, run_floors
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.response_difference import ResponseDifference, response_differences

@@ -12,9 +12,9 @@ from sysid.compiled import is_compiled
 from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
-from sysid.gap.case import excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.experiment import Planning
 from sysid.gap.following import Fields, Following, completed
+from sysid.gap.prepare.case import excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import NOT_MEASURED, GapResult
 from sysid.gap.sentences import left_out_sentence

@@ -13,7 +13,7 @@ from sysid.datasets.recording import Dataset
 from sysid.effects import effect_named
 from sysid.effects.described import side_of
 from sysid.effects.units import parameter_unit
-from sysid.gap.case import Stage
+from sysid.gap.prepare.case import Stage
 from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
 from sysid.gap.thresholds import Z
 from sysid.machine import EffectKey, KnownEffect

@@ -7,7 +7,7 @@ import pytest
 from plant_data import CAPTURE, dataset_of, loaded_arm, nominal
 
 from sysid.gap.candidates import Scales, candidates_at
-from sysid.gap.case import open_case, stage_candidates
+from sysid.gap.prepare.case import open_case, stage_candidates
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

@@ -12,10 +12,10 @@ from plant_data import dataset_of, nominal
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.candidates import candidates_at
-from sysid.gap.case import Stage
 from sysid.gap.cross_validation import cross_validated_error, gain_of_recordings
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, place
+from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant

@@ -14,7 +14,7 @@ from scipy import signal
 
 from sysid.datasets import Dataset, Recording
 from sysid.gap import GapResult, find_gap
-from sysid.gap.drive_resonance import drive_resonance
+from sysid.gap.prepare.drives import drive_resonance
 from sysid.plant import nominal_plant
 from sysid.plant.force import ForceFilter
 from sysid.plant.force_band import force_filter

@@ -10,7 +10,6 @@ from sysid.datasets import Recording
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
-from sysid.gap.case import stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.drift import DriftStrength
 from sysid.gap.experiment import Planning
@@ -18,6 +17,7 @@ from sysid.gap.experiment.information import plausible_model
 from sysid.gap.experiment.motions import MOTIONS
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis, relevant_size
 from sysid.gap.experiment.proposal import Planner
+from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.result import GapResult
 from sysid.machine import machine_from_files
 from sysid.plant import nominal_plant

@@ -13,11 +13,11 @@ from plant_data import ROLES, arm, arm_inputs, dataset_of, measured, nominal, sl
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
 from sysid.gap.candidates import candidates_at
-from sysid.gap.case import Stage
 from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
-from sysid.gap.sensor_resolution import CoarseSensor
+from sysid.gap.prepare.case import Stage
+from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult

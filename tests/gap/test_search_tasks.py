@@ -17,7 +17,7 @@ from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import SettingsError
 from sysid.execution import LocalExecutor, TaskError, open_executor
 from sysid.gap import find_gap, steps
-from sysid.gap.case import stage_candidates
+from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.result import GapResult
 from sysid.gap.tasks.search import SearchTasks, search_tasks
 from sysid.gap.tasks.values import from_result, to_result

@@ -12,8 +12,8 @@ import pytest
 from servo_arms import arm_text, drafted
 
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.case import Stage
 from sysid.gap.fit import Fit, place
+from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import Split, drive_problem
 from sysid.gap.result import EffectEvidence
 from sysid.gap.servo import arm as servo_arm

@@ -17,7 +17,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.aliases import without_servo_aliases
 from sysid.gap.candidates import Scales, candidates_at
-from sysid.gap.case import stage_candidates
+from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.steps import open_study
 from sysid.machine import Machine
 from sysid.plant import nominal_plant

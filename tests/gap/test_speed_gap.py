@@ -10,7 +10,7 @@ import pytest
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, free_run, nominal_plant
 

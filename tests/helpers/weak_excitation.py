@@ -9,11 +9,11 @@ import numpy as np
 from plant_data import _ARM, ROLES, URDF, arm_inputs, measured, slide_inputs
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.experiment import Experiment, OpenHypothesis, dry_run
 from sysid.gap.experiment.open_hypothesis import non_identifiable_set
 from sysid.gap.fit import fit_candidates, starting_values
+from sysid.gap.prepare.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.result import EffectEvidence
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.machine import Machine, machine_from_files

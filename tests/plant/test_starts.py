@@ -12,7 +12,7 @@ from start_data import BEGUN, NOISE, Begun, beyond_chance, excess, started
 
 from sysid.datasets.recording import Recording
 from sysid.effects import gripper_sway
-from sysid.gap.floor import run_floors
+from sysid.gap.prepare.noise import run_floors
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant, free_run
 from sysid.plant.rollout import true_run

@@ -10,9 +10,9 @@ from plant_data import CAPTURE, arm, dataset_of, loaded_arm, nominal, slide
 from sysid.datasets.recording import Dataset
 from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
-from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, starting_values
+from sysid.gap.prepare.case import open_case, stage_candidates
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

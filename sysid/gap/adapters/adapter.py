@@ -22,7 +22,7 @@ from sysid.errors import SettingsError
 from sysid.gap.adapters.identification import Surrogate, fit_surrogate, identify_linkages, identify_sway
 from sysid.gap.adapters.input_output_effects import apply_input_effects, apply_output_effects
 from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, SteppedSimulator, command_signals
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant

@@ -23,7 +23,7 @@ from sysid.gap.adapters.simulator import Signals
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, place, spread_of, starting_values
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import SHORT_RUN, Problem, drive_problem, tool_problem
 from sysid.machine import Axis, KnownEffect, Machine, TabulatedLinkage
 from sysid.plant import Model, Plant, axis_run, compile_plant, layout

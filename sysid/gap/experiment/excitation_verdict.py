@@ -15,8 +15,8 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import unmet_need
 from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
+from sysid.gap.prepare.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import EffectKey, Machine
@@ -170,7 +170,7 @@ def _counted(item: Excitation, effect: Effect, stage: str, side: str | None, mac
 
 
 def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
-    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.sensor_resolution`)."""
+    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.prepare.resolution`)."""
     effect = sensor_quantisation.EFFECT
     return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None, machine)
 

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.drift import DriftStrength
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
 from sysid.gap.fit import Fit, fit_candidates, starting_values
+from sysid.gap.prepare.case import Case, Stage, stage_candidates
 from sysid.gap.problem import FORCES
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.thresholds import EXPLAINED

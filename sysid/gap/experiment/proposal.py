@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.effects import pump_flow_limit
-from sysid.gap.case import Case
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.excitation_signal import (
@@ -26,6 +25,7 @@ from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limi
 from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis
+from sysid.gap.prepare.case import Case
 from sysid.gap.problem import (
     Problem,
     drive_problem,

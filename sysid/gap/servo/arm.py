@@ -24,10 +24,10 @@ from scipy.optimize import least_squares
 from sysid.datasets.recording import Recording
 from sysid.effects import link_mass_error
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
 from sysid.gap.fit import place, spread_of
 from sysid.gap.likelihood.stage import steps_of
+from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.problem import drive_problem
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.stage_result import StageResult

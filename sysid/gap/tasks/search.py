@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets import Store
 from sysid.execution import Executor, LocalExecutor
-from sysid.gap.case import Case, Stage, open_case, stage_candidates
+from sysid.gap.prepare.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import Forms, find_stage
 from sysid.gap.tasks.values import Plain, from_result, to_result

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.case import Stage
 from sysid.gap.decision import PERIODIC
+from sysid.gap.prepare.case import Stage
 from sysid.gap.thresholds import PRICE
-from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
-from sysid.gap.unnamed.residual_formula import MAX_P_VALUE, moving_parts, worst_residual
+from sysid.gap.unnamed.description import MAX_P_VALUE, moving_parts, worst_residual
+from sysid.gap.unnamed.periodic import find_periodic_disturbance
 from sysid.gap.unnamed.residual_series import ResidualSeries
 from sysid.machine import Machine
 
@@ -38,8 +38,9 @@ def without_periodic_names(stage: Stage, machine: Machine) -> Stage:
         return stage
     lost = dict.fromkeys((kept.candidate.label for kept in result.named), PERIODIC)
     fitted = replace(result.stage_fit, decision=result.stage_fit.decision.without_names(lost))
-    empty = replace(result, named=(), adjusted=(), fit=stage.nominal, final_rmse=result.nominal_rmse, stage_fit=fitted)
-    return replace(stage, result=replace(empty, names_alone=None))
+    rmse = result.nominal_rmse
+    without = replace(result, named=(), adjusted=(), fit=stage.nominal, final_rmse=rmse, stage_fit=fitted, names_alone=None)
+    return replace(stage, result=without)
 
 
 def _series(stage: Stage, theta: Array, machine: Machine) -> dict[str, ResidualSeries]:

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
-from sysid.gap.case import Stage
 from sysid.gap.decision import POSITION
 from sysid.gap.fit import spread_of
 from sysid.gap.held_out_price import comparisons_without
 from sysid.gap.likelihood.discrepancy.shapes import filled, span_of
+from sysid.gap.prepare.case import Stage
 from sysid.gap.price import divides
 from sysid.machine import Axis, Machine
 

@@ -1,14 +1,13 @@
-"""Residual of a stage in bins, and the variables it may depend on: position, speed, reversals, small commands, load, time.
+"""Residual of a stage in bins, the variables it may depend on, and terms of those variables.
 
 A stage that integrates its command is compared as a rate, in which an error of speed appears without delay. Residual and
-variables pass the same filter (means over bins, and for a rate the difference of neighbouring bins), so that a term of the
-right form matches its residual without attenuation. Whether the residual depends on a variable is tested by cross-correlations
-whose bounds hold for autocorrelated and heteroscedastic residuals.
+terms pass the same filter (means over bins, and for a rate the difference of neighbouring bins), so that a term of the right
+form matches its residual without attenuation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.gap.problem import Problem
-from sysid.gap.result import Probe
 from sysid.machine import Axis, Machine
 from sysid.plant import gravity_load
 from sysid.plant.force import force_inputs
@@ -37,10 +35,8 @@ REVERSAL = 0.3
 SMALL = 0.25
 #: Longest time since the start of a motion that is distinguished [s].
 MAX_MOTION_TIME = 3.0
-#: Longest time by which a variable may lead the residual [s].
-LONGEST_LAG = 1.0
-#: Probability that an independent residual exceeds any of its bounds.
-FALSE_ALARM = 0.01
+#: A change of the simulation by more than this multiple of its 90th percentile is a restart and no motion.
+RESTART = 50.0
 #: Weights of the parts of two neighbouring bins in the change of a bin's mean: a triangle.
 _TRIANGLE = np.array([1.0, 3.0, 3.0, 1.0]) / 8.0
 
@@ -63,22 +59,20 @@ class ResidualSeries:
     step: float
 
     def filtered(self, values: Array) -> Array:
-        """Terms at the parts of bins (…, p) → their contribution to the target (…, m)."""
-        count = len(self.target)
-        shifted = [values[..., k : k + PARTS * count : PARTS] for k in range(2 * PARTS if self.rate else PARTS)]
-        return np.asarray(sum(weight * part for weight, part in zip(self.weights, shifted, strict=True)))
+        """Terms at the parts of bins (p,) → their contribution to the target (m,)."""
+        ends = PARTS * len(self.target)
+        return np.asarray(sum(weight * values[k : k + ends : PARTS] for k, weight in enumerate(self.weights)))
 
     @property
     def weights(self) -> Array:
         """Weight of each part in an entry of the target."""
         return _TRIANGLE if self.rate else np.full(PARTS, 1.0 / PARTS)
 
-    def part(self, first: int, last: int, name: str) -> ResidualSeries:
+    def part(self, first: int, last: int) -> ResidualSeries:
         """Entries ``first … last`` of the target as a series of their own."""
         ends = slice(PARTS * first, PARTS * (last + (1 if self.rate else 0)))
-        return ResidualSeries(
-            name, self.target[first:last], {k: v[ends] for k, v in self.variables.items()}, self.rate, self.step
-        )
+        variables = {name: values[ends] for name, values in self.variables.items()}
+        return ResidualSeries(self.name, self.target[first:last], variables, self.rate, self.step)
 
 
 def residual_series(
@@ -87,129 +81,62 @@ def residual_series(
     """The residual of output ``signal`` of a stage on one recording; None where it is not measured for long enough."""
     predicted = problem.predict(theta[None], recording)[0]
     left = (problem.measured(recording) - predicted)[:, signal]
-    rows = problem.rows(recording)
-    found = {
-        name: filled(values)[rows] for name, values in variables_of(problem, recording, machine, predicted[:, signal]).items()
-    }
-    rate_hz = problem.rate(recording)
-    width = max(PARTS, PARTS * max(1, round(BIN * rate_hz / PARTS))) if problem.stage != "force" else PARTS
-    if problem.stage == "force":  # decimated until its rows are nearly independent: each is a bin
+    rows, rate_hz = problem.rows(recording), problem.rate(recording)
+    variables = _variables(problem, recording, machine, predicted[:, signal])
+    found = {name: filled(values)[rows] for name, values in variables.items()}
+    inner = max(1, round(BIN * rate_hz / PARTS))
+    if problem.force_filter is not None:  # decimated until its rows are nearly independent: each is a bin
         left, found = np.repeat(left, PARTS), {name: np.repeat(values, PARTS) for name, values in found.items()}
+        rate_hz, inner = PARTS * rate_hz, 1
+    width = PARTS * inner
     count = len(left) // width
     if count < 20 or np.isfinite(left).sum() < 20 * width:
         return None
     bins = _means(left[: count * width].reshape(count, width))
-    inner = width // PARTS
     parts = {name: values[: count * width].reshape(-1, inner).mean(axis=1) for name, values in found.items()}
-    step = width / (rate_hz * PARTS if problem.stage == "force" else rate_hz)
+    step = width / rate_hz
     target = np.diff(bins) / step if problem.integrates else bins
     return ResidualSeries(recording.name, target, parts, problem.integrates, step)
 
 
-def variables_of(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:
-    """Name → value on every row of the recording, NaN where it is missing.
-
-    The speed of an axis that a command moves is the simulated one: a measured one would share its noise with the residual.
-    """
-    rate = recording.rate_hz
-    if problem.target not in machine.axis_names:
-        return _of_point(recording, machine)
-    axis = machine.axis(problem.target)
-    position, command = recording.values(axis.driven), recording.values(axis_signal(axis.name, "command"))
-    if problem.stage == "force":
-        speed = force_inputs(recording, axis, problem.force_filter, problem.rows(recording)).speed
-    elif problem.stage == "command" and axis.driven == problem.signals[0]:
-        speed = np.gradient(filled(predicted), 1.0 / rate)
-        speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart of the simulation is no motion
+def _variables(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:
+    """Name → value on every row of the recording, NaN where it is missing; without those that do not vary."""
+    if problem.target in machine.axis_names:
+        found = _of_axis(problem, recording, machine, predicted)
     else:
-        speed = speed_of(position, rate)
-    found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction_of(speed)}
-    found[f"reversal of {axis.name}"] = _since_reversal(found[f"direction of {axis.name}"], rate)
-    found[f"time {axis.name} has moved"] = _moving_for(found[f"direction of {axis.name}"], rate)
-    if problem.stage != "force":
-        largest = float(np.nanmax(np.abs(command), initial=0.0))
-        small = (np.abs(command) > 0.0) & (np.abs(command) < SMALL * largest)
-        found[axis_signal(axis.name, "command")] = command
-        found[f"small commands of {axis.name}"] = np.where(np.isnan(command), np.nan, np.where(small, np.sign(command), 0.0))
-    found |= _others(axis, recording, machine)
-    found |= _loads(recording, machine, (axis.name,))
+        found = _of_points(recording, machine)
     found["time"] = recording.values("time")
     return {name: values for name, values in found.items() if _varies(values)}
 
 
-def cross_correlations(series: Sequence[ResidualSeries], ar1: float) -> tuple[Probe, ...]:
-    """Each variable at the lag of its largest correlation relative to the bound, in descending order.
+def _of_axis(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:
+    """Variables of an axis: its position, motion, command and load, and the motion of the others.
 
-    Residual and variable are prewhitened by a first-order autoregression (coefficient ``ar1``). The variance of the mean of
-    their product is that of Newey and West (Econometrica 55, 1987), which allows for remaining autocorrelation and for a
-    disturbance whose variance depends on the variable; the bounds hold for all variables and lags together (Bonferroni).
+    The speed of an axis that a command moves is the simulated one: a measured one would share its noise with the residual.
     """
-    from scipy.stats import norm
-
-    names = [name for name in series[0].variables if all(name in part.variables for part in series)]
-    lags = range(max(1, round(LONGEST_LAG / series[0].step)) + 1)
-    level = float(norm.isf(0.5 * FALSE_ALARM / (max(len(names), 1) * len(lags))))
-    found = []
-    for name in names:
-        best = None
-        probes = [part.filtered(part.variables[name]) for part in series]
-        for lag in lags:
-            pairs = [_pair(part.target, probe, lag, ar1) for part, probe in zip(series, probes, strict=True)]
-            e, x = (np.concatenate(side) for side in zip(*pairs, strict=True))
-            if len(e) < 50 or not (e.std() > 0.0 and x.std() > 0.0):
-                continue
-            product = (e - e.mean()) * (x - x.mean()) / (e.std() * x.std())
-            bound = level * float(np.sqrt(_long_run_variance(product - product.mean()) / len(product)))
-            if best is None or abs(product.mean()) / bound > abs(best.correlation) / best.bound:
-                best = Probe(name, float(product.mean()), bound, lag * series[0].step)
-        if best is not None:
-            found.append(best)
-    return tuple(sorted(found, key=lambda probe: -abs(probe.correlation) / probe.bound))
+    axis, rate = machine.axis(problem.target), recording.rate_hz
+    position, command = recording.values(axis.driven), axis_signal(axis.name, "command")
+    if problem.force_filter is not None:
+        speed = force_inputs(recording, axis, problem.force_filter, problem.rows(recording)).speed
+    elif axis.driven in problem.signals:
+        speed = np.gradient(filled(predicted), 1.0 / rate)
+        speed[np.abs(speed) > RESTART * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0
+    else:
+        speed = speed_of(position, rate)
+    direction = direction_of(speed)
+    found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction}
+    found[f"reversal of {axis.name}"] = _since_reversal(direction, rate)
+    found[f"time {axis.name} has moved"] = _moving_for(direction, rate)
+    if command not in problem.signals:
+        u = recording.values(command)
+        small = (np.abs(u) > 0.0) & (np.abs(u) < SMALL * float(np.nanmax(np.abs(u), initial=0.0)))
+        found[command] = u
+        found[f"small commands of {axis.name}"] = np.where(np.isnan(u), np.nan, np.where(small, np.sign(u), 0.0))
+    return found | _others(axis, recording, machine) | _loads(recording, machine, (axis.name,))
 
 
-def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
-    """Share of stationary-bootstrap means of a gain in predictive density that are not positive.
-
-    Blocks keep the autocorrelation of residuals, which a naive criterion ignores (Politis & Romano, JASA 89 (1994)).
-    """
-    if len(gain) < 20 or not np.any(gain != 0.0):
-        return 1.0
-    means = bootstrap_means(gain, seed, draws)
-    return float((np.sum(means <= 0.0) + 1) / (draws + 1))
-
-
-def quasi_difference(values: Array, ar1: float) -> Array:
-    """``x_k − ar1·x_{k−1}`` along the last axis, without the first entry (Cochrane and Orcutt 1949)."""
-    return np.asarray(values[..., 1:] - ar1 * values[..., :-1])
-
-
-def lag1_autocorrelation(series: Sequence[Array]) -> float:
-    """Lag-1 autocorrelation about the common mean, clipped to 0 … 0.999; zero for white noise."""
-    mean = float(np.nanmean(np.concatenate(series)))
-    top = sum(float(np.nansum((x[1:] - mean) * (x[:-1] - mean))) for x in series)
-    bottom = sum(float(np.nansum((x - mean) ** 2)) for x in series)
-    return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
-
-
-def _pair(target: Array, probe: Array, lag: int, ar1: float) -> tuple[Array, Array]:
-    e, x = quasi_difference(target[lag:], ar1), quasi_difference(probe[: len(probe) - lag], ar1)
-    there = np.isfinite(e) & np.isfinite(x)
-    return e[there], x[there]
-
-
-def _long_run_variance(values: Array) -> float:
-    """Long-run variance of a series with Bartlett weights; at least that of a white series."""
-    count = len(values)
-    widest = int(4.0 * (count / 100.0) ** (2.0 / 9.0))
-    white = float(values @ values) / count
-    total = white
-    for lag in range(1, widest + 1):
-        total += 2.0 * (1.0 - lag / (widest + 1.0)) * float(values[lag:] @ values[:-lag]) / count
-    return max(total, white)
-
-
-def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
-    """Variables of the boom tip and the tool: position, direction and load of every joint, speeds of the tip, time."""
+def _of_points(recording: Recording, machine: Machine) -> dict[str, Array]:
+    """Variables of the boom tip and the tool: position, direction and load of every joint, speeds of the tip."""
     found: dict[str, Array] = {}
     for axis in machine.axes:
         joint = recording.values(axis_signal(axis.name, "joint"))
@@ -217,11 +144,8 @@ def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
         found[f"speed of {axis.name}"] = speed_of(joint, recording.rate_hz)
         found[f"direction of {axis.name}"] = direction_of(found[f"speed of {axis.name}"])
     for coordinate in point_signals("ee"):
-        speed = speed_of(recording.values(coordinate), recording.rate_hz)
-        found[f"speed of {coordinate}"] = speed
-    found |= _loads(recording, machine, machine.axis_names)
-    found["time"] = recording.values("time")
-    return {name: values for name, values in found.items() if _varies(values)}
+        found[f"speed of {coordinate}"] = speed_of(recording.values(coordinate), recording.rate_hz)
+    return found | _loads(recording, machine, machine.axis_names)
 
 
 def _others(axis: Axis, recording: Recording, machine: Machine) -> dict[str, Array]:
@@ -279,3 +203,121 @@ def _means(blocks: Array) -> Array:
     count = there.sum(axis=1)
     total = np.where(there, blocks, 0.0).sum(axis=1)
     return np.where(count >= 0.5 * blocks.shape[1], total / np.maximum(count, 1), np.nan)
+
+
+def quasi_difference(values: Array, ar1: float) -> Array:
+    """``x_k − ar1·x_{k−1}`` of a series (n,), without the first entry (Cochrane and Orcutt 1949), (n − 1,)."""
+    return np.asarray(values[1:] - ar1 * values[:-1])
+
+
+def lag1_autocorrelation(series: Sequence[Array]) -> float:
+    """Lag-1 autocorrelation about the common mean, clipped to 0 … 0.999; zero for white noise."""
+    mean = float(np.nanmean(np.concatenate(series)))
+    top = sum(float(np.nansum((x[1:] - mean) * (x[:-1] - mean))) for x in series)
+    bottom = sum(float(np.nansum((x - mean) ** 2)) for x in series)
+    return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
+
+
+def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
+    """Share of stationary-bootstrap means of a gain in predictive density that are not positive.
+
+    Blocks keep the autocorrelation of residuals, which a naive criterion ignores (Politis & Romano, JASA 89 (1994)).
+    """
+    if len(gain) < 20 or not np.any(gain != 0.0):
+        return 1.0
+    means = bootstrap_means(gain, seed, draws)
+    return float((np.sum(means <= 0.0) + 1) / (draws + 1))
+
+
+def share_explained(before: Sequence[Array], after: Sequence[Array]) -> tuple[float, float]:
+    """Share of the squared errors ``before`` that are gone ``after``, and the p-value of that gain."""
+    total, rest = np.concatenate(before), np.concatenate(after)
+    share = 1.0 - float(rest.sum() / total.sum()) if total.sum() > 0.0 else 0.0
+    return share, gain_p_value(total - rest, 0)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor of a term: a ``function`` of a measured variable, with its ``number`` (centre, time constant or period)."""
+
+    function: str
+    variable: str
+    number: float = 0.0
+
+    def values(self, series: ResidualSeries) -> Array:
+        return _FUNCTIONS[self.function][0](series.variables[self.variable], self.number)
+
+    def __str__(self) -> str:
+        centred = f"({self.variable} {'−' if self.number >= 0.0 else '+'} {abs(self.number):g})"
+        return _FUNCTIONS[self.function][1].format(x=self.variable, number=self.number, centred=centred)
+
+
+#: Function of a variable and of the number of its factor, and how it is written.
+_FUNCTIONS: dict[str, tuple[Callable[[Array, float], Array], str]] = {
+    "identity": (lambda x, _: x, "{x}"),
+    "abs": (lambda x, _: np.abs(x), "|{x}|"),
+    "square": (lambda x, _: x * x, "({x})²"),
+    "signed square": (lambda x, _: x * np.abs(x), "{x}·|{x}|"),
+    "cube": (lambda x, _: x**3, "({x})³"),
+    "offset": (lambda x, centre: x - centre, "{centred}"),
+    "offset square": (lambda x, centre: (x - centre) ** 2, "{centred}²"),
+    "decay": (lambda x, seconds: np.exp(-x / seconds), "exp(−{x}/{number:g} s)"),
+    "sin": (lambda x, period: np.sin(2.0 * np.pi * x / period), "sin(2π·{x}/{number:.4g})"),
+    "cos": (lambda x, period: np.cos(2.0 * np.pi * x / period), "cos(2π·{x}/{number:.4g})"),
+}
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors; none is a constant."""
+
+    factors: tuple[Factor, ...] = ()
+
+    def column(self, series: ResidualSeries) -> Array:
+        """Its contribution to the target, (m,)."""
+        return series.filtered(self.values(series))
+
+    def values(self, series: ResidualSeries) -> Array:
+        """Values at the parts of the bins."""
+        out = np.ones(len(next(iter(series.variables.values()))))
+        for factor in self.factors:
+            out = out * factor.values(series)
+        return out
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(f.variable for f in self.factors))
+
+    @property
+    def periodic(self) -> Factor | None:
+        """The sine or cosine factor; None where the term is not periodic."""
+        return next((f for f in self.factors if f.function in ("sin", "cos")), None)
+
+    @property
+    def group(self) -> tuple[Factor, ...]:
+        """Key of the group of the term: sine and cosine of one ripple form one group."""
+        return tuple(Factor("periodic", f.variable, f.number) if f is self.periodic else f for f in self.factors)
+
+    def __str__(self) -> str:
+        return "·".join(map(str, self.factors))
+
+
+def ripple(variable: str, period: float, modulation: tuple[Factor, ...]) -> tuple[Term, Term]:
+    """Sine and cosine over a variable, each times the modulation of their amplitude."""
+    return Term((Factor("sin", variable, period), *modulation)), Term((Factor("cos", variable, period), *modulation))
+
+
+def modulations(series: Sequence[ResidualSeries]) -> list[tuple[Factor, ...]]:
+    """Factors by which the amplitude of a ripple may be modulated, of variables that all series have."""
+    if not series[0].rate:
+        return [()]
+    shared = shared_variables(series)
+    directions = [name for name in shared if name.startswith("direction of ")]
+    speeds = [name.replace("direction", "speed", 1) for name in directions[:1]]
+    moving = [(Factor("abs", name),) for name in directions[:1]]
+    return [(), *moving, *((Factor(function, name),) for name in speeds for function in ("identity", "abs"))]
+
+
+def shared_variables(series: Sequence[ResidualSeries]) -> list[str]:
+    """Names of the variables that all series have."""
+    return [name for name in series[0].variables if all(name in part.variables for part in series)]

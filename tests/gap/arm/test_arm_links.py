@@ -18,7 +18,7 @@ from sysid.gap.arm.posture import posture_share
 from sysid.gap.arm.rows import axis_rows, doubled, plausible
 from sysid.gap.arm.stage import fit_links_stage
 from sysid.gap.candidates import Candidate
-from sysid.gap.case import stage_candidates
+from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.stages import search_stages
 from sysid.machine import machine_from_files
 from sysid.plant import compile_plant, nominal_plant

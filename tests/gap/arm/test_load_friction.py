@@ -13,8 +13,8 @@ from planar_arm import C2, I2, M1, M2, planar
 from sysid.datasets import Dataset, Recording
 from sysid.gap import steps
 from sysid.gap.arm.rows import axis_rows, linearised, with_carried
-from sysid.gap.case import stage_candidates
 from sysid.gap.excitation import excitation_of
+from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.stages import search_stages
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, nominal_plant

@@ -13,11 +13,11 @@ from weak_excitation import coarse_arm, slow_dataset, tie, with_experiments
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.case import Case, open_case
 from sysid.gap.experiment import Planning, dry_run, outside, propose
 from sysid.gap.experiment.excitation_signal import commands_of, simulate_recording, start_of
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.proposal import Planner
+from sysid.gap.prepare.case import Case, open_case
 from sysid.plant import Plant, compile_plant
 
 

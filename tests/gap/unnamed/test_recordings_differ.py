@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
-from sysid.gap.unnamed.residual_series import BIN, PARTS, ResidualSeries
-from sysid.gap.unnamed.terms import Factor, modulations
+from sysid.gap.unnamed.periodic import find_periodic_disturbance
+from sysid.gap.unnamed.residual_series import BIN, PARTS, Factor, ResidualSeries, modulations
 
 
 def series(number: int, *variables: str) -> ResidualSeries:

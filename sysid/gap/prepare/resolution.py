@@ -69,23 +69,22 @@ def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping
     """Sensors of drives and joints with steps that exceed their noise and that the plant does not have.
 
     Args:
-        noise: by signal; used where it is that of the data sheet. Otherwise it includes the rounding, and the noise beside it
-        is
-            used instead (:func:`noise_beside`).
+        noise: by signal [SI]; used where it is that of the data sheet. Otherwise it includes the rounding, and the noise beside
+            it is used instead.
     """
     found = []
     for signal, specified in noise.items():
         runs = [r for r in recordings if r.kind == "motion" and signal in r.signals]
-        parts = [r.values(signal) for r in runs]
-        if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect(QUANTISATION, signal) is not None:
+        if not signal.endswith((".cylinder", ".joint")) or not runs or plant.effect(QUANTISATION, signal) is not None:
             continue
         if not identifiable_targets((signal,), recordings, plant.machine):
             continue
+        parts = [r.values(signal) for r in runs]
         step, level = reading_step(parts), specified
         if step > 0.0 and signal not in plant.machine.noise:
             if not _has_single_steps(parts, step):
                 continue
-            level = noise_beside([(r.values(signal), r.rate_hz) for r in runs], step)
+            level = _noise_beside([r for r in runs if not is_still(r.values(signal))], signal, step)
         if rounding(step) > level:
             found.append(CoarseSensor(signal, step, _interval(parts, step), level))
     return tuple(found)
@@ -98,21 +97,18 @@ def _has_single_steps(parts: Sequence[Array], step: float) -> bool:
     return len(changes) > 0 and float(np.mean(changes < 2.5 * step)) >= MIN_SINGLE_STEPS
 
 
-def noise_beside(runs: Sequence[tuple[Array, float]], step: float) -> float:
+def _noise_beside(moving: Sequence[Recording], signal: str, step: float) -> float:
     """Standard deviation of the noise of a sensor beside the rounding to its steps.
 
     The larger of the deviation from the lattice (noise after rounding) and of the excess of the white noise over the error of
     rounding (noise before it).
-
-    Args:
-        runs: readings (n,) and their rate [Hz], one pair a recording.
     """
-    moving = [(values, rate) for values, rate in runs if not is_still(values)]
-    white = [white_noise(values, rate) for values, rate in moving]
-    levels = [noise_bound(values) if np.isnan(level) else level for (values, _), level in zip(moving, white, strict=True)]
+    parts = [r.values(signal) for r in moving]
+    white = [white_noise(part, r.rate_hz) for part, r in zip(parts, moving, strict=True)]
+    levels = [noise_bound(part) if np.isnan(level) else level for part, level in zip(parts, white, strict=True)]
     levels = [level for level in levels if np.isfinite(level)]
     ahead = max(float(np.median(levels)) ** 2 - rounding(step) ** 2, 0.0) if levels else 0.0
-    return max(_off_lattice([values for values, _ in moving], step), float(np.sqrt(ahead)))
+    return max(_off_lattice(parts, step), float(np.sqrt(ahead)))
 
 
 def with_steps(plant: Plant, coarse: Sequence[CoarseSensor], noise: Mapping[str, float]) -> dict[str, float]:
@@ -217,11 +213,6 @@ def _changes_speed(parts: Sequence[Array], step: float) -> bool:
     return steady <= MAX_STEADY * moving
 
 
-def _readings(parts: Sequence[Array]) -> Array:
-    values = np.concatenate([*parts, np.empty(0)])
-    return np.asarray(values[~np.isnan(values)])
-
-
 def _noisy_step(parts: Sequence[Array]) -> float:
     """The peak of the characteristic function of the readings in motion (Widrow & Kollár, Quantization Noise, 2008, ch. 4).
 
@@ -254,6 +245,10 @@ def _in_motion(parts: Sequence[Array]) -> Array:
     """Readings at more than a twentieth of the top speed of the signal in any of the recordings."""
     ways = [np.abs(part[10:] - part[:-10]) for part in parts]
     most = max((float(np.nanmax(way)) for way in ways if len(way) and not np.isnan(way).all()), default=0.0)
-    readings = [part[5:-5][way > 0.05 * most] for part, way in zip(parts, ways, strict=True) if len(way)]
-    values = np.concatenate([*readings, np.empty(0)])
+    return _readings([part[5:-5][way > 0.05 * most] for part, way in zip(parts, ways, strict=True) if len(way)])
+
+
+def _readings(parts: Sequence[Array]) -> Array:
+    """All of them, without those that are missing."""
+    values = np.concatenate([*parts, np.empty(0)])
     return np.asarray(values[~np.isnan(values)])

@@ -13,8 +13,8 @@ from scipy import signal
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import StoreError
 from sysid.gap import GapResult, find_gap
-from sysid.gap.convention import with_order
-from sysid.gap.noise import noise_levels
+from sysid.gap.prepare.clocks import with_order
+from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.sentences import order_sentence
 from sysid.machine import Convention, Machine, machine_from_files

@@ -26,10 +26,9 @@ from unnamed_data import (
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem, drive_problem, joint_problem
 from sysid.gap.result import Unnamed
-from sysid.gap.unnamed.formula_search import find_formula
-from sysid.gap.unnamed.residual_formula import NOTHING, describe, describe_residual
-from sysid.gap.unnamed.residual_series import BIN, PARTS, ResidualSeries, cross_correlations, quasi_difference, residual_series
-from sysid.gap.unnamed.terms import Factor, Formula, Term
+from sysid.gap.unnamed.description import NOTHING, cross_correlations, describe, describe_residual
+from sysid.gap.unnamed.formula import Formula, find_formula
+from sysid.gap.unnamed.residual_series import BIN, PARTS, Factor, ResidualSeries, Term, quasi_difference, residual_series
 
 Array = npt.NDArray[np.float64]
 DRIVE, JOINT = drive_problem(MODEL, MACHINE.axis("boom")), joint_problem(MODEL, MACHINE.axis("boom"))

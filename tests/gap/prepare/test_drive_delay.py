@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from force_axis import acting, linear_motion, machine, multisine, recording
 
-from sysid.gap.drive_delay import drive_delay, load_acceleration
-from sysid.gap.drive_resonance import DriveResonance, drive_resonance
+from sysid.gap.prepare.drives import DriveResonance, drive_delay, drive_resonance, load_acceleration
 from sysid.plant.force import ForceFilter
 from sysid.plant.force_band import force_filter
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plant_data import dataset_of, nominal
 
-from sysid.gap.noise import noise_levels
-from sysid.gap.sensor_resolution import _interval, coarse_sensors, reading_step, with_steps
+from sysid.gap.prepare.noise import noise_levels
+from sysid.gap.prepare.resolution import _interval, coarse_sensors, reading_step, with_steps
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]

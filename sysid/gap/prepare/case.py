@@ -1,4 +1,4 @@
-"""One run of the workflow: the dataset, the simulation under test, and its stages."""
+"""One run of the workflow: the dataset, the simulation under test, its stages, and what may be missing at each."""
 
 from __future__ import annotations
 
@@ -25,20 +25,17 @@ from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases, without_servo_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.convention import with_order
 from sysid.gap.data import Data
-from sysid.gap.drive_delay import drive_delay
-from sysid.gap.drive_resonance import DriveResonance, drive_resonance
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.floor import problem_floors
-from sysid.gap.measured_input import with_measured_input
-from sysid.gap.noise import noise_of_signals
 from sysid.gap.poses.folds import shown_by_poses
+from sysid.gap.prepare.clocks import with_order
+from sysid.gap.prepare.drives import DriveResonance, SpeedResonance, drive_delay, drive_resonance, speed_resonance
+from sysid.gap.prepare.measured_input import with_measured_input
+from sysid.gap.prepare.noise import noise_of_signals, problem_floors
+from sysid.gap.prepare.resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
 from sysid.gap.result import CommandOrder, Excitation, ForceComparison
-from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
-from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.gap.stage_result import StageResult
 from sysid.gap.statement import FloorSource
 from sysid.machine.rigid_body import moves_masses
@@ -134,15 +131,15 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         ExcitationError: no stage is measured at both ends, or no recording to fit, to select or to hold out.
     """
     check_needs(dataset)
-    split, known, order = split_of(dataset), noise_of_signals(dataset), None
+    split, known = split_of(dataset), noise_of_signals(dataset)
     noise = {signal: each.level for signal, each in known.items()}
+    order = own = None
     if isinstance(simulation, Plant):
-        (plant, order), own = with_order(simulation, dataset, split, noise), None
+        plant, order = with_order(simulation, dataset, split, noise)
         problems = problems_of(compile_plant(plant), dataset)
     else:
         own = adapt_simulator(simulation, dataset)
-        plant = own.plant
-        problems = own.problems(dataset)
+        plant, problems = own.plant, own.problems(dataset)
     if not problems:
         lacking = filter(None, _untested_forces(plant, split, ()).values())
         nothing = "no stage is measured at both its ends", "commands and the motion they cause"
@@ -157,49 +154,47 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
     found, parts = list[Stage](), list[tuple[Problem, Array, Sequence[Recording]]]()
     for each in problems:
-        problem, split = each, stage_split(case, each)
-        resonance = _resonance(case, problem, split)
-        if resonance is not None:
-            problem = _with_drive_delay(case, problem, split, resonance)
-            resonance = _resonance(case, problem, split) or resonance
-        theta = case.theta if resonance is None else _with_resonance(case, problem.target, resonance)
-        parts.append((problem, theta, split.fit))
+        split = stage_split(case, each)
+        problem, resonance = _with_resonance(case, each, split)
         oscillation = _oscillation(case, problem, split)
         found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
+        parts.append((problem, case.theta if resonance is None else _with_spring(case, problem.target, resonance), split.fit))
     floors = problem_floors(parts, case.noise, case.seed)
     return [replace(stage, sigma=np.maximum(floor, 1e-12)) for stage, floor in zip(found, floors, strict=True)]
 
 
-def _resonance(case: Case, problem: Problem, split: Split) -> DriveResonance | None:
-    """The resonance of the drive of a force axis; of an arm, other axes move the force as well."""
-    if problem.force_filter is None or compile_plant(case.plant).rigid is not None:
-        return None
-    return drive_resonance(split.seen, case.plant.machine.axis(problem.target), problem.force_filter)
+def _with_resonance(case: Case, problem: Problem, split: Split) -> tuple[Problem, DriveResonance | None]:
+    """A force stage with the delay that its recordings show beside the resonance of the drive, and that resonance.
 
-
-def _with_drive_delay(case: Case, problem: Problem, split: Split, resonance: DriveResonance) -> Problem:
-    """The force stage with the delay that the recordings show beside the resonance of the drive."""
-    axis, settings = case.plant.machine.axis(problem.target), problem.force_filter
-    assert settings is not None
+    Other stages stay as they are, and those of an arm, where other axes move the force as well.
+    """
+    settings = problem.force_filter
+    if settings is None or (model := compile_plant(case.plant)).rigid is not None:
+        return problem, None
+    axis = model.machine.axis(problem.target)
+    resonance = drive_resonance(split.seen, axis, settings)
+    if resonance is None:
+        return problem, None
     settings = replace(settings, delay=drive_delay(split.seen, axis, settings, resonance))
-    return force_problem(compile_plant(case.plant), axis, (*split.seen, *split.held_out), settings)
+    delayed = force_problem(model, axis, (*split.seen, *split.held_out), settings)
+    return delayed, drive_resonance(split.seen, axis, settings) or resonance
 
 
-def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:
-    """The resonance of a speed-commanded axis above the start values of its effect, which reach the lower ones."""
-    if problem.stage != "command" or not problem.integrates or case.adapter is not None:
-        return None
-    frequency = oil_compressibility.EFFECT.forms[0].parameters[0]
-    return speed_resonance(problem, split.seen, case.theta, max(frequency.starts))
-
-
-def _with_resonance(case: Case, axis: str, resonance: DriveResonance) -> Array:
+def _with_spring(case: Case, axis: str, resonance: DriveResonance) -> Array:
     """The vector of the plant with a flexible drive: near its antiresonance, noise of the motion causes most of the noise."""
     theta = case.theta.copy()
     for name, value in resonance.parameters.items():
         (places,) = parameter_indices(case.plant.machine.axis_names, flexible_drive.EFFECT.name, axis, None, name)
         theta[places] = value
     return theta
+
+
+def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:
+    """The resonance of a speed-commanded axis above the start values of its effect, which reach the lower ones."""
+    if not problem.integrates or case.adapter is not None:
+        return None
+    frequency = oil_compressibility.EFFECT.forms[0].parameters[0]
+    return speed_resonance(problem, split.seen, case.theta, max(frequency.starts))
 
 
 def stage_split(case: Case, problem: Problem) -> Split:
@@ -220,7 +215,7 @@ def held_out_of(case: Case) -> tuple[Recording, ...]:
 
 def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
     """Notes on force axes without a stage: they have to move in a recording of each role."""
-    tested = [stage.problem.target for stage in stages if stage.problem.stage == "force"]
+    tested = [stage.problem.target for stage in stages if stage.problem.force_filter is not None]
     return tuple(
         f"{axis} is not tested: it has to move, measured with its force, in a recording of each role"
         + (f" ({lacking})" if lacking else "")
@@ -231,8 +226,10 @@ def untested_forces(case: Case, stages: Sequence[Stage]) -> tuple[str, ...]:
 def _untested_forces(plant: Plant, split: Split, tested: Sequence[str]) -> dict[str, ExcitationError | None]:
     """Force axes that are not ``tested``, and what a recording lacks for it."""
     axes = [axis for axis in plant.machine.axes if axis.actuation == "force" and axis.name not in tested]
-    model = compile_plant(plant) if axes else None
-    return {axis.name: why_no_force(model, axis, split) for axis in axes if model is not None}
+    if not axes:
+        return {}
+    model = compile_plant(plant)
+    return {axis.name: why_no_force(model, axis, split) for axis in axes}
 
 
 def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
@@ -249,10 +246,14 @@ def force_comparisons(stages: Sequence[Stage]) -> tuple[ForceComparison, ...]:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
-    scales = scales_of(case.plant, stage)
+    scales = _scales_of(case.plant, stage)
     found = candidates_at(case.plant, stage.theta, problem.stages, problem.targets, scales)
     found += candidates_at(case.plant, stage.theta, ("links",), problem.carried, scales)
-    found = [c for c in found if _has_nominal(c, case.plant, problem, scales) and not _hidden_by_spring(c, stage)]
+    found = [c for c in found if _has_nominal(c, case.plant, problem, scales)]
+    if stage.resonance is not None:
+        # A spring reverses the motor several times in each motion, where errors of its damping and of the delay of the force
+        # hide the shape of dry friction at low speeds.
+        found = [c for c in found if coulomb_friction.EFFECT.name not in c.effect.generalises]
     if is_pose_set(case.dataset):
         found = [c for c in found if shown_by_poses(c)]
     if "force" in problem.within:
@@ -261,12 +262,14 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
-def _hidden_by_spring(candidate: Candidate, stage: Stage) -> bool:
-    """Whether the shape of dry friction at low speeds is offered on a drive with a spring, which does not show it.
-
-    The spring reverses the motor several times in each motion; errors of its damping and of the delay of the force act there.
-    """
-    return stage.resonance is not None and coulomb_friction.EFFECT.name in candidate.effect.generalises
+def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
+    """For every candidate, whether the fit and selection recordings excite it."""
+    found = {}
+    for stage in stages:
+        for candidate in stage_candidates(case, stage):
+            if candidate.key not in found:  # the same for all forms of an effect
+                found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
+    return tuple(found.values())
 
 
 def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: Scales) -> bool:
@@ -290,16 +293,7 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
     return True
 
 
-def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
-    """A result found on a surrogate of the stage, fitted to the stage itself."""
-    seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    unseen = Data(stage.problem, stage.split.select, stage.sigma)
-    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
-    nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
-    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
-
-
-def scales_of(plant: Plant, stage: Stage) -> Scales:
+def _scales_of(plant: Plant, stage: Stage) -> Scales:
     """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
     force = _typical_force(stage) if "force" in stage.problem.stages else 1.0
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
@@ -315,18 +309,18 @@ def _typical_force(stage: Stage) -> float:
 
     Where most are at rest (below a thousandth of the largest), it is the median of the others; zero without any force.
     """
-    problem, simulated = stage.problem, stage.theta[None]
-    inside = problem.force
-    forces: tuple[Callable[[Recording], Array], ...] = (
-        lambda recording: problem.measured(recording)[:, 0],
-        lambda recording: problem.predict(simulated, recording)[0, :, 0],
-    )
-    for force in forces if inside is None else (inside,):
+    problem = stage.problem
+
+    def commanded(recording: Recording) -> Array:
+        return problem.measured(recording)[:, 0]
+
+    def simulated(recording: Recording) -> Array:
+        return problem.predict(stage.theta[None], recording)[0, :, 0]
+
+    for force in (commanded, simulated) if problem.force is None else (problem.force,):
         sizes = np.abs(np.concatenate([force(recording) for recording in stage.split.fit]))
         sizes = sizes[~np.isnan(sizes)]
-        if not len(sizes):
-            continue
-        acting = sizes[sizes > 1e-3 * sizes.max()]
+        acting = sizes[sizes > 1e-3 * sizes.max(initial=0.0)]
         if len(acting):
             return float(np.median(sizes if 2 * len(acting) > len(sizes) else acting))
     return 0.0
@@ -345,11 +339,10 @@ def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str,
     return {(known.name, axis): {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}}
 
 
-def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
-    """For every candidate, whether the fit and selection recordings excite it."""
-    found = {}
-    for stage in stages:
-        for candidate in stage_candidates(case, stage):
-            if candidate.key not in found:  # the same for all forms of an effect
-                found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
-    return tuple(found.values())
+def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
+    """A result found on a surrogate of the stage, fitted to the stage itself."""
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    unseen = Data(stage.problem, stage.split.select, stage.sigma)
+    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
+    nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
+    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)

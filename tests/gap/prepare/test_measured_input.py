@@ -16,7 +16,7 @@ from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.drift import DriftStrength, smooth_level
 from sysid.gap.fit import fit_candidates
-from sysid.gap.measured_input import MeasuredInput, with_measured_input
+from sysid.gap.prepare.measured_input import MeasuredInput, with_measured_input
 from sysid.gap.problem import problems_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant, free_run

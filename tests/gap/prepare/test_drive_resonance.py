@@ -7,7 +7,7 @@ import pytest
 from force_axis import MASS, acting, linear_motion, machine, multisine, recording
 
 from sysid.datasets import Recording
-from sysid.gap.drive_resonance import drive_resonance
+from sysid.gap.prepare.drives import drive_resonance
 from sysid.plant.force import ForceFilter
 
 RATE = 1000.0

@@ -8,7 +8,7 @@ import pytest
 from plant_data import CAPTURE, dataset_of, nominal
 
 from sysid.datasets.recording import ClockRecord, Dataset
-from sysid.gap.clocks import open_offset
+from sysid.gap.prepare.clocks import open_offset
 
 
 def record(

@@ -8,8 +8,8 @@ import pytest
 
 from sysid.datasets import Recording
 from sysid.effects import oil_compressibility
+from sysid.gap.prepare.drives import SpeedResonance, speed_resonance
 from sysid.gap.problem import drive_problem
-from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, free_run, nominal_plant
 

@@ -17,8 +17,8 @@ from sysid.datasets import ingest
 from sysid.datasets.quality.noise import noise_of, white_noise
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap import find_gap
-from sysid.gap.noise import PLAUSIBLE, noise_levels
-from sysid.gap.sensor_resolution import coarse_sensors, reading_step, rounding
+from sysid.gap.prepare.noise import PLAUSIBLE, noise_levels
+from sysid.gap.prepare.resolution import coarse_sensors, reading_step, rounding
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import nominal_plant
 
@@ -137,7 +137,7 @@ def recorded(shared_data: Path, folder: Path, name: str) -> Dataset:
     source = shared_data / {"so101": "sage_so101/friction_gravity"}.get(name, name)
     if not source.exists():
         pytest.skip(f"no recordings of {name} beside the repository")
-    return ingest(source, folder, recipe=Path(__file__).parents[2] / "datasets" / name / "recipe.toml")
+    return ingest(source, folder, recipe=Path(__file__).parents[3] / "datasets" / name / "recipe.toml")
 
 
 @pytest.mark.parametrize(
