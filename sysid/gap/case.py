@@ -35,11 +35,11 @@ from sysid.gap.floor import problem_floors
 from sysid.gap.noise import noise_of_signals
 from sysid.gap.poses.effects import shown_by_poses
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
-from sysid.gap.result import CommandOrder, Excitation, ForceComparison
+from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.speed_resonance import SpeedResonance, speed_resonance
 from sysid.gap.stage_result import StageResult
-from sysid.gap.statement import FloorSource
+from sysid.gap.statement import CommandOrder, FloorSource
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 from sysid.plant.layout import parameter_indices

@@ -54,14 +54,12 @@ def excitation_at(effect: Effect, target: str, recordings: Sequence[Recording], 
     travel = _travel(recordings, machine, axis) if axis is not None else None
     if travel is not None and travel.short is not None:
         return Excitation(effect.name, target, False, *travel.short)
-    need = effect.need
-    count, unit = COUNTS[need.count]
-    if need.count == "signal_travel" and axis is not None and all(r.kind == "poses" for r in recordings):
-        count, unit = COUNTS["joint_coverage"]  # of a sensor that is read at rest
-        have = count(recordings, machine, axis)
-        return Excitation(effect.name, target, have >= OF_RANGE, float(have), OF_RANGE, unit)
-    have = count(recordings, machine, target)
-    return Excitation(effect.name, target, have >= need.least, float(have), float(need.least), unit)
+    need, place, least = effect.need.count, target, float(effect.need.least)
+    if need == "signal_travel" and axis is not None and all(r.kind == "poses" for r in recordings):
+        need, place, least = "joint_coverage", axis, OF_RANGE  # of a sensor that is read at rest
+    count, unit = COUNTS[need]
+    have = float(count(recordings, machine, place))
+    return Excitation(effect.name, target, have >= least, have, least, unit)
 
 
 def moved(recordings: Sequence[Recording], machine: Machine, axis: str) -> bool:
@@ -245,14 +243,16 @@ def together(recordings: Sequence[Recording], machine: Machine, target: str) -> 
 
 def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    i = machine.axis_names.index(axis)
-    return _change(np.concatenate([gravity_load(machine, r)[:, i] for r in recordings]))
+    return _change(_loads(recordings, machine, axis))
 
 
 def weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the magnitude of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    i = machine.axis_names.index(axis)
-    return _change(np.concatenate([np.abs(gravity_load(machine, r)[:, i]) for r in recordings]))
+    return _change(np.abs(_loads(recordings, machine, axis)))
+
+
+def _loads(recordings: Sequence[Recording], machine: Machine, axis: str) -> Array:
+    return np.concatenate([gravity_load(machine, r)[:, machine.axis_names.index(axis)] for r in recordings])
 
 
 def _change(values: Array) -> float:

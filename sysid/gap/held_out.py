@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.case import Stage
+from sysid.gap.disagreement import stage_rmse
 from sysid.gap.equivalence import equivalent_change
-from sysid.gap.localise import stage_rmse
 from sysid.gap.thresholds import EXPLAINED
 
 Array = npt.NDArray[np.float64]

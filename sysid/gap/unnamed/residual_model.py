@@ -17,10 +17,10 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.gap.case import Case, Stage
+from sysid.gap.disagreement import stage_rmse
 from sysid.gap.drift import robust_scale
 from sysid.gap.floor import problem_floor
 from sysid.gap.likelihood.discrepancy.shapes import filled
-from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed

@@ -23,7 +23,7 @@ from sysid.gap.adapters.mujoco.repair import RepairedModel, open_mujoco, repaire
 from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.adapters.start import joint_start
-from sysid.gap.localise import run_rmse
+from sysid.gap.disagreement import run_rmse
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine
 

@@ -21,7 +21,7 @@ from sysid.gap.adapters.mujoco.inside import WRITERS, write_inside
 from sysid.gap.adapters.mujoco.native import Change
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
-from sysid.gap.gap_by_stage import stage_gap
+from sysid.gap.disagreement import stage_gap
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect

@@ -26,7 +26,7 @@ from sysid.gap.adapters.mujoco.axes import drives_of
 from sysid.gap.adapters.mujoco.native import Change, write_native
 from sysid.gap.adapters.mujoco.side_file import read_side_file, side_file, write_side_file
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
-from sysid.gap.localise import run_rmse
+from sysid.gap.disagreement import run_rmse
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
