@@ -10,7 +10,7 @@ another's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Map, Share
-from sysid.machine import Axis, Machine
+from sysid.machine import Machine
 from sysid.plant import Model, free_run, gravity_load
 from sysid.plant.model import measured_point
 from sysid.signals import axis_signal, point_signals, split_signal
@@ -173,15 +173,12 @@ class _Variable:
 
 def _joined(parts: Sequence[dict[str, _Variable]], lengths: Sequence[int]) -> dict[str, _Variable]:
     """The variables of all recordings, one after the other; NaN where a recording does not have one."""
-    first: dict[str, _Variable] = {}
-    for part in parts:
-        first = {**part, **first}
-    return {
-        name: replace(about, samples=np.concatenate([
-            part[name].samples if name in part else np.full(n, np.nan) for part, n in zip(parts, lengths, strict=True)
-        ]))
-        for name, about in first.items()
-    }  # fmt: skip
+    about = {name: variable for part in reversed(parts) for name, variable in part.items()}
+    found = {}
+    for name, variable in about.items():
+        samples = [part[name].samples if name in part else np.full(n, np.nan) for part, n in zip(parts, lengths, strict=True)]
+        found[name] = replace(variable, samples=np.concatenate(samples))
+    return found
 
 
 def _variables_of(problem: Problem, recording: Recording, known: _Units) -> dict[str, _Variable]:
@@ -299,64 +296,72 @@ def shares_of(model: Model, recordings: Sequence[Recording]) -> tuple[Share, ...
 def _moves(model: Model, recording: Recording) -> dict[str, Moves]:
     """End of the chain (``tool``, ``ee``, or the joint of an axis) → moves of its stages."""
     run = free_run(model, recording)
+    linked = {
+        axis.name: model.joint(model.theta[None], recording, axis.name)[0]
+        for axis in model.machine.axes
+        if axis.drives == "cylinder" and axis.name in model.linked
+        if _are_measured(recording, axis.driven, axis_signal(axis.name, "joint"))
+    }
     ends: dict[str, Moves] = {}
-    for axis in model.machine.axes:
-        joint = axis_signal(axis.name, "joint")
-        if axis.drives == "cylinder" and axis.name in model.linked and joint in run and _any(recording, axis.driven, joint):
-            ends[joint] = _joint_moves(model, recording, run, axis)
+    for name, driven in linked.items():
+        joint = axis_signal(name, "joint")
+        if joint in run:
+            simulated = run[joint].to_numpy(dtype=np.float64)
+            chain = [(("joint", name), driven[:, None]), (("command", name), simulated[:, None])]
+            ends[joint] = _steps(recording.values(joint)[:, None], chain)
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
-    if model.posed and set(joints) <= set(run) and _any(recording, *joints, *point_signals("ee")):
-        tool = model.has_tool(model.theta, recording) and _any(recording, *point_signals("ee"), *point_signals("tool"))
+    if model.posed and set(joints) <= set(run) and _are_measured(recording, *joints, *point_signals("ee")):
+        tool = model.has_tool(model.theta, recording)
+        tool = tool and _are_measured(recording, *point_signals("ee"), *point_signals("tool"))
         for point in ("ee", "tool") if tool else ("ee",):
-            ends[point] = _point_moves(model, recording, run, point)
+            ends[point] = _steps(measured_point(recording, point), _point_chain(model, recording, run, linked, point))
     return ends
 
 
-def _joint_moves(model: Model, recording: Recording, run: pd.DataFrame, axis: Axis) -> Moves:
-    joint = axis_signal(axis.name, "joint")
-    driven = model.joint(model.theta[None], recording, axis.name)[0]
-    return {
-        ("joint", axis.name): (driven - recording.values(joint))[:, None],
-        ("command", axis.name): (run[joint].to_numpy(dtype=np.float64) - driven)[:, None],
-    }
-
-
-def _point_moves(model: Model, recording: Recording, run: pd.DataFrame, point: str) -> Moves:
-    theta = model.theta[None]
+def _steps(measured: Array, chain: Iterable[tuple[tuple[str, str], Array]]) -> Moves:
+    """Changes of the prediction along a chain that starts from the measurement, (n, d) each."""
     moves: Moves = {}
-    last = measured_point(recording, point)
+    last = measured
+    for key, predicted in chain:
+        moves[key] = predicted - last
+        last = predicted
+    return moves
+
+
+def _point_chain(
+    model: Model, recording: Recording, run: pd.DataFrame, linked: Mapping[str, Array], point: str
+) -> Iterator[tuple[tuple[str, str], Array]]:
+    """(stage, target) → position of tip or tool (n, 3), with that stage and those before it in this order simulated.
+
+    Args:
+        run: free run of the recording.
+        linked: joint angle behind each measured cylinder, from its measured stroke (n,) [rad].
+    """
+    theta = model.theta[None]
 
     def predicted(known: Recording) -> Array:
-        tip = model.tip(theta, known)
+        tip = model.tip(theta, known)[0]
         if point == "ee":
-            return np.asarray(tip[0])
-        return np.asarray(model.tool(theta, _with(known, dict(zip(point_signals("ee"), tip[0].T, strict=True))))[0])
-
-    def put(key: tuple[str, str], now: Array) -> None:
-        nonlocal last
-        moves[key] = now - last
-        last = now
+            return np.asarray(tip)
+        return np.asarray(model.tool(theta, _with(known, dict(zip(point_signals("ee"), tip.T, strict=True))))[0])
 
     if point == "tool":
-        put(("tool", "tool"), np.asarray(model.tool(theta, recording)[0]))
-    put(("end_effector", "ee"), predicted(recording))
+        yield ("tool", "tool"), np.asarray(model.tool(theta, recording)[0])
+    yield ("end_effector", "ee"), predicted(recording)
     known = recording
-    for axis in model.machine.axes:
-        joint = axis_signal(axis.name, "joint")
-        if axis.drives == "cylinder" and axis.name in model.linked and _any(recording, axis.driven, joint):
-            known = _with(known, {joint: model.joint(theta, recording, axis.name)[0]})
-            put(("joint", axis.name), predicted(known))
-    for axis in model.machine.axes:
-        joint = axis_signal(axis.name, "joint")
+    for name, driven in linked.items():
+        known = _with(known, {axis_signal(name, "joint"): driven})
+        yield ("joint", name), predicted(known)
+    for name in model.machine.axis_names:
+        joint = axis_signal(name, "joint")
         known = _with(known, {joint: run[joint].to_numpy(dtype=np.float64)})
-        put(("command", axis.name), predicted(known))
-    return moves
+        yield ("command", name), predicted(known)
 
 
 def _with(recording: Recording, columns: dict[str, Array]) -> Recording:
     return replace(recording, table=recording.table.assign(**columns))
 
 
-def _any(recording: Recording, *signals: str) -> bool:
+def _are_measured(recording: Recording, *signals: str) -> bool:
     there = np.all([np.isfinite(recording.values(name)) for name in signals], axis=0)
     return bool(there.sum() >= MIN_SHARE_ROWS)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -55,7 +55,25 @@ class Purpose(Strict):
 
 
 @dataclass(frozen=True)
-class Experiment:
+class _Specification(Strict):
+    """What an experiment and its TOML file have in common."""
+
+    name: str
+    machine: str
+    motion: str
+    about: str
+    axes: tuple[str, ...]
+    rate_hz: float
+    repeats: int
+    start: Mapping[str, float]
+    limits: Limits
+    predicted: Limits
+    purposes: tuple[Purpose, ...]
+    provenance: Mapping[str, str | int]
+
+
+@dataclass(frozen=True)
+class Experiment(_Specification):
     """One recording to make.
 
     Args:
@@ -72,18 +90,6 @@ class Experiment:
             ``<axis>.joint`` is the path for a position controller, and its command is the force expected for that path.
     """
 
-    name: str
-    machine: str
-    motion: str
-    about: str
-    axes: tuple[str, ...]
-    rate_hz: float
-    repeats: int
-    start: Mapping[str, float]
-    limits: Limits
-    predicted: Limits
-    purposes: tuple[Purpose, ...]
-    provenance: Mapping[str, str | int]
     commands: pd.DataFrame = field(compare=False)
 
     @property
@@ -111,25 +117,13 @@ def outside(table: pd.DataFrame, limits: Limits) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _File(Strict):
+class _File(_Specification):
     """The keys of the TOML file."""
 
     schema: Literal[1]
-    name: str
-    machine: str
-    motion: str
-    about: str
-    axes: tuple[str, ...]
     seconds: float
-    rate_hz: float
-    repeats: int
     commands: str
     commands_sha256: str
-    start: dict[str, float]
-    limits: dict[str, tuple[float, float]]
-    predicted: dict[str, tuple[float, float]]
-    purposes: tuple[Purpose, ...]
-    provenance: dict[str, str | int]
 
 
 def write_experiment(folder: Path, experiment: Experiment) -> Path:
@@ -169,10 +163,7 @@ def read_experiment(path: Path, machine: Machine | None = None) -> Experiment:
     _check_commands(commands, file, where)
     if machine is not None:
         _check_machine(commands, file, machine, path)
-    return Experiment(
-        file.name, file.machine, file.motion, file.about, file.axes, file.rate_hz, file.repeats, file.start, file.limits,
-        file.predicted, file.purposes, file.provenance, commands,
-    )  # fmt: skip
+    return Experiment(**{each.name: getattr(file, each.name) for each in fields(_Specification)}, commands=commands)
 
 
 def _check_commands(commands: pd.DataFrame, file: _File, where: Path) -> None:

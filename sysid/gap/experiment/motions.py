@@ -42,7 +42,7 @@ class FeasibleSet:
         home: median position of the recordings, within the range.
         max_speed: speed of the driven signal at full level [m/s or rad/s].
         max_acceleration: from the recordings [m/s² or rad/s²]; infinite where it is no limit (valves, servos).
-        command: lowest and highest command.
+        command: lowest and highest command: −1 … 1 of a valve, the range of a servo, the largest recorded force.
         joint: range of the joint that a cylinder moves [rad], less the margin; None where it is not known.
     """
 
@@ -92,10 +92,16 @@ def feasible_set_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], m
     if not low < high:
         return None
     home = float(np.clip(np.median(visited), low, high)) if len(visited) else 0.5 * (low + high)
-    max_speed, max_acceleration = _speed_limits(axis, recordings)
+    if axis.actuation == "velocity":
+        return FeasibleSet(axis, low, high, home, axis.gain, np.inf, (-1.0, 1.0), joint)
+    speed, acceleration = _usual_motion(axis, recordings)
     if axis.follows_positions:
-        max_speed = max(max_speed, MIN_SERVO_SPEED * (high - low))
-    return FeasibleSet(axis, low, high, home, max_speed, max_acceleration, _command_limits(axis, recordings, low, high), joint)
+        max_speed = max(speed, 1e-9, MIN_SERVO_SPEED * (high - low))
+        return FeasibleSet(axis, low, high, home, max_speed, np.inf, (low, high), joint)
+    largest = float(np.max(np.abs(_values(recordings, axis_signal(axis.name, "command"))), initial=0.0))
+    # The friction force is largest at the highest speed, the inertial force at a reversal; a trapezoid contains both.
+    max_speed, max_acceleration = max(0.8 * speed, 1e-9), max(0.5 * acceleration, 1e-9)
+    return FeasibleSet(axis, low, high, home, max_speed, max_acceleration, (-largest, largest), joint)
 
 
 def limits_of(feasible_sets: Sequence[FeasibleSet]) -> Limits:
@@ -120,10 +126,8 @@ def _less_margin(low: float, high: float, margin: float) -> tuple[float, float]:
     return low + slack, high - slack
 
 
-def _speed_limits(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
-    """(speed, acceleration): of a valve from its description, else the 99th percentile in the recordings, over 50 ms."""
-    if axis.actuation == "velocity":
-        return axis.gain, np.inf
+def _usual_motion(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
+    """(speed, acceleration) of the driven signal, else of the command: 99th percentiles in the recordings, over 50 ms."""
     speeds, rises = [np.zeros(1)], [np.zeros(1)]
     for recording in recordings:
         values = recording.values(axis.driven)
@@ -135,22 +139,7 @@ def _speed_limits(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, f
             speed = (path[width:] - path[:-width]) * recording.rate_hz / width
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
-    max_speed, max_acceleration = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
-    if axis.follows_positions:
-        return max(max_speed, 1e-9), np.inf
-    # The friction force is largest at the highest speed, the inertial force at a reversal; a trapezoid contains both.
-    return max(0.8 * max_speed, 1e-9), max(0.5 * max_acceleration, 1e-9)
-
-
-def _command_limits(axis: Axis, recordings: Sequence[Recording], low: float, high: float) -> tuple[float, float]:
-    """Valve: −1 … 1; servo: its range; force axis: the largest recorded force."""
-    if axis.actuation == "velocity":
-        return -1.0, 1.0
-    if axis.follows_positions:
-        return low, high
-    forces = np.abs(_values(recordings, axis_signal(axis.name, "command")))
-    largest = float(np.max(forces, initial=0.0))
-    return -largest, largest
+    return float(np.percentile(np.concatenate(speeds), 99)), float(np.percentile(np.concatenate(rises), 99))
 
 
 # -- motions --------------------------------------------------------------------------------------------------------------
