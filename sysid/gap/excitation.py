@@ -94,6 +94,11 @@ def axis_of(target: str, machine: Machine) -> str | None:
     return owner if owner in machine.axis_names else None
 
 
+def measured_signals(recordings: Sequence[Recording]) -> frozenset[str]:
+    """Signals with a value in any of the recordings."""
+    return frozenset(s for r in recordings for s in r.signals if not np.isnan(r.values(s)).all())
+
+
 @dataclass(frozen=True)
 class _Travel:
     """Travel of an axis.
@@ -147,13 +152,13 @@ def advice(item: Excitation, machine: Machine) -> str:
             f"its sensors is identifiable. Record {axis} moving over its range in both directions."
         )
     have = f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
-    return f"{_title(item.name, item.target, machine)}: {have}. {_advice(item.name, item.target)}"
+    return f"{_title(item.name, item.target, machine)}: {have}. {recording_for(item.name, item.target)}"
 
 
 def advice_on_tie(tie: Sequence[tuple[str, str]], machine: Machine) -> str:
     """The recordings that would distinguish effects that fit equally well: those that excite each of them."""
     names = " or ".join(_title(name, target, machine) for name, target in tie)
-    recordings = dict.fromkeys(_advice(name, target) for name, target in tie)
+    recordings = dict.fromkeys(recording_for(name, target) for name, target in tie)
     return f"{names} cannot be distinguished. {' '.join(recordings)}"
 
 
@@ -162,7 +167,8 @@ def _title(name: str, target: str, machine: Machine) -> str:
     return f"{title_of(effect_named(name), axis_of(target, machine) or target, machine)} of {target}"
 
 
-def _advice(name: str, target: str) -> str:
+def recording_for(name: str, target: str) -> str:
+    """The recording that excites an effect at a target."""
     return effect_named(name).need.advice.format(axis=target)
 
 

@@ -143,16 +143,18 @@ def first_promotion(registry: Registry, version: str) -> ModelVersion:
     """The promoted version before the first repair is evaluated; if there is none, the plant under test is promoted."""
     name = version.partition("@")[0]
     until_now = registry.promoted(name)
-    if until_now is None:
-        try:
-            by = {"by": "sysid gap", "as": "questioned before any repair"}
-            first = PromotionDecision(True, "", (), judged=by, decided_ms=now_ms())
-            return registry.promote(version, instead_of=None, decision=first)
-        except StoreError:
-            until_now = registry.promoted(name)
-            if until_now is None:
-                raise
-    return until_now
+    if until_now is not None:
+        return until_now
+    first = PromotionDecision(
+        True, "", (), judged={"by": "sysid gap", "as": "questioned before any repair"}, decided_ms=now_ms()
+    )
+    try:
+        return registry.promote(version, instead_of=None, decision=first)
+    except StoreError:
+        until_now = registry.promoted(name)  # another process may have been first
+        if until_now is None:
+            raise
+        return until_now
 
 
 def _unit(units: Mapping[str, str], signal: str) -> str:

@@ -147,12 +147,7 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
     if not beyond:
         open_ = "" if disagrees else next((item.open for item in agreement if item.open), "")
         return f"What can be compared agrees to within sensor noise, but {open_}." if open_ else found
-
-    def size_of(pair: tuple[Agreement, float]) -> tuple[bool, float]:
-        floors = pair[0].floors(pair[1])
-        return pair[0].is_away(pair[1]), floors if math.isfinite(floors) else math.inf
-
-    item, error = max(beyond, key=size_of)
+    item, error = max(beyond, key=lambda pair: _severity(*pair))
     size = quantity(error, item.unit) if math.isfinite(error) else "without end"
     size += f" in {item.recording}" if item.recording else ""
     if item.is_away(error):
@@ -164,6 +159,11 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
         f"{'With the repair, ' if repaired else ''}{item.signal} is off by {size}, {ratio(item.floors(error))} its noise floor."
     )
     return f"{found} {text}"
+
+
+def _severity(item: Agreement, error: float) -> tuple[bool, float]:
+    floors = item.floors(error)
+    return item.is_away(error), floors if math.isfinite(floors) else math.inf
 
 
 # -- responses ----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import unmet_need
 from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
-from sysid.gap.excitation import advice, excitation_at, excitation_of
+from sysid.gap.excitation import advice, excitation_at, excitation_of, measured_signals, recording_for
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import EffectKey, Machine
@@ -160,7 +160,7 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
 
 def _counted(item: Excitation, stage: str, side: str | None, machine: Machine) -> ExcitationVerdict:
     status: VerdictStatus = "ready" if item.sufficient else "lacking"
-    text, wanted = advice(item, machine), effect_named(item.name).need.advice.format(axis=item.target)
+    text, wanted = advice(item, machine), recording_for(item.name, item.target)
     if item.sufficient:
         text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
     return ExcitationVerdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
@@ -169,7 +169,8 @@ def _counted(item: Excitation, stage: str, side: str | None, machine: Machine) -
 def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
     """Measured signals of drives and joints."""
     names = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
-    return [name for name in names if any(not np.isnan(r.values(name)).all() for r in recordings)]
+    measured = measured_signals(recordings)
+    return [name for name in names if name in measured]
 
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, sensors: Sequence[str]) -> Iterator[tuple[str, str | None]]:
@@ -196,7 +197,7 @@ class _Reasons:
 
     def __init__(self, dataset: Dataset, model: Model, aliases: Mapping[tuple[str, str], tuple[str, str]]) -> None:
         self.machine, self.model, self.aliases = model.machine, model, aliases
-        self.measured = {s for r in dataset.recordings for s in r.signals if not np.isnan(r.values(s)).all()}
+        self.measured = measured_signals(dataset.recordings)
 
     def hidden(self, effect: Effect, target: str, side: str | None) -> ExcitationVerdict:
         stage = self._stage(effect, target, side)

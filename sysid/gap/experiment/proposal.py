@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import pump_flow_limit
 from sysid.gap.case import Case
 from sysid.gap.data import Data
-from sysid.gap.excitation import excitation_of
+from sysid.gap.excitation import excitation_of, measured_signals
 from sysid.gap.experiment.excitation_signal import ExcitationSignal, design_excitation, simulate_recording
 from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
 from sysid.gap.experiment.motions import MOTIONS, FeasibleSet, MotionPattern, feasible_set_of, limits_of
@@ -154,7 +154,7 @@ class Planner:
         self.feasible_sets: list[FeasibleSet] = [feasible for feasible in feasible_sets if feasible is not None]
         self.limits = {**limits_of(self.feasible_sets), **settings.fence}
         self.rate_hz = case.split.seen[0].rate_hz
-        self.measured = frozenset(s for r in recordings for s in r.signals if not np.isnan(r.values(s)).all())
+        self.measured = measured_signals(recordings)
         samples = repaired.sample(settings.samples, case.seed) if settings.samples else ()
         self._thetas: list[Array] = [self.model.theta, *samples]
         self._excitations: dict[tuple[str, tuple[int, ...], float], ExcitationSignal | None] = {}
