@@ -1,8 +1,8 @@
-"""Disagreement of a simulation with recordings: errors of stages and free runs, localised, held out, and in the PyBullet world.
+"""Disagreement of a simulation with recordings: errors of stages and free runs, where they arise, and how a repair closes them.
 
-The driven joints of the world follow the compiled chain; tip and tool come from the bodies, as in training. The gripper is a
-point mass, as in the equation of ``gripper_sway`` (difference to a rigid one: ``docs/world.md``), and the ground lies deep,
-since a compiled plant has none.
+In the PyBullet world, the held-out commands move rigid bodies, before and after the repair. Driven joints follow the compiled
+chain; tip and tool come from the bodies, as in training. The gripper is a point mass, as in the equation of ``gripper_sway``
+(difference to a rigid one: ``docs/world.md``), and the ground lies deep, since a compiled plant has none.
 """
 
 from __future__ import annotations

@@ -215,27 +215,26 @@ class _Reasons:
     def _missing(self, stage: str, target: str) -> str:
         """Signals or descriptions that the stage lacks; empty if none."""
         machine = self.machine
-        if stage in ("command", "force"):
-            axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
-            return self._not_measured([signal for axis in axes for signal in (axis_signal(axis.name, "command"), axis.driven)])
-        if stage == "joint":
-            missing = self._not_measured([axis_signal(target, "cylinder"), axis_signal(target, "joint")])
-            unlinked = (
-                f"how the cylinder of {target} moves the joint is not known: a linkage in machine.toml, or sysid fit actuator"
-            )
-            return missing or ("" if target in self.model.linked else unlinked)
         if stage == "sensor":
             owner = split_signal(target)[0]
             return self._missing("joint", owner) if owner in machine.axis_names and target.endswith(".cylinder") else ""
-        if stage == "links":
-            return self._not_measured([axis_signal(name, part) for name in machine.axis_names for part in ("command", "joint")])
-        if stage not in ("end_effector", "tool"):
-            return ""
-        if machine.kinematics() is None:
+        if stage in ("end_effector", "tool") and machine.kinematics() is None:
             return "machine.toml names no URDF"
-        if stage == "tool":
-            return self._not_measured([*point_signals("ee"), *point_signals("tool")])
-        return self._not_measured([*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")])
+        axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
+        driven = [signal for axis in axes for signal in (axis_signal(axis.name, "command"), axis.driven)]
+        needed = {
+            "command": driven,
+            "force": driven,
+            "joint": [axis_signal(target, "cylinder"), axis_signal(target, "joint")],
+            "links": [axis_signal(name, part) for name in machine.axis_names for part in ("command", "joint")],
+            "end_effector": [*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")],
+            "tool": [*point_signals("ee"), *point_signals("tool")],
+        }
+        missing = self._not_measured(needed.get(stage, []))
+        if not missing and stage == "joint" and target not in self.model.linked:
+            known = "a linkage in machine.toml, or sysid fit actuator"
+            return f"how the cylinder of {target} moves the joint is not known: {known}"
+        return missing
 
     def _not_measured(self, signals: Sequence[str]) -> str:
         missing = list(dict.fromkeys(signal for signal in signals if signal not in self.measured))
