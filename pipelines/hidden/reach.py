@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.datasets import ingest
-from sysid.gap.gap_by_stage import stage_gap
-from sysid.gap.localise import run_rmse
+from sysid.gap.disagreement import run_rmse, stage_gap
 from sysid.gap.prepare.case import open_case
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant, free_run, nominal_plant

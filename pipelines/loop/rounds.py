@@ -18,9 +18,7 @@ from loop.recording import ingest_flights
 from loop.sealed import SealedMachine
 from sysid.datasets import Dataset
 from sysid.gap import GapResult, find_gap
-from sysid.gap.experiment import Planning
-from sysid.gap.experiment.experiment import Experiment
-from sysid.gap.experiment.file import write_experiment
+from sysid.gap.experiment import Experiment, Planning, write_experiment
 from sysid.machine import load_machine
 from sysid.plant import Plant, nominal_plant, plant_from_files
 from sysid.workspace import Workspace, open_workspace

@@ -74,7 +74,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
     from sysid.display import quantity
-    from sysid.gap.sentences import order_sentence
+    from sysid.gap.statement import order_sentence
 
     def change(ends: tuple[float, float]) -> str:
         texts = [quantity(value, "s") for value in ends]

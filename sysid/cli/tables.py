@@ -178,7 +178,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
         verbose: every near miss and next step, at full length.
     """
     from sysid.cli import gap_tables
-    from sysid.gap.sentences import response_sentences
+    from sysid.gap.statement import response_sentences
     from sysid.names import listed
     from sysid.reports.effect_units import shown_parameters
     from sysid.reports.words import effect_place, effect_sentence
@@ -210,7 +210,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
 def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """What the machine's description contains beyond the simulation."""
     from sysid.cli import gap_tables
-    from sysid.gap.sentences import left_out_sentence
+    from sysid.gap.statement import left_out_sentence
 
     sentence = left_out_sentence(dataset.machine.left_out)
     if sentence in result.notes:
@@ -220,7 +220,7 @@ def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_missing(out: Printer, result: GapResult) -> None:
     """What follows the decision and could not be computed."""
     from sysid.cli import gap_tables
-    from sysid.gap.sentences import missing_sentences
+    from sysid.gap.statement import missing_sentences
 
     for sentence in missing_sentences(result.missing):
         gap_tables.entry(out, sentence)

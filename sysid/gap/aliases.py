@@ -50,27 +50,23 @@ def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candi
     if len(single) < 2 or not model.posed:
         return list(candidates)
     poses = _poses(model.machine.axes)
-    directions = np.array([_response(model, poses, candidate.unknowns[0]) for candidate in single])
-    order = sorted(range(len(single)), key=lambda k: (ORDER.index(single[k].effect.name), k))
-    merged: dict[int, list[int]] = {}
-    for k in order:
-        for first in merged:
-            cosine = float(directions[k] @ directions[first])
-            if 1.0 - cosine**2 < MAX_SINE**2:
-                merged[first].append(k)
-                break
+    responses = {id(candidate): _response(model, poses, candidate.unknowns[0]) for candidate in single}
+    aliases: dict[int, list[tuple[str, str]]] = {}  # of the preferred candidates
+    for candidate in sorted(single, key=lambda c: ORDER.index(c.effect.name)):
+        response = responses[id(candidate)]
+        same = [first for first in aliases if 1.0 - float(response @ responses[first]) ** 2 < MAX_SINE**2]
+        if same:
+            aliases[same[0]].append((candidate.effect.name, candidate.target))
         else:
-            merged[k] = []
+            aliases[id(candidate)] = []
+    by_place = {(c.effect.name, c.target): responses[id(c)] for c in single}
     found = []
     for candidate in candidates:
-        at = next((k for k, c in enumerate(single) if c is candidate), None)
-        if at is None:
-            found.append(candidate)
-        elif at in merged:
-            aliases = tuple((single[k].effect.name, single[k].target) for k in merged[at])
-            found.append(replace(candidate, aliases=aliases) if aliases else candidate)
-    responses = {(c.effect.name, c.target): response for c, response in zip(single, directions, strict=True)}
-    return [_with_special_cases(candidate, responses, model, poses) for candidate in found]
+        if id(candidate) in responses and id(candidate) not in aliases:
+            continue
+        own = tuple(aliases.get(id(candidate), ()))
+        found.append(_with_special_cases(replace(candidate, aliases=own) if own else candidate, by_place, model, poses))
+    return found
 
 
 def without_servo_aliases(candidates: Sequence[Candidate], machine: Machine, spins: bool) -> list[Candidate]:

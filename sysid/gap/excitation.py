@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from sysid.datasets.quality import noise_of, use
 from sysid.datasets.quality.noise import is_still
-from sysid.datasets.quality.use import level_of
 from sysid.datasets.recording import Recording
 from sysid.effects import Effect, effect_named
 from sysid.effects.wording import title_of
@@ -27,8 +26,10 @@ from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
+#: (recordings, machine, target) → count.
 Count = Callable[[Sequence[Recording], Machine, str], float]
-
+#: (recording, machine, target) → rows that count.
+Condition = Callable[[Recording, Machine, str], Rows]
 
 #: An axis moved if it covered this share of its limits [%] and this multiple of its sensor noise (standard deviation); in a
 #: recording of motion this share of the outermost readings on either side does not count.
@@ -54,14 +55,12 @@ def excitation_at(effect: Effect, target: str, recordings: Sequence[Recording], 
     travel = _travel(recordings, machine, axis) if axis is not None else None
     if travel is not None and travel.short is not None:
         return Excitation(effect.name, target, False, *travel.short)
-    need = effect.need
-    count, unit = COUNTS[need.count]
-    if need.count == "signal_travel" and axis is not None and all(r.kind == "poses" for r in recordings):
-        count, unit = COUNTS["joint_coverage"]  # of a sensor that is read at rest
-        have = count(recordings, machine, axis)
-        return Excitation(effect.name, target, have >= OF_RANGE, float(have), OF_RANGE, unit)
-    have = count(recordings, machine, target)
-    return Excitation(effect.name, target, have >= need.least, float(have), float(need.least), unit)
+    need, place, least = effect.need.count, target, float(effect.need.least)
+    if need == "signal_travel" and axis is not None and all(r.kind == "poses" for r in recordings):
+        need, place, least = "joint_coverage", axis, OF_RANGE  # of a sensor that is read at rest
+    count, unit = COUNTS[need]
+    have = float(count(recordings, machine, place))
+    return Excitation(effect.name, target, have >= least, have, least, unit)
 
 
 def moved(recordings: Sequence[Recording], machine: Machine, axis: str) -> bool:
@@ -93,6 +92,11 @@ def axis_of(target: str, machine: Machine) -> str | None:
     """The axis of a target (an axis or one of its signals); None for all others."""
     owner = target if target in machine.axis_names else split_signal(target)[0]
     return owner if owner in machine.axis_names else None
+
+
+def measured_signals(recordings: Sequence[Recording]) -> frozenset[str]:
+    """Signals with a value in any of the recordings."""
+    return frozenset(s for r in recordings for s in r.signals if not np.isnan(r.values(s)).all())
 
 
 @dataclass(frozen=True)
@@ -148,13 +152,13 @@ def advice(item: Excitation, machine: Machine) -> str:
             f"its sensors is identifiable. Record {axis} moving over its range in both directions."
         )
     have = f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
-    return f"{_title(item.name, item.target, machine)}: {have}. {_advice(item.name, item.target)}"
+    return f"{_title(item.name, item.target, machine)}: {have}. {recording_for(item.name, item.target)}"
 
 
 def advice_on_tie(tie: Sequence[tuple[str, str]], machine: Machine) -> str:
     """The recordings that would distinguish effects that fit equally well: those that excite each of them."""
     names = " or ".join(_title(name, target, machine) for name, target in tie)
-    recordings = dict.fromkeys(_advice(name, target) for name, target in tie)
+    recordings = dict.fromkeys(recording_for(name, target) for name, target in tie)
     return f"{names} cannot be distinguished. {' '.join(recordings)}"
 
 
@@ -163,11 +167,15 @@ def _title(name: str, target: str, machine: Machine) -> str:
     return f"{title_of(effect_named(name), axis_of(target, machine) or target, machine)} of {target}"
 
 
-def _advice(name: str, target: str) -> str:
+def recording_for(name: str, target: str) -> str:
+    """The recording that excites an effect at a target."""
     return effect_named(name).need.advice.format(axis=target)
 
 
-def reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+# -- counts ---------------------------------------------------------------------------------------------------------------
+
+
+def _reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Changes of direction of the joint (of the driven signal where no joint is measured), beyond travel and noise."""
     total = 0
     for recording in recordings:
@@ -180,79 +188,33 @@ def reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> f
     return total
 
 
-def command_changes(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+def _command_changes(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Starts, stops and reversals of the command, or its turning points where it never comes to rest."""
     return sum(use.command_changes(r.values(axis_signal(axis, "command"))) for r in recordings)
 
 
-def small_commands(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds with a small command (between 2 % and 40 % of full), on the side with less of it."""
-    low, high = use.SMALL
-
-    def small(recording: Recording, sign: float) -> Rows:
-        u = sign * recording.values(axis_signal(axis, "command"))
-        return (u > low) & (u < high)
-
-    return min(_seconds(recordings, lambda r: small(r, 1.0)), _seconds(recordings, lambda r: small(r, -1.0)))
-
-
-def motion_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds of command on the side with less of it."""
-    return min(_seconds(recordings, lambda r: _level(r, axis) > 0), _seconds(recordings, lambda r: _level(r, axis) < 0))
-
-
-def moved_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+def _moved_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of motion in the direction with less of it: under a weight, a force keeps its sign where the motion turns."""
-    speeds = [_speed(r, machine.axis(axis).driven) for r in recordings]
-    fast = np.concatenate([np.abs(v) for v in speeds if v is not None] or [np.zeros(1)])
-    least = SLOW * float(np.percentile(fast, 95))
-    both = [(r.rate_hz, v) for r, v in zip(recordings, speeds, strict=True) if v is not None]
-    return min(sum(float(np.sum(sign * v > least)) / rate for rate, v in both) for sign in (1.0, -1.0))
+    signal = machine.axis(axis).driven
+    moving = [r for r in recordings if r.kind == "motion" and np.count_nonzero(~np.isnan(r.values(signal))) >= 2]
+    speeds = [smooth_motion(r.values(signal), r.rate_hz)[1] for r in moving]
+    least = SLOW * float(np.percentile(np.abs(np.concatenate(speeds or [np.zeros(1)])), 95))
+    pairs = list(zip(moving, speeds, strict=True))
+    return min(sum(float(np.sum(sign * speed > least)) / r.rate_hz for r, speed in pairs) for sign in (1.0, -1.0))
 
 
-def _speed(recording: Recording, signal: str) -> Array | None:
-    values = recording.values(signal)
-    if recording.kind != "motion" or np.count_nonzero(~np.isnan(values)) < 2:
-        return None
-    return smooth_motion(values, recording.rate_hz)[1]
-
-
-def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds of command in either direction."""
-    return _seconds(recordings, lambda r: _level(r, axis) != 0)
-
-
-def any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
-    """Seconds in which any axis is commanded."""
-    return _seconds(recordings, lambda r: _any_moves(r, machine))
-
-
-def longest(count: Count) -> Count:
-    """The count in the recording with most of it."""
-    return lambda recordings, machine, target: max((count((r,), machine, target) for r in recordings), default=0.0)
-
-
-def together(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
-    """Seconds in which at least two axes are commanded beyond a third of their largest command."""
-
-    def two_at_large_commands(recording: Recording) -> Rows:
-        levels = [np.abs(np.nan_to_num(recording.values(axis_signal(a.name, "command")))) for a in machine.axes]
-        high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
-        return np.asarray(np.sum(high, axis=0) >= 2)
-
-    return _seconds(recordings, two_at_large_commands)
-
-
-def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+def _load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    i = machine.axis_names.index(axis)
-    return _change(np.concatenate([gravity_load(machine, r)[:, i] for r in recordings]))
+    return _change(_loads(recordings, machine, axis))
 
 
-def weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+def _weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the magnitude of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    i = machine.axis_names.index(axis)
-    return _change(np.concatenate([np.abs(gravity_load(machine, r)[:, i]) for r in recordings]))
+    return _change(np.abs(_loads(recordings, machine, axis)))
+
+
+def _loads(recordings: Sequence[Recording], machine: Machine, axis: str) -> Array:
+    return np.concatenate([gravity_load(machine, r)[:, machine.axis_names.index(axis)] for r in recordings])
 
 
 def _change(values: Array) -> float:
@@ -265,17 +227,7 @@ def _change(values: Array) -> float:
     return 100.0 * float(high - low) / largest
 
 
-def signal_travel(recordings: Sequence[Recording], machine: Machine, signal: str) -> float:
-    """Seconds in which the signal is measured and the machine moves."""
-    return _seconds(recordings, lambda r: ~np.isnan(r.values(signal)) & _any_moves(r, machine))
-
-
-def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds with the command at zero."""
-    return _seconds(recordings, lambda r: _level(r, axis) == 0)
-
-
-def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+def _joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Visited share of the joint's range [%]; for base and tip, the least over all axes."""
     axes = machine.axis_names if axis in ("base", "ee") else (axis,)
     shares = []
@@ -288,48 +240,78 @@ def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str)
     return min(shares)
 
 
-def tip_stops(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds in which the boom tip moves."""
-
-    def moves(recording: Recording) -> Rows:
-        ee = np.column_stack([recording.values(s) for s in point_signals("ee")])
-        stride = max(1, round(0.2 * recording.rate_hz))
-        return np.asarray(np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2 > 0.02)
-
-    return _seconds(recordings, moves)
+def _seconds(condition: Condition) -> Count:
+    """Duration of the rows that meet a condition, over all recordings [s]."""
+    return lambda recordings, machine, target: sum(float(np.sum(condition(r, machine, target))) / r.rate_hz for r in recordings)
 
 
-def _seconds(recordings: Sequence[Recording], rows: Callable[[Recording], Rows]) -> float:
-    """Duration of the rows of a condition, over all recordings [s]."""
-    return sum(float(np.sum(rows(r))) / r.rate_hz for r in recordings)
+def _longest(count: Count) -> Count:
+    """The count in the recording with most of it."""
+    return lambda recordings, machine, target: max((count((r,), machine, target) for r in recordings), default=0.0)
 
 
-def _any_moves(recording: Recording, machine: Machine) -> Rows:
-    return np.asarray(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))
+def _least(one: Count, other: Count) -> Count:
+    """The smaller of two counts."""
+    return lambda recordings, machine, target: min(one(recordings, machine, target), other(recordings, machine, target))
 
 
 def _level(recording: Recording, axis: str) -> Array:
     """The command as −1, 0, +1."""
-    return level_of(recording.values(axis_signal(axis, "command")))
+    return use.level_of(recording.values(axis_signal(axis, "command")))
 
+
+def _is_small(recording: Recording, axis: str, sign: float) -> Rows:
+    """Whether the command on one side is between 2 % and 40 % of full."""
+    low, high = use.SMALL
+    u = sign * recording.values(axis_signal(axis, "command"))
+    return (u > low) & (u < high)
+
+
+def _any_moves(recording: Recording, machine: Machine, target: str) -> Rows:
+    """Whether any axis is commanded."""
+    return np.asarray(np.any([_level(recording, axis) != 0 for axis in machine.axis_names], axis=0))
+
+
+def _two_at_large_commands(recording: Recording, machine: Machine, target: str) -> Rows:
+    """Whether at least two axes are commanded beyond a third of their largest command."""
+    levels = [np.abs(np.nan_to_num(recording.values(axis_signal(axis, "command")))) for axis in machine.axis_names]
+    high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
+    return np.asarray(np.sum(high, axis=0) >= 2)
+
+
+def _tip_moves(recording: Recording, machine: Machine, target: str) -> Rows:
+    """Whether the boom tip moves by more than 0.02 m/s over 0.2 s."""
+    ee = np.column_stack([recording.values(s) for s in point_signals("ee")])
+    stride = max(1, round(0.2 * recording.rate_hz))
+    return np.asarray(np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2 > 0.02)
+
+
+_MOTION: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) != 0)
+_FORWARD: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) > 0)
+_BACKWARD: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) < 0)
+_REST: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) == 0)
+_SMALL_FORWARD: Count = _seconds(lambda recording, machine, axis: _is_small(recording, axis, 1.0))
+_SMALL_BACKWARD: Count = _seconds(lambda recording, machine, axis: _is_small(recording, axis, -1.0))
+_ANY_MOTION: Count = _seconds(_any_moves)
+_MEASURED_MOTION: Count = _seconds(lambda r, machine, signal: ~np.isnan(r.values(signal)) & _any_moves(r, machine, signal))
 
 #: Counts that an effect may need (:class:`sysid.effects.Need`): function and unit.
 COUNTS: dict[str, tuple[Count, str]] = {
-    "command_changes": (command_changes, "command changes"),
-    "force_changes": (command_changes, "force changes"),
-    "small_commands": (small_commands, "s of small commands on each side"),
-    "motion": (motion, "s of motion"),
-    "longest_motion": (longest(motion), "s of motion in one recording"),
-    "any_motion": (any_motion, "s of motion of any axis"),
-    "longest_any_motion": (longest(any_motion), "s of motion of any axis in one recording"),
-    "motion_both_ways": (motion_both_ways, "s of motion in each direction"),
-    "force_both_ways": (moved_both_ways, "s of motion in each direction"),
-    "together": (together, "s of two axes at large commands"),
-    "rest": (rest, "s at rest"),
-    "reversals": (reversals, "reversals"),
-    "load_change": (load_change, "% change of the gravity load"),
-    "weight_change": (weight_change, "% change of the magnitude of the gravity load"),
-    "joint_coverage": (joint_coverage, "% of the joint range"),
-    "signal_travel": (signal_travel, "s of motion while it is measured"),
-    "tip_stops": (tip_stops, "s of tip motion"),
+    "command_changes": (_command_changes, "command changes"),
+    "force_changes": (_command_changes, "force changes"),
+    "small_commands": (_least(_SMALL_FORWARD, _SMALL_BACKWARD), "s of small commands on each side"),
+    "motion": (_MOTION, "s of motion"),
+    "longest_motion": (_longest(_MOTION), "s of motion in one recording"),
+    "any_motion": (_ANY_MOTION, "s of motion of any axis"),
+    "longest_any_motion": (_longest(_ANY_MOTION), "s of motion of any axis in one recording"),
+    "motion_both_ways": (_least(_FORWARD, _BACKWARD), "s of motion in each direction"),
+    "force_both_ways": (_moved_both_ways, "s of motion in each direction"),
+    "together": (_seconds(_two_at_large_commands), "s of two axes at large commands"),
+    "rest": (_REST, "s at rest"),
+    "reversals": (_reversals, "reversals"),
+    "load_change": (_load_change, "% change of the gravity load"),
+    "weight_change": (_weight_change, "% change of the magnitude of the gravity load"),
+    "joint_coverage": (_joint_coverage, "% of the joint range"),
+    "signal_travel": (_MEASURED_MOTION, "s of motion while it is measured"),
+    "tip_stops": (_seconds(_tip_moves), "s of tip motion"),
 }

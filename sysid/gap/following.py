@@ -15,11 +15,10 @@ from typing import Any
 
 from sysid.errors import ExcitationError, SysidError
 from sysid.gap import steps
+from sysid.gap.breakdown import maps_of, shares_of
 from sysid.gap.experiment import Planning, open_hypotheses, propose
-from sysid.gap.maps import maps_of
-from sysid.gap.result import Excitation, GapResult, Missing, Unnamed
-from sysid.gap.shares import shares_of
-from sysid.gap.statement import Agreement, Verdict, verdict_of
+from sysid.gap.result import Excitation, GapResult, Unnamed
+from sysid.gap.statement import Agreement, Missing, Verdict, verdict_of
 from sysid.gap.written import axis_delays, with_units, written_effects
 from sysid.plant import compile_plant
 from sysid.progress import Progress, part

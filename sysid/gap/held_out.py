@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.disagreement import stage_rmse
 from sysid.gap.equivalence import equivalent_change
-from sysid.gap.localise import stage_rmse
 from sysid.gap.prepare.case import Stage
 from sysid.gap.thresholds import EXPLAINED
 

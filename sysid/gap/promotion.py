@@ -1,4 +1,4 @@
-"""Promotion of a stored repair: its name refers to it only if the proof on held-out recordings passes.
+"""Lineage and promotion of a stored repair: its name refers to it only if the proof on held-out recordings passes.
 
 A repair is promoted if
 
@@ -14,12 +14,20 @@ The decision is :func:`sysid.registry.decide`, which records it with the version
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 from sysid.errors import StoreError
+from sysid.extras import versions_of
+from sysid.files import plain
+from sysid.gap.prepare.case import Case
+from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap, WorldGap
 from sysid.registry import Check, ModelVersion, PromotionDecision, Registry
 from sysid.registry.decision import now_ms
+from sysid.release import __version__
 
 #: A gap has grown if it exceeds its limit by this many standard deviations of the noise floor.
 STANDARD_DEVIATIONS = 3.0
@@ -27,6 +35,40 @@ STANDARD_DEVIATIONS = 3.0
 MAX_RATIO = 0.98
 #: Allowed difference between the world and the compiled plant: coordinates of tip and tool [m] (``docs/world.md``).
 WORLD_TOLERANCE = {"ee": 1e-6, "tool": 1e-3}
+
+#: Packages that the results of the workflow depend on.
+SOFTWARE = ("numpy", "scipy", "numba", "pandas", "arch")
+
+
+def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Data, settings, evidence and software of a repair as JSON values: the same of a repeated run, and so no new version."""
+    return plain(  # type: ignore[no-any-return]
+        {
+            "dataset_digest": case.dataset.digest,
+            "recordings": {role: [r.name for r in getattr(case.split, role)] for role in ("fit", "select", "held_out")},
+            "seed": case.seed,
+            "settings": {**settings, "noise": dict(case.noise)},
+            "named": [f"{e.name}({e.target})" for e in outcome.named],
+            "effects": [
+                {
+                    "name": e.name,
+                    "target": e.target,
+                    "side": e.side,
+                    "parameters": dict(e.parameters),
+                    "units": dict(e.units),
+                    "interval95": {key: list(ends) for key, ends in e.interval95.items()},
+                    "closed_share": e.gap_share,
+                    "evidence": asdict(e.evidence) if e.evidence is not None else None,
+                }
+                for e in outcome.named
+            ],
+            "ties": outcome.ties,
+            "unnamed_residual": [" of ".join(item.key) for item in outcome.repaired.residuals],
+            "proof": {"gap": asdict(gap), "stage_gap": asdict(stage_gap)},
+            "notes": outcome.notes,
+            "software": {"sysid": __version__, "python": platform.python_version(), **versions_of(SOFTWARE)},
+        }
+    )
 
 
 def names_check(named: Sequence[str], ties: Sequence[Sequence[tuple[str, str]]], carried: Sequence[str] = ()) -> Check:
@@ -101,16 +143,18 @@ def first_promotion(registry: Registry, version: str) -> ModelVersion:
     """The promoted version before the first repair is evaluated; if there is none, the plant under test is promoted."""
     name = version.partition("@")[0]
     until_now = registry.promoted(name)
-    if until_now is None:
-        try:
-            by = {"by": "sysid gap", "as": "questioned before any repair"}
-            first = PromotionDecision(True, "", (), judged=by, decided_ms=now_ms())
-            return registry.promote(version, instead_of=None, decision=first)
-        except StoreError:
-            until_now = registry.promoted(name)
-            if until_now is None:
-                raise
-    return until_now
+    if until_now is not None:
+        return until_now
+    first = PromotionDecision(
+        True, "", (), judged={"by": "sysid gap", "as": "questioned before any repair"}, decided_ms=now_ms()
+    )
+    try:
+        return registry.promote(version, instead_of=None, decision=first)
+    except StoreError:
+        until_now = registry.promoted(name)  # another process may have been first
+        if until_now is None:
+            raise
+        return until_now
 
 
 def _unit(units: Mapping[str, str], signal: str) -> str:

@@ -14,10 +14,10 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import clearly_worse
 from sysid.gap.cross_validation import gain_of_recordings
 from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
+from sysid.gap.disagreement import stage_rmse
 from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
 from sysid.gap.held_out_price import comparisons_without, without_cheap_names
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.localise import stage_rmse
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.prepare.resolution import CoarseSensor

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from sysid.gap.response_difference import ResponseDifference
-from sysid.gap.statement import Agreement, Verdict, headline
+from sysid.gap.statement import Agreement, CommandOrder, Missing, ResponseDifference, Verdict, headline
 from sysid.gap.thresholds import EXPLAINED
-from sysid.machine import Convention
 from sysid.registry.decision import Check as Check
 from sysid.registry.decision import Promotion as Promotion
 
@@ -395,30 +393,6 @@ class Traces:
     after: pd.DataFrame
 
 
-@dataclass(frozen=True)
-class Missing:
-    """A part of a result that follows the decision and could not be computed, and why (:mod:`sysid.gap.following`)."""
-
-    part: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class CommandOrder:
-    """The order of command and sample in the rows of the recordings (:data:`sysid.machine.Convention`).
-
-    Args:
-        stream: of the commands; empty where it is not known.
-        source: ``stated`` in the machine's description, or ``estimated`` from the motion.
-        open_s: length of a dead time that an estimate leaves open [s].
-    """
-
-    stream: str
-    convention: Convention
-    source: Literal["stated", "estimated"]
-    open_s: float
-
-
 #: An error that was not measured.
 NOT_MEASURED = Gap({}, {}, {})
 
@@ -521,7 +495,7 @@ class GapResult:
             "near_misses": [_given(item) for item in self.near_misses],
             "notes": list(self.notes),
             "missing": [asdict(item) for item in self.missing],
-            "convention": {} if self.order is None else {self.order.stream: _without(asdict(self.order), "stream")},
+            "convention": _order_json(self.order),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
             "world_gap": None if self.world_gap is None else _world_json(self.world_gap),
@@ -531,8 +505,10 @@ class GapResult:
         }
 
 
-def _without(values: dict[str, Any], key: str) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if name != key}
+def _order_json(order: CommandOrder | None) -> dict[str, Any]:
+    if order is None:
+        return {}
+    return {order.stream: {"convention": order.convention, "source": order.source, "open_s": order.open_s}}
 
 
 def _given(item: WrittenEffect | NearMissResult) -> dict[str, Any]:

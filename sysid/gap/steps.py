@@ -19,25 +19,22 @@ from typing import TYPE_CHECKING, Any
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.errors import SettingsError
 from sysid.files import plain
-from sysid.gap import localise as disagreement
+from sysid.gap import disagreement
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.adapters.simulator import Simulator
+from sysid.gap.disagreement import agreement, stage_gap, world_gap
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
-from sysid.gap.gap_by_stage import agreement, stage_gap
 from sysid.gap.held_out import held_out_error
-from sysid.gap.lineage import lineage_of
 from sysid.gap.prepare.case import Case, Stage, excitation, held_out_of, open_case, stage_candidates
 from sysid.gap.prepare.noise import floor_spread, run_floors
-from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
+from sysid.gap.promotion import first_promotion, free_run_check, lineage_of, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
-from sysid.gap.response_difference import ResponseDifference, response_differences
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.servo.sag import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
-from sysid.gap.statement import Agreement
+from sysid.gap.statement import Agreement, ResponseDifference, response_differences
 from sysid.gap.tasks.search import SearchTasks
-from sysid.gap.world_proof import world_gap
 from sysid.names import model_name
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE

@@ -39,11 +39,12 @@ def written_effects(
     names = {_key(effect.name, effect.target, effect.side): effect for effect in named}
     why = {_key(miss.name, miss.target, miss.side): miss.lacks for miss in misses} | dict(refused)
     tied = {tie[0] for tie in ties}
-    found = [
-        _written(item, known.get(effect_key(item)), names.get(effect_key(item)), tied, why.get(effect_key(item), ""), after)
-        for item in after.effects
-        if _values(known.get(effect_key(item))) != _values(item)
-    ]
+    found = []
+    for item in after.effects:
+        key = effect_key(item)
+        earlier = dict(known[key].parameters) if key in known else None
+        if earlier != dict(item.parameters):
+            found.append(_written(item, earlier or {}, names.get(key), tied, why.get(key, ""), after))
     return tuple(sorted(found, key=lambda item: _ORDER.index(item.kind)))
 
 
@@ -85,28 +86,22 @@ def near_misses(stage: Stage) -> tuple[NearMissResult, ...]:
     fitted = stage.found.stage_fit
     found = []
     for miss in fitted.decision.near_misses if fitted is not None else ():
-        candidate = miss.candidate
-        name, target, side = candidate.key
-        unknowns = [unknown.key for unknown in candidate.unknowns]
-        nominal = np.array([unknown.nominal for unknown in candidate.unknowns])
+        name, target, side = miss.candidate.key
+        unknowns = miss.candidate.unknowns
         half = Z * miss.deviations
-        values = dict(zip(unknowns, map(float, miss.values), strict=True))
+        values = {u.key: float(value) for u, value in zip(unknowns, miss.values, strict=True)}
         ends = zip(map(float, miss.values - half), map(float, miss.values + half), strict=True)
-        size = np.minimum(np.abs(miss.values - nominal), np.abs(miss.values))
+        interval95 = {u.key: pair for u, pair in zip(unknowns, ends, strict=True)}
+        size = np.minimum(np.abs(miss.values - np.array([u.nominal for u in unknowns])), np.abs(miss.values))
         away = size / np.maximum(miss.deviations, 1e-12)
         distance = float(np.max(np.nan_to_num(away, nan=0.0, posinf=0.0)))
-        found.append(
-            NearMissResult(
-                name, target, stage.label, values, dict(zip(unknowns, ends, strict=True)), distance, miss.lacks, side
-            )
-        )
+        found.append(NearMissResult(name, target, stage.label, values, interval95, distance, miss.lacks, side))
     return tuple(found)
 
 
 def _written(
-    item: KnownEffect, before: KnownEffect | None, name: NamedEffect | None, tied: set[tuple[str, str]], why: str, plant: Plant
+    item: KnownEffect, earlier: dict[str, Any], name: NamedEffect | None, tied: set[tuple[str, str]], why: str, plant: Plant
 ) -> WrittenEffect:
-    earlier = dict(before.parameters) if before is not None else {}
     if name is not None:
         ends = {key: name.interval95[key] for key in name.given}
         return WrittenEffect(item.name, item.target, "named", name.given, earlier, ends, name.gap_share, side=item.side)
@@ -132,10 +127,6 @@ def _intervals(item: KnownEffect, plant: Plant) -> dict[str, tuple[Any, Any]]:
     return {
         key: ends[0] if single[key] else (tuple(a for a, _ in ends), tuple(b for _, b in ends)) for key, ends in found.items()
     }
-
-
-def _values(item: KnownEffect | None) -> dict[str, Any] | None:
-    return None if item is None else dict(item.parameters)
 
 
 def _key(name: str, target: str, side: str | None) -> EffectKey:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import display
+from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult, Traces
-from sysid.gap.worst_row import worst_row
 from sysid.reports.charts import WIDE, ChartCurve, chart
 
 Array = npt.NDArray[np.float64]

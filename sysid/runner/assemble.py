@@ -12,7 +12,7 @@ from sysid.control import lookahead_time, tune
 from sysid.control.input_shaper import InputShaper, input_shaper
 from sysid.control.pendulum import pendulum_of
 from sysid.errors import SettingsError, nearest
-from sysid.gap.experiment.file import read_experiment
+from sysid.gap.experiment import read_experiment
 from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
 from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant

@@ -13,8 +13,8 @@ from sysid.display import interval, quantity
 from sysid.effects import BY_NAME
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
+from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult, NamedEffect
-from sysid.gap.worst_row import worst_row
 from sysid.machine import Machine
 from sysid.view.drawing import TIMELINE, sdk
 

@@ -15,7 +15,7 @@ from sysid.gap import find_gap
 from sysid.gap.experiment import Planning
 from sysid.gap.following import NOT_REACHED, STORED_RESULT, Fields, Following, completed
 from sysid.gap.result import GapResult
-from sysid.gap.sentences import missing_sentences
+from sysid.gap.statement import missing_sentences
 from sysid.machine import KnownEffect
 from sysid.registry import Registry
 from sysid.reports import build_report

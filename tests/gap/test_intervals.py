@@ -11,10 +11,10 @@ from plant_data import arm, dataset_of, nominal
 from sysid.datasets import Dataset
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
+from sysid.gap.disagreement import run_rmse
 from sysid.gap.fit import Fit, fit_candidates, place
 from sysid.gap.intervals import Known, known_of
 from sysid.gap.intervals.shared import FRAMES
-from sysid.gap.localise import run_rmse
 from sysid.gap.prepare.noise import noise_levels, problem_floor, run_floors, with_noise
 from sysid.gap.problem import Problem, drive_problem, problems_of, split_of
 from sysid.machine import KnownEffect

@@ -13,9 +13,9 @@ from sysid.gap import find_gap, steps
 from sysid.gap.data import Data
 from sysid.gap.drift import DriftStrength
 from sysid.gap.experiment import Planning
-from sysid.gap.experiment.information import plausible_model
+from sysid.gap.experiment.excitation_signal import ExcitationSignal
 from sysid.gap.experiment.motions import MOTIONS
-from sysid.gap.experiment.open_hypothesis import OpenHypothesis, relevant_size
+from sysid.gap.experiment.open_hypothesis import OpenHypothesis, plausible_model, relevant_size
 from sysid.gap.experiment.proposal import Planner
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.result import GapResult
@@ -108,5 +108,5 @@ def test_a_motion_whose_start_is_no_number_is_left_out(value: float, monkeypatch
     plant = nominal_plant(dataset.machine)
     planner = Planner(steps.open_study(dataset, plant).case, plant, Planning())
     motion = next(m for m in MOTIONS if planner.excitation(m, (0,), 10.0) is not None)
-    monkeypatch.setattr("sysid.gap.experiment.proposal.start_of", lambda *_: {"a.joint": value})
+    monkeypatch.setattr(ExcitationSignal, "start_values", lambda *_: {"a.joint": value})
     assert planner.excitation(motion, (0,), 20.0) is None

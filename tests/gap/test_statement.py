@@ -14,9 +14,7 @@ from scipy.signal import lfilter
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
-from sysid.gap.response_difference import response_differences
-from sysid.gap.sentences import response_sentences
-from sysid.gap.statement import AGREES, Agreement, FloorSource, headline, verdict_of
+from sysid.gap.statement import AGREES, Agreement, FloorSource, headline, response_differences, response_sentences, verdict_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

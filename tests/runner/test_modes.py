@@ -16,7 +16,7 @@ from sysid.control.input_shaper import ShaperKind, input_shaper
 from sysid.control.pendulum import Pendulum
 from sysid.control.swing_estimator import SwingEstimator
 from sysid.errors import InputError
-from sysid.gap.experiment.experiment import Experiment
+from sysid.gap.experiment import Experiment
 from sysid.rl.paths import Path as Course
 from sysid.rl.paths import circle, eased
 from sysid.runner.command_filter import CommandFilter, outside

@@ -1,7 +1,6 @@
 """Experiment design: recordings that would resolve the open hypotheses of a dataset, as files that can be executed."""
 
-from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside
-from sysid.gap.experiment.file import read_experiment, write_experiment
+from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside, read_experiment, write_experiment
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis, open_hypotheses
 from sysid.gap.experiment.proposal import ExperimentProposal, Planning, dry_run, propose
 

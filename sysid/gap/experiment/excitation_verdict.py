@@ -14,8 +14,7 @@ import numpy as np
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.needs import unmet_need
 from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
-from sysid.gap.candidates import Candidate
-from sysid.gap.excitation import advice, excitation_at, excitation_of
+from sysid.gap.excitation import advice, excitation_at, excitation_of, measured_signals, recording_for
 from sysid.gap.prepare.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
@@ -122,7 +121,7 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
     Args:
         plant: the simulation under test; its knowledge of the machine (linkages) determines which effects can be tested.
     """
-    model, split, notes = compile_plant(plant), split_of(dataset), []
+    model, machine, split, notes = compile_plant(plant), plant.machine, split_of(dataset), []
     need = unmet_need(dataset)
     if need is not None:
         notes.append(need.text)
@@ -143,46 +142,39 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
         for candidate in stage_candidates(case, stage):
             aliases |= dict.fromkeys(candidate.aliases, (candidate.effect.name, candidate.target))
             if candidate.key not in found:  # the same for all forms of an effect
-                found[candidate.key] = _verdict_of(candidate, stage, plant.machine)
-    seen = split.seen
-    verdicts = [*found.values(), *(_quantisation(signal, seen, plant.machine) for signal in _sensors(plant.machine, seen))]
+                item = excitation_of(candidate, stage.split.seen, machine)
+                found[candidate.key] = _counted(item, stage.problem.stage, candidate.side, machine)
+    verdicts, sensors = list(found.values()), _sensors(machine, split.seen)
+    for signal in sensors:  # their quantisation is not fitted, but estimated from the readings
+        item = excitation_at(sensor_quantisation.EFFECT, signal, split.seen, machine)
+        verdicts.append(_counted(item, "sensor", None, machine))
     there = {(verdict.name, verdict.target, verdict.side) for verdict in verdicts}
     reasons = _Reasons(dataset, model, aliases)
     for effect in CATALOGUE:
-        for target, side in _places(effect, plant.machine, dataset, seen):
+        for target, side in _places(effect, machine, dataset, sensors):
             if (effect.name, target, side) not in there:
                 verdicts.append(reasons.hidden(effect, target, side))
     plant_name = plant.reference or "nominal"
-    return ExcitationReport(dataset.reference, plant_name, tuple(r.name for r in seen), tuple(verdicts), tuple(notes))
+    return ExcitationReport(dataset.reference, plant_name, tuple(r.name for r in split.seen), tuple(verdicts), tuple(notes))
 
 
-def _verdict_of(candidate: Candidate, stage: Stage, machine: Machine) -> ExcitationVerdict:
-    item = excitation_of(candidate, stage.split.seen, machine)
-    return _counted(item, candidate.effect, stage.problem.stage, candidate.side, machine)
-
-
-def _counted(item: Excitation, effect: Effect, stage: str, side: str | None, machine: Machine) -> ExcitationVerdict:
+def _counted(item: Excitation, stage: str, side: str | None, machine: Machine) -> ExcitationVerdict:
     status: VerdictStatus = "ready" if item.sufficient else "lacking"
-    text, wanted = advice(item, machine), effect.need.advice.format(axis=item.target)
+    text, wanted = advice(item, machine), recording_for(item.name, item.target)
     if item.sufficient:
         text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
     return ExcitationVerdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
 
 
-def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
-    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.prepare.resolution`)."""
-    effect = sensor_quantisation.EFFECT
-    return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None, machine)
-
-
 def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
     """Measured signals of drives and joints."""
     names = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
-    return [name for name in names if any(not np.isnan(r.values(name)).all() for r in recordings)]
+    measured = measured_signals(recordings)
+    return [name for name in names if name in measured]
 
 
-def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
-    """Places at which the machine admits the effect, observable or not."""
+def _places(effect: Effect, machine: Machine, dataset: Dataset, sensors: Sequence[str]) -> Iterator[tuple[str, str | None]]:
+    """Targets and sides at which the machine admits the effect, observable or not; ``sensors``: measured signals."""
     of_servos = "servo" in effect.actuations and moves_masses(machine, "servo")
     if effect.of_links and not (effect.fitted and (of_servos or moves_masses(machine))):
         return
@@ -191,7 +183,7 @@ def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[R
             if axis.actuation in effect.actuations:
                 yield from ((axis.name, side) for side in effect.sides or (None,))
     elif effect.target == "signal":
-        yield from ((signal, None) for signal in _sensors(machine, seen))
+        yield from ((signal, None) for signal in sensors)
     elif effect.target == "stream":
         for stream, signals in dataset.streams.items():
             if not any(split_signal(signal)[1] == "command" for signal in signals):
@@ -205,8 +197,7 @@ class _Reasons:
 
     def __init__(self, dataset: Dataset, model: Model, aliases: Mapping[tuple[str, str], tuple[str, str]]) -> None:
         self.machine, self.model, self.aliases = model.machine, model, aliases
-        everything = dataset.recordings
-        self.measured = {s for r in everything for s in r.signals if not np.isnan(r.values(s)).all()}
+        self.measured = measured_signals(dataset.recordings)
 
     def hidden(self, effect: Effect, target: str, side: str | None) -> ExcitationVerdict:
         stage = self._stage(effect, target, side)
@@ -224,27 +215,26 @@ class _Reasons:
     def _missing(self, stage: str, target: str) -> str:
         """Signals or descriptions that the stage lacks; empty if none."""
         machine = self.machine
-        if stage in ("command", "force"):
-            axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
-            return self._not_measured([signal for axis in axes for signal in (axis_signal(axis.name, "command"), axis.driven)])
-        if stage == "joint":
-            missing = self._not_measured([axis_signal(target, "cylinder"), axis_signal(target, "joint")])
-            unlinked = (
-                f"how the cylinder of {target} moves the joint is not known: a linkage in machine.toml, or sysid fit actuator"
-            )
-            return missing or ("" if target in self.model.linked else unlinked)
         if stage == "sensor":
             owner = split_signal(target)[0]
             return self._missing("joint", owner) if owner in machine.axis_names and target.endswith(".cylinder") else ""
-        if stage == "links":
-            return self._not_measured([axis_signal(name, part) for name in machine.axis_names for part in ("command", "joint")])
-        if stage not in ("end_effector", "tool"):
-            return ""
-        if machine.kinematics() is None:
+        if stage in ("end_effector", "tool") and machine.kinematics() is None:
             return "machine.toml names no URDF"
-        if stage == "tool":
-            return self._not_measured([*point_signals("ee"), *point_signals("tool")])
-        return self._not_measured([*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")])
+        axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
+        driven = [signal for axis in axes for signal in (axis_signal(axis.name, "command"), axis.driven)]
+        needed = {
+            "command": driven,
+            "force": driven,
+            "joint": [axis_signal(target, "cylinder"), axis_signal(target, "joint")],
+            "links": [axis_signal(name, part) for name in machine.axis_names for part in ("command", "joint")],
+            "end_effector": [*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")],
+            "tool": [*point_signals("ee"), *point_signals("tool")],
+        }
+        missing = self._not_measured(needed.get(stage, []))
+        if not missing and stage == "joint" and target not in self.model.linked:
+            known = "a linkage in machine.toml, or sysid fit actuator"
+            return f"how the cylinder of {target} moves the joint is not known: {known}"
+        return missing
 
     def _not_measured(self, signals: Sequence[str]) -> str:
         missing = list(dict.fromkeys(signal for signal in signals if signal not in self.measured))

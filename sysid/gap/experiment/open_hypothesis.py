@@ -1,21 +1,30 @@
-"""Open hypotheses: effects that are not identifiable, and effects of an unexplained stage that its recordings do not excite."""
+"""Open hypotheses: models among which the recordings do not decide, and the information expected from a further recording.
+
+They are effects that are not identifiable, and effects of an unexplained stage that its recordings do not excite.
+
+T-optimality (Atkinson & Fedorov, Biometrika 62 (1975) 57 and 289): data are simulated with one model, the alternative is fitted
+to them, and its residual is evaluated. Whitened by noise floor and drift, half its sum of squares is the Kullback-Leibler
+divergence of the alternative in nats: the expected log-likelihood ratio of the recording. Earlier recordings constrain the
+parameters of the alternative by their Fisher information (sequential design: Pronzato, Automatica 44 (2008) 303).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 
-from sysid.gap.candidates import Candidate
-from sysid.gap.data import Data
-from sysid.gap.drift import DriftStrength
+from sysid.gap.candidates import Candidate, Unknown
+from sysid.gap.data import MEMORY, Data
+from sysid.gap.drift import BIN, CLIP, DriftStrength, estimate_drift
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
-from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
-from sysid.gap.fit import Fit, fit_candidates, starting_values
+from sysid.gap.fit import Fit, fit_candidates, jacobian, place, starting_values
 from sysid.gap.prepare.case import Case, Stage, stage_candidates
 from sysid.gap.problem import FORCES
 from sysid.gap.proof import ProofOutcome
@@ -26,6 +35,24 @@ Array = npt.NDArray[np.float64]
 
 #: Largest number of models in one open hypothesis; those that fit best are used.
 MAX_ALTERNATIVES = 4
+
+
+@dataclass(frozen=True)
+class PlausibleModel:
+    """A model that may be the true one.
+
+    Args:
+        candidate: the effect that distinguishes it; None for the model without that effect.
+        values: of ``unknowns``, (k,).
+        theta: the whole parameter vector with them in place.
+        known: Fisher information of the unknowns from the recordings so far, (k, k).
+    """
+
+    candidate: Candidate | None
+    unknowns: tuple[Unknown, ...]
+    values: Array
+    theta: Array
+    known: Array
 
 
 @dataclass(frozen=True)
@@ -59,26 +86,34 @@ class OpenHypothesis:
         """(true model, alternative) to be discriminated; no data reject an alternative that contains the true model."""
         if self.kind == "excitation":
             return ((self.models[0], self.models[1]),)
-        return tuple((a, b) for a in self.models for b in self.models if a is not b and not _within(a, b))
+        return tuple((a, b) for a in self.models for b in self.models if a is not b and not _is_special_case(a, b))
+
+
+def _is_special_case(model: PlausibleModel, of: PlausibleModel) -> bool:
+    assert model.candidate is not None
+    assert of.candidate is not None
+    return of.candidate.contains(model.candidate) or of.candidate.extends(model.candidate)
+
+
+# -- hypotheses of a result -----------------------------------------------------------------------------------------------
 
 
 def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) -> list[OpenHypothesis]:
     """The non-identifiable sets of the outcome, then the effects that unexplained stages may have and do not excite."""
     model = compile_plant(outcome.repaired)
     base = model.theta
+    searched = [stage for stage in stages if stage.result is not None]
     if model.rigid is not None:  # motions are planned for one axis; the forces of an arm depend on all of them
-        stages = [stage for stage in stages if stage.problem.stage not in FORCES]
+        searched = [stage for stage in searched if stage.problem.stage not in FORCES]
     found = []
-    for stage in stages:
-        if stage.result is None:
-            continue
+    for stage in searched:
         seen = Data(stage.problem, stage.split.seen, stage.sigma)
-        for kept in stage.result.named:
+        for kept in stage.found.named:
             tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
             if kept.ties and tie in outcome.ties:
                 found.append(non_identifiable_set(case, stage, base, kept.candidate, kept.ties[: MAX_ALTERNATIVES - 1], seen))
-    for stage in stages:
-        if stage.result is not None and stage.result.nominal_rmse > EXPLAINED:
+    for stage in searched:
+        if stage.found.nominal_rmse > EXPLAINED:
             found += _unexcited(case, stage, base)
     return found
 
@@ -93,13 +128,14 @@ def non_identifiable_set(
         seen: the recordings that the fit has seen.
     """
     fit = stage.found.fit
-    models = [_model(base, kept, fit, seen, fit.drifts)]
+    models = [plausible_model(base, kept, fit.unknowns, fit.values, seen, fit.drifts)]
     for alternative in alternatives:
         rest = tuple(c for c in fit.candidates if c is not kept and c.key != alternative.key)
         candidates = (*rest, alternative)
         refitted = fit_candidates(seen, case.theta, candidates, starting_values(candidates, (fit,), case.seed))
         # Effects that the alternative does not need are absent, not those of the repaired plant.
-        models.append(_model(_as_in(base, case.theta, fit), alternative, refitted, seen, fit.drifts))
+        absent = _as_in(base, case.theta, fit)
+        models.append(plausible_model(absent, alternative, refitted.unknowns, refitted.values, seen, fit.drifts))
     return OpenHypothesis("tie", stage, tuple(models), fit.drifts)
 
 
@@ -130,29 +166,37 @@ def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
     return found
 
 
+def plausible_model(
+    base: Array,
+    candidate: Candidate | None,
+    unknowns: Sequence[Unknown],
+    values: Array,
+    seen: Data,
+    drifts: Sequence[DriftStrength],
+) -> PlausibleModel:
+    """A model with the information of the recordings ``seen`` on its parameters; ``base`` (N,) gives all others."""
+    unknowns = tuple(unknowns)
+    known = np.zeros((len(unknowns), len(unknowns)))
+    if unknowns:
+        slopes = jacobian(seen, base, unknowns, values, drifts)[1]
+        known = slopes.T @ slopes
+    return PlausibleModel(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
+
+
 def relevant_size(candidate: Candidate) -> Array:
     """A small relevant size of the effect: its start value nearest to nominal, at least five times negligible, (k,)."""
     nominal = np.array([u.nominal for u in candidate.unknowns])
-    sizes = np.array([u.negligible for u in candidate.unknowns])
-    rows = [np.array(row) for row in candidate.starts]
-    clear = [row for row in rows if np.max(np.abs(row - nominal) / sizes) >= 5.0]
+    negligible = np.array([u.negligible for u in candidate.unknowns])
+
+    def size(row: Array) -> float:
+        return float(np.max(np.abs(row - nominal) / negligible))
+
+    clear = [row for row in map(np.array, candidate.starts) if size(row) >= 5.0]
     if clear:
-        return min(clear, key=lambda row: float(np.max(np.abs(row - nominal) / sizes)))
+        return min(clear, key=size)
     low, high = (np.array([u.bounds[k] for u in candidate.unknowns]) for k in (0, 1))
-    up = nominal + 5.0 * sizes
-    return np.clip(np.where(up <= high, up, nominal - 5.0 * sizes), low, high)
-
-
-def _within(one: PlausibleModel, other: PlausibleModel) -> bool:
-    """Whether ``one`` is a special case of ``other``."""
-    a, b = one.candidate, other.candidate
-    assert a is not None
-    assert b is not None
-    return b.contains(a) or b.extends(a)
-
-
-def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[DriftStrength]) -> PlausibleModel:
-    return plausible_model(base, candidate, fit.unknowns, fit.values, seen, drifts)
+    up = nominal + 5.0 * negligible
+    return np.clip(np.where(up <= high, up, nominal - 5.0 * negligible), low, high)
 
 
 def _as_in(base: Array, theta: Array, fit: Fit) -> Array:
@@ -161,3 +205,87 @@ def _as_in(base: Array, theta: Array, fit: Fit) -> Array:
     for unknown in fit.unknowns:
         out[list(unknown.places)] = theta[list(unknown.places)]
     return out
+
+
+# -- expected information -------------------------------------------------------------------------------------------------
+
+
+def discrimination(
+    data: Data, truth: PlausibleModel, alternative: PlausibleModel, drifts: Sequence[DriftStrength], seed: int = 0
+) -> tuple[float, float]:
+    """Expected difference between ``truth`` and ``alternative`` in a recording.
+
+    Args:
+        data: recordings simulated with ``truth``, without noise.
+
+    Returns:
+        Expected log-likelihood ratio after the alternative has been refitted [nats], and the error of its prediction before
+        that [noise floors]. Nats are the smaller of two values: with the known drift (``drifts``), and with the drift estimated
+        for each model after noise is added, as in the workflow, where an alternative may fit a residual that it cannot explain
+        as drift.
+    """
+    best = _refitted(data, alternative, drifts)
+    own, left = (0.5 * float(np.sum(_whitened(data, theta, drifts) ** 2)) for theta in (truth.theta, best))
+    estimated = _log_likelihood(data, truth.theta, seed) - _log_likelihood(data, best, seed)
+    error = np.concatenate([part.ravel() for part in data.residuals(alternative.theta[None])])
+    return max(min(left - own, estimated), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2)))
+
+
+def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[DriftStrength]) -> Array:
+    """Parameter vector of the alternative, fitted to ``data`` and its prior information, (N,)."""
+    unknowns = alternative.unknowns
+    if not unknowns:
+        return alternative.theta
+    low, high = (np.array([u.bounds[k] for u in unknowns]) for k in (0, 1))
+    root = _root(alternative.known)
+
+    def theta(x: Array) -> Array:
+        return np.asarray(place(alternative.theta, unknowns, x[None])[0])
+
+    def errors(x: Array) -> Array:
+        return np.concatenate([_whitened(data, theta(x), drifts), root @ (x - alternative.values)])
+
+    def slopes(x: Array) -> Array:
+        return np.vstack([jacobian(data, alternative.theta, unknowns, x, drifts, high)[1], root])
+
+    margin = 1e-9 * (high - low)
+    scale = np.array([u.negligible for u in unknowns])
+    start = np.clip(alternative.values, low + margin, high - margin)
+    return theta(least_squares(errors, start, slopes, (low, high), x_scale=scale, max_nfev=12).x)
+
+
+def _whitened(data: Data, theta: Array, drifts: Sequence[DriftStrength]) -> Array:
+    return np.asarray(np.clip(data.whitened(theta[None], drifts)[0], -CLIP, CLIP))
+
+
+def _root(information: Array) -> Array:
+    """R with RᵀR = the matrix, which may be singular."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * scale)
+
+
+def _log_likelihood(data: Data, theta: Array, seed: int) -> float:
+    """Log-likelihood of the residuals with noise on every bin, under the drift estimated from them."""
+    memory = 1.0 if data.problem.integrates else MEMORY
+    rng = np.random.default_rng(seed)
+    noisy = [
+        bins[0] + rng.normal(0.0, noise_of_bin(data.problem.rate(recording)), bins[0].shape)
+        for bins, recording in zip(data.bins(theta[None]), data.recordings, strict=True)
+    ]
+    signals = range(len(data.sigma))
+    return float(sum(estimate_drift([part[:, k] for part in noisy], data.activities, memory)[1] for k in signals))
+
+
+def noise_of_bin(rate_hz: float) -> float:
+    """Standard deviation of the mean of a bin of white noise, relative to that of a sample."""
+    return 1.0 / math.sqrt(max(1, round(BIN * rate_hz)))
+
+
+def precision(data: Data, model: PlausibleModel, drifts: Sequence[DriftStrength]) -> Array:
+    """Standard deviations of the unknowns of ``model`` from these and all earlier recordings, (k,): Cramér-Rao bound."""
+    slopes = jacobian(data, model.theta, model.unknowns, model.values, drifts)[1]
+    information = model.known + slopes.T @ slopes
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale)

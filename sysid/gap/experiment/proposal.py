@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,19 +13,11 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.effects import pump_flow_limit
 from sysid.gap.data import Data
-from sysid.gap.excitation import excitation_of
-from sysid.gap.experiment.excitation_signal import (
-    ExcitationSignal,
-    commands_of,
-    design_excitation,
-    simulate_recording,
-    start_of,
-)
+from sysid.gap.excitation import excitation_of, measured_signals
+from sysid.gap.experiment.excitation_signal import ExcitationSignal, design_excitation, simulate_recording
 from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
-from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limits_of
-from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
-from sysid.gap.experiment.motions import MOTIONS, MotionPattern
-from sysid.gap.experiment.open_hypothesis import OpenHypothesis
+from sysid.gap.experiment.motions import MOTIONS, FeasibleSet, MotionPattern, feasible_set_of, limits_of
+from sysid.gap.experiment.open_hypothesis import OpenHypothesis, PlausibleModel, discrimination, precision
 from sysid.gap.prepare.case import Case
 from sysid.gap.problem import (
     Problem,
@@ -102,16 +95,18 @@ def propose(
         if found is None:
             notes.append(f"{hypothesis.label}: no tested motion within the limits resolves it")
         else:
-            chosen.append(_Selected(found[0], [(hypothesis, found[1])]))
+            chosen.append(found)
     for item in sorted(chosen, key=lambda item: item.excitation.seconds):  # drop those whose hypotheses longer ones resolve
         others = [other for other in chosen if other is not item]
         if all(any(planner.serves(other, hypothesis) for other in others) for hypothesis, _ in item.served):
             chosen = others
     made: list[Experiment] = []
+    names: Counter[str] = Counter()
     for item in chosen:
-        experiment = planner.experiment(item.excitation, item.served)
-        again = sum(other.name.split("_")[0] == experiment.name for other in made)
-        made.append(replace(experiment, name=f"{experiment.name}_{again + 1}") if again else experiment)
+        experiment = planner.experiment(item)
+        names[experiment.name] += 1
+        again = names[experiment.name]
+        made.append(replace(experiment, name=f"{experiment.name}_{again}") if again > 1 else experiment)
     return ExperimentProposal(tuple(made), tuple(notes))
 
 
@@ -149,25 +144,24 @@ class Planner:
     """Design of excitation signals for one plant, with its feasible sets and limits."""
 
     def __init__(self, case: Case, repaired: Plant, settings: Planning) -> None:
-        self.case, self.plant, self.settings = case, repaired, settings
-        self.model = compile_plant(repaired)
-        self.machine = repaired.machine
+        self.case, self.settings = case, settings
+        self.machine, self.linkages = repaired.machine, repaired.linkages
+        compiled = compile_plant(repaired)  # signals are designed without its networks
+        self.model = Model(compiled.machine, compiled.theta, compiled.arrays, compiled.linked, compiled.streams)
         recordings = (*case.split.seen, *case.split.held_out)
         feasible_sets = [feasible_set_of(repaired, axis, recordings, settings.margin) for axis in self.machine.axes]
         self.known = all(feasible is not None for feasible in feasible_sets)
         self.feasible_sets: list[FeasibleSet] = [feasible for feasible in feasible_sets if feasible is not None]
-        self.limits = {**limits_of(repaired, self.feasible_sets, settings.margin), **settings.fence}
+        self.limits = {**limits_of(self.feasible_sets), **settings.fence}
         self.rate_hz = case.split.seen[0].rate_hz
-        names = {signal for r in recordings for signal in r.signals if not np.isnan(r.values(signal)).all()}
-        self.measured = frozenset(names)
+        self.measured = measured_signals(recordings)
+        samples = repaired.sample(settings.samples, case.seed) if settings.samples else ()
+        self._thetas: list[Array] = [self.model.theta, *samples]
         self._excitations: dict[tuple[str, tuple[int, ...], float], ExcitationSignal | None] = {}
-        self._thetas = (
-            repaired.sample(settings.samples, case.seed) if settings.samples else np.empty((0, len(self.model.theta)))
-        )
 
     # -- choice ----------------------------------------------------------------------------------------------------
 
-    def best(self, hypothesis: OpenHypothesis) -> tuple[ExcitationSignal, Forecast] | None:
+    def best(self, hypothesis: OpenHypothesis) -> _Selected | None:
         """The shortest signal that resolves it in one recording, else in the least total time; None where none resolves it."""
         repeated: list[tuple[ExcitationSignal, Forecast]] = []
         for seconds in self.settings.lengths if self.known else ():
@@ -175,9 +169,13 @@ class Planner:
             rated = [(s, f) for s in excitations if (f := self.forecast(s, hypothesis)) is not None]
             at_once = [item for item in rated if item[1].repeats == 1]
             if at_once:
-                return min(at_once, key=lambda item: (len(item[0].axes), -item[1].nats))
+                excitation, forecast = min(at_once, key=lambda item: (len(item[0].axes), -item[1].nats))
+                return _Selected(excitation, [(hypothesis, forecast)])
             repeated += rated
-        return min(repeated, key=lambda item: item[0].seconds * item[1].repeats, default=None)
+        if not repeated:
+            return None
+        excitation, forecast = min(repeated, key=lambda item: item[0].seconds * item[1].repeats)
+        return _Selected(excitation, [(hypothesis, forecast)])
 
     def serves(self, item: _Selected, hypothesis: OpenHypothesis) -> bool:
         """Whether an already selected signal resolves the hypothesis; if so, the hypothesis is added to it."""
@@ -202,16 +200,13 @@ class Planner:
         """The excitation signal; None where it does not fit, or where a sampled plant leaves the limits."""
         key = motion.name, axes, seconds
         if key not in self._excitations:
-            excitation = design_excitation(
-                self._model(self.model.theta), self.feasible_sets, motion, axes, seconds, self.rate_hz, self.case.seed
-            )
-            if excitation is not None and not (
-                np.isfinite(list(start_of(self.feasible_sets, excitation, self.plant.linkages).values())).all()
-                and all(self._inside(self._simulate(excitation, theta, None)) for theta in (self.model.theta, *self._thetas))
-            ):
-                excitation = None
-            self._excitations[key] = excitation
+            signal = design_excitation(self.model, self.feasible_sets, motion, axes, seconds, self.rate_hz, self.case.seed)
+            self._excitations[key] = signal if signal is not None and self._feasible(signal) else None
         return self._excitations[key]
+
+    def _feasible(self, excitation: ExcitationSignal) -> bool:
+        start = list(excitation.start_values(self.linkages).values())
+        return bool(np.isfinite(start).all()) and all(self._inside(self._simulate(excitation, t)) for t in self._thetas)
 
     # -- forecast --------------------------------------------------------------------------------------------------
 
@@ -227,14 +222,15 @@ class Planner:
                 return None
             datas[id(model)] = Data(problem, [recording], hypothesis.stage.sigma)
         apart = [discrimination(datas[id(a)], a, b, hypothesis.drifts, self.case.seed) for a, b in hypothesis.pairs]
+        nats, rmse = min(nats for nats, _ in apart), min(rmse for _, rmse in apart)
         first = hypothesis.models[0]
         data = datas[id(first)]
-        nats, rmse = min(item.nats for item in apart), min(item.rmse for item in apart)
-        enough = (r for r in range(1, self.settings.repeats + 1) if self._answers(hypothesis, data, nats, rmse, r))
-        repeats = next(enough, None)
-        return None if repeats is None else Forecast(nats, repeats, precision(data, first, hypothesis.drifts))
+        for repeats in range(1, self.settings.repeats + 1):
+            if self._resolves(hypothesis, data, nats, rmse, repeats):
+                return Forecast(nats, repeats, precision(data, first, hypothesis.drifts))
+        return None
 
-    def _answers(self, hypothesis: OpenHypothesis, data: Data, nats: float, rmse: float, repeats: int) -> bool:
+    def _resolves(self, hypothesis: OpenHypothesis, data: Data, nats: float, rmse: float, repeats: int) -> bool:
         """Whether so many recordings suffice: in nats, in excitation, and in the remaining error of the alternatives."""
         if repeats * nats < self.settings.nats:
             return False
@@ -250,62 +246,45 @@ class Planner:
 
     def _problem(self, hypothesis: OpenHypothesis, recording: Recording) -> Problem | None:
         """The stage of the hypothesis for a simulated recording; None where that is too short to determine a force."""
-        stage, model = hypothesis.stage.problem, self._model(self.model.theta)
+        stage = hypothesis.stage.problem
         if stage.stage == "force":
             settings = replace(stage.force_filter or ForceFilter(), delay=0.0)
             axis = self.machine.axis(stage.target)
             determined = force_determined(recording, axis, 0.0, settings)
-            return force_problem(model, axis, [recording], settings) if determined else None
+            return force_problem(self.model, axis, [recording], settings) if determined else None
         if stage.stage in ("command", "joint"):
             make = drive_problem if stage.stage == "command" else joint_problem
-            return make(model, self.machine.axis(stage.target))
-        return tip_problem(model) if stage.stage == "end_effector" else tool_problem(model)
+            return make(self.model, self.machine.axis(stage.target))
+        return tip_problem(self.model) if stage.stage == "end_effector" else tool_problem(self.model)
 
-    def _simulate(self, excitation: ExcitationSignal, theta: Array, measured: frozenset[str] | None) -> Recording:
-        model = self._model(theta)
-        start = start_of(self.feasible_sets, excitation, self.plant.linkages)
-        return simulate_recording(model, commands_of(model, self.feasible_sets, excitation), start, self.rate_hz, measured)
+    def _simulate(self, excitation: ExcitationSignal, theta: Array, measured: frozenset[str] | None = None) -> Recording:
+        model = replace(self.model, theta=theta)
+        start = excitation.start_values(self.linkages)
+        return simulate_recording(model, excitation.commands(model), start, self.rate_hz, measured)
 
     def _inside(self, recording: Recording) -> bool:
         """Whether a simulated motion is finite and within the limits throughout."""
-        limited = [signal for signal in self.limits if signal in recording.table.columns]
-        return bool(np.isfinite(recording.table[limited].to_numpy(np.float64)).all()) and not outside(
-            recording.table, self.limits
-        )
+        limited = recording.table[[signal for signal in self.limits if signal in recording.table.columns]]
+        return bool(np.isfinite(limited.to_numpy(np.float64)).all()) and not outside(limited, self.limits)
 
     def _pump_sufficient(self, recording: Recording, model: PlausibleModel, hypothesis: OpenHypothesis) -> bool:
         """Whether the demanded flow is within the pump limit; not required where the hypothesis concerns the pump."""
         if any(candidate.effect is pump_flow_limit.EFFECT for candidate in hypothesis.candidates):
             return True
-        share = self._model(model.theta).share(model.theta[None], recording)
-        return float(share.min()) >= 1.0
-
-    def _model(self, theta: Array) -> Model:
-        """The plant at other values, without its networks."""
-        return Model(self.model.machine, theta, self.model.arrays, self.model.linked, self.model.streams)
+        return float(replace(self.model, theta=model.theta).share(model.theta[None], recording).min()) >= 1.0
 
     # -- result ----------------------------------------------------------------------------------------------------
 
-    def experiment(self, excitation: ExcitationSignal, served: Sequence[tuple[OpenHypothesis, Forecast]]) -> Experiment:
+    def experiment(self, item: _Selected) -> Experiment:
         """The experiment of an excitation signal, with its expected information as text."""
-        repeats = max(forecast.repeats for _, forecast in served)
+        excitation, needed = item.excitation, self.settings.nats
         names = [self.machine.axis_names[axis] for axis in excitation.axes]
-        thetas = [self.model.theta, *self._thetas, *(m.theta for hypothesis, _ in served for m in hypothesis.models)]
-        tables = [self._simulate(excitation, theta, None).table for theta in thetas]
+        thetas = [*self._thetas, *(model.theta for hypothesis, _ in item.served for model in hypothesis.models)]
+        tables = [self._simulate(excitation, theta).table for theta in thetas]
         reached = {
             str(signal): (min(float(t[signal].min()) for t in tables), max(float(t[signal].max()) for t in tables))
             for signal in tables[0].columns
             if signal != "time" and not str(signal).endswith(".command") and not tables[0][signal].isna().any()
-        }
-        purposes = tuple(
-            Purpose(q.kind, _text(q, f, self.settings.nats), q.effects, f.nats, self.settings.nats) for q, f in served
-        )
-        provenance: dict[str, str | int] = {
-            "dataset": self.case.dataset.reference,
-            "dataset_digest": self.case.dataset.digest,
-            "plant": self.case.plant.reference or "nominal",
-            "seed": self.case.seed,
-            "sysid": __version__,
         }
         moved = "-".join(names) if len(names) < len(self.feasible_sets) or len(names) == 1 else "all"
         return Experiment(
@@ -315,13 +294,19 @@ class Planner:
             about=excitation.motion.about.format(axes=listed(names)),
             axes=tuple(names),
             rate_hz=self.rate_hz,
-            repeats=repeats,
-            start=start_of(self.feasible_sets, excitation, self.plant.linkages),
+            repeats=max(forecast.repeats for _, forecast in item.served),
+            start=excitation.start_values(self.linkages),
             limits=self.limits,
             predicted=reached,
-            commands=commands_of(self._model(self.model.theta), self.feasible_sets, excitation),
-            purposes=purposes,
-            provenance=provenance,
+            purposes=tuple(Purpose(h.kind, _text(h, f, needed), h.effects, f.nats, needed) for h, f in item.served),
+            provenance={
+                "dataset": self.case.dataset.reference,
+                "dataset_digest": self.case.dataset.digest,
+                "plant": self.case.plant.reference or "nominal",
+                "seed": self.case.seed,
+                "sysid": __version__,
+            },
+            commands=excitation.commands(self.model),
         )
 
 

@@ -35,9 +35,9 @@ from sysid.gap.prepare.measured_input import with_measured_input
 from sysid.gap.prepare.noise import noise_of_signals, problem_floors
 from sysid.gap.prepare.resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.problem import Problem, Split, force_problem, pose_split, problems_of, split_of, why_no_force
-from sysid.gap.result import CommandOrder, Excitation, ForceComparison
+from sysid.gap.result import Excitation, ForceComparison
 from sysid.gap.stage_result import StageResult
-from sysid.gap.statement import FloorSource
+from sysid.gap.statement import CommandOrder, FloorSource
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 from sysid.plant.layout import parameter_indices

@@ -25,7 +25,7 @@ from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.problem import Problem, Split, drive_problem
-from sysid.gap.result import CommandOrder
+from sysid.gap.statement import CommandOrder
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, PRICE, STANDARD_ERRORS
 from sysid.machine import Convention
 from sysid.plant import Plant, compile_plant

@@ -17,9 +17,9 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
+from sysid.gap.disagreement import stage_rmse
 from sysid.gap.drift import robust_scale
 from sysid.gap.likelihood.discrepancy.shapes import filled
-from sysid.gap.localise import stage_rmse
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.problem import Problem, problems_of

@@ -11,8 +11,7 @@ from markupsafe import Markup, escape
 
 from sysid import display
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
-from sysid.gap.sentences import left_out_sentence, missing_sentences, order_sentence, response_sentences
-from sysid.gap.statement import AGREES
+from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, order_sentence, response_sentences
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.effect_units import remainder_unit, shown_parameters

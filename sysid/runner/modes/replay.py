@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.errors import InputError, SettingsError
-from sysid.gap.experiment.experiment import Experiment
+from sysid.gap.experiment import Experiment
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.runner.limits import Limits

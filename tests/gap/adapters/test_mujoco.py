@@ -29,7 +29,7 @@ from sysid.gap.adapters.mujoco.repair import (
 )
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.adapters.simulator import joint_start
-from sysid.gap.localise import run_rmse
+from sysid.gap.disagreement import run_rmse
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine
 

@@ -14,7 +14,7 @@ from weak_excitation import coarse_arm, slow_dataset, tie, with_experiments
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.experiment import Planning, dry_run, outside, propose
-from sysid.gap.experiment.excitation_signal import commands_of, simulate_recording, start_of
+from sysid.gap.experiment.excitation_signal import simulate_recording
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.proposal import Planner
 from sysid.gap.prepare.case import Case, open_case
@@ -168,10 +168,7 @@ def test_no_motion_leaves_the_limits(
     if excitation is None:
         return
     model = compile_plant(plant)
-    commands, start = (
-        commands_of(model, planner.feasible_sets, excitation),
-        start_of(planner.feasible_sets, excitation, plant.linkages),
-    )
+    commands, start = excitation.commands(model), excitation.start_values(plant.linkages)
     run = simulate_recording(model, commands, start, excitation.rate_hz)
     assert outside(run.table, planner.limits) == []
     for feasible in planner.feasible_sets:
@@ -199,10 +196,7 @@ def test_motions_of_valves_return_to_their_start(valve: dict[str, object], motio
     if excitation is None:
         return
     model = compile_plant(plant)
-    commands, start = (
-        commands_of(model, planner.feasible_sets, excitation),
-        start_of(planner.feasible_sets, excitation, plant.linkages),
-    )
+    commands, start = excitation.commands(model), excitation.start_values(plant.linkages)
     way = simulate_recording(model, commands, start, excitation.rate_hz).values("boom.cylinder")
     assert abs(way[-1] - way[0]) < 0.1 * planner.feasible_sets[1].span
 

@@ -16,7 +16,7 @@ from sysid.gap import GapResult, find_gap
 from sysid.gap.prepare.clocks import with_order
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
-from sysid.gap.sentences import order_sentence
+from sysid.gap.statement import order_sentence
 from sysid.machine import Convention, Machine, machine_from_files
 from sysid.plant import free_run, nominal_plant, plant_from_files
 from sysid.plant.machine_text import machine_difference

@@ -30,7 +30,7 @@ from sysid.gap.adapters.mujoco.native import (
 )
 from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
-from sysid.gap.gap_by_stage import stage_gap
+from sysid.gap.disagreement import stage_gap
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect

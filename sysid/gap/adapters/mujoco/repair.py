@@ -28,7 +28,7 @@ from sysid.files import written_whole
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.mujoco.native import Change, write_native
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
-from sysid.gap.localise import run_rmse
+from sysid.gap.disagreement import run_rmse
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect

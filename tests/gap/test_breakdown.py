@@ -10,10 +10,9 @@ import pytest
 from plant_data import dataset_of, nominal, slide
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.maps import maps_of
+from sysid.gap.breakdown import maps_of, shares_of
 from sysid.gap.prepare.case import open_case
 from sysid.gap.result import Map, Share
-from sysid.gap.shares import shares_of
 from sysid.gap.unnamed.periodic import resonance_frequencies
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
