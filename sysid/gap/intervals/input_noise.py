@@ -55,7 +55,7 @@ def input_noise(
     if problem.stage == "command":  # its input is what was sent
         return None
     inputs = {s: level for s, level in noise.items() if s not in problem.signals and split_signal(s)[1] != "command"}
-    estimated = problem.estimated if problem.inputs else lambda recording: smoothed(recording, inputs)
+    estimated = problem.estimated if problem.by_estimates is not None else lambda recording: smoothed(recording, inputs)
     smooth = [estimated(recording) for recording in criterion.data.recordings]
 
     def copies(draw: int) -> list[Recording]:
