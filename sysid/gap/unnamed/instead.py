@@ -5,7 +5,7 @@ speed of each of them, as a gain error does. The disturbance competes on the sec
 first halves.
 
 No effect of the catalogue is a curve over the position. An uneven gear, whose ratio varies over its range, is in the mean a
-gain error of the drive or a wrong scale of its sensor. Each recording is predicted by the function that is fitted to all others.
+gain error of the drive or a wrong scale of its sensor. Each recording is predicted by the function fitted to all others.
 """
 
 from __future__ import annotations
