@@ -14,7 +14,7 @@ from scaling.measured_executor import MeasuredExecutor
 from sysid.datasets import Store
 from sysid.execution import Executor, LocalExecutor
 from sysid.gap import find_gap
-from sysid.gap.tasks.search import SearchTasks
+from sysid.gap.search_tasks import SearchTasks
 from sysid.location import absolute_location
 from sysid.plant import nominal_plant
 from sysid.registry import Registry

@@ -120,7 +120,7 @@ def gap(
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.gap import SimulatorAdapter, find_gap
         from sysid.gap.experiment import Planning
-        from sysid.gap.tasks.search import search_tasks
+        from sysid.gap.search_tasks import search_tasks
         from sysid.plant import Plant
         from sysid.reports import write_report
         from sysid.workspace import open_workspace

@@ -15,8 +15,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
 from sysid.gap.drift import to_bins
 from sysid.gap.fit import Fit, fit_candidates, starting_values
-from sysid.gap.intervals.criterion import criterion_at
-from sysid.gap.intervals.curvature import curvature_at
+from sysid.gap.intervals.criterion import criterion_at, curvature_at
 from sysid.gap.prepare.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.problem import Problem, for_recordings
 from sysid.plant import Plant, compile_plant
@@ -45,7 +44,7 @@ def estimate(
     """Values of the effects in every recording that determines them.
 
     The effects of a stage are fitted together to all recordings of the machine, and from there to each recording alone, with
-    the covariance of its own residuals (:mod:`sysid.gap.intervals.curvature`).
+    the covariance of its own residuals (:mod:`sysid.gap.intervals.criterion`).
 
     Args:
         plant: the simulation of the type, the same for all machines.

@@ -18,11 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import clearly_worse
+from sysid.gap.comparison import clearly_worse, divides
 from sysid.gap.data import Data
 from sysid.gap.fit import ROUGH, Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.price import divides
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import EXPLAINED, LEAST
 

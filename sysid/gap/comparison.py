@@ -1,15 +1,21 @@
-"""Comparison of models of a stage by predictive density and evidence."""
+"""Comparison of models of a stage: predictive density and evidence, the price of an effect, practical equivalence.
+
+An effect pays if it divides the variance above the noise floor by its price. The region of practical equivalence surrounds the
+known value of a parameter; a value at a bound of its range is no estimate.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import statistics
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.price import divides
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, STANDARD_ERRORS
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, Z
+from sysid.machine import EffectKey
 
 
 def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
@@ -70,3 +76,137 @@ def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
     reaches_floor = any(n > 0 and f.left <= EXPLAINED and model.left > EXPLAINED * max(f.left, 1.0) for f, n in more)
     return reaches_floor or any(divides(model.left, f.left, max(n, 1)) for f, n in more)
+
+
+Array = npt.NDArray[np.float64]
+
+
+# -- the price of an effect ----------------------------------------------------------------------------------------------------
+
+
+def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float]) -> list[ModelFit]:
+    """The smallest sets of effects that explain the output, in ascending order of the remaining error.
+
+    Each effect has to divide the variance above the noise floor by ``PRICE``. Sets of equal size that differ by less are not
+    distinguished by their remaining error.
+    """
+    variance: dict[int, list[tuple[float, ModelFit]]] = {}
+    least, size = np.inf, 0
+    for f in sorted(models, key=lambda f: len(f.candidates)):
+        n = len(f.candidates)
+        if (EXPLAINED**2 - 1.0) * PRICE**n >= least and n != size:
+            break  # no remaining error justifies more effects
+        found = max(left(f), EXPLAINED) ** 2 - 1.0
+        variance.setdefault(n, []).append((found, f))
+        if found * PRICE**n < least:
+            least, size = found * PRICE**n, n
+    equal = sorted(variance[size], key=lambda each: each[0])
+    return [f for found, f in equal if found <= PRICE * equal[0][0]]
+
+
+def pays(before: float, after: float, effects: int = 1) -> bool:
+    """Whether effects are worth their price; RMS errors of the output without and with them, in noise floors."""
+    return after <= EXPLAINED or divides(before, after, effects)
+
+
+def pays_beside(before: float, after: float, alike: float) -> bool:
+    """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
+
+    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
+    """
+    return pays(before, max(after, alike)) or pays(before, after, 2)
+
+
+def divides(before: float, after: float, effects: int = 1) -> bool:
+    """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
+    return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
+
+
+def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, averaged_out: float = 0.0) -> float:
+    """Remaining error, as if effects reduced that of all recordings as they do that of the recordings which they move.
+
+    An effect pays where it acts. Recordings that it cannot move (where no command reaches a limit, for instance) say nothing
+    about it, and their number does not change the answer, if the others contain most of the error without effects.
+
+    Args:
+        before, after, moved: sums of squares of each recording, in noise floors, (recordings,): of the error without and with
+            the effects, and of the change of the prediction, which is none up to the region of practical equivalence.
+        rows: number of rows of each recording, (recordings,).
+        averaged_out: variance that averages out of a row, in noise floors.
+
+    Returns:
+        RMS error with the effects, in noise floors.
+    """
+    noise = (1.0 - averaged_out) * rows
+    variance, acts = float((after - noise).sum()), moved > (EXPLAINED**2 - 1.0) * rows
+    there = float((before - noise)[acts].sum())
+    if there > 0.0 and before[acts].sum() > before[~acts].sum():
+        variance = float((before - noise).sum() * (after - noise)[acts].sum()) / there
+    return float(np.sqrt(max(1.0 + variance / rows.sum(), 0.0)))
+
+
+def typical_errors(errors: Sequence[float]) -> list[float]:
+    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
+
+    Args:
+        errors: shares of the distance moved; 0 for a drive whose formulas are right.
+    """
+    others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
+    return [statistics.median_low(some) if some else 0.0 for some in others]
+
+
+# -- practical equivalence and bounds ------------------------------------------------------------------------------------------
+
+#: Distance from a bound at which a fit stops, as a share of the bound, or of the negligible change where it is zero.
+AT = 1e-3
+
+
+def at_bound(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect lies at a bound, to within :data:`AT`, where it is neither nominal nor absent."""
+    return any(
+        abs(value - bound) <= AT * (abs(bound) or u.negligible) and value not in (u.nominal, absent)
+        for u, value, absent in zip(candidate.unknowns, model.values_of(candidate), candidate.absent, strict=True)
+        for bound in u.bounds
+    )
+
+
+def near_known(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether the plant has the effect already, and the intervals of all its values reach within a tenth of the known ones.
+
+    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions. Of a ratio it is
+    a tenth of its distance from one, where the effect is absent.
+    """
+    nominal, absent = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.absent)
+    tenth = (EXPLAINED - 1.0) * np.minimum(np.abs(nominal), np.abs(nominal - absent))
+    return candidate.known and reaches(candidate, model, tenth)
+
+
+def beyond_rate(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect is larger than the rate of the recordings shows."""
+    return any(value > u.shown for u, value in zip(candidate.unknowns, model.values_of(candidate), strict=True))
+
+
+def equivalent_change(left: float) -> float:
+    """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
+    return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
+
+
+def equivalent_half(candidate: Candidate, model: ModelFit) -> Array:
+    """Half-widths (k,) of the regions of practical equivalence of the parameters of an effect."""
+    with np.errstate(divide="ignore", over="ignore"):  # no value changes an output that does not respond
+        return np.asarray(equivalent_change(model.left) / model.response[model.rows_of(candidate)])
+
+
+def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
+    """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
+
+    They include what the discrepancy could do in its place.
+    """
+    return reaches(candidate, model, np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0)))
+
+
+def reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
+    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
+    reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
+    nominal = np.array([u.nominal for u in candidate.unknowns])
+    return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())

@@ -29,11 +29,11 @@ Given models of one stage (sets of effects) under shared variances:
    what the discrepancy could do in its place, and the named effects have to be worth their price without those that may be
    absent.
    Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
-   one share and is absent from some speeds (:mod:`sysid.gap.speed_classes`), nor one that is worth its price only beside it.
+   one share and is absent from some speeds (:mod:`sysid.gap.free_run`), nor one that is worth its price only beside it.
 6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 7. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation, and with twice
-   the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out_price`).
+   the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out`).
    An effect of the machine pays once for all drives that show it.
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
@@ -49,10 +49,20 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import outdone, replaced, simpler, simplest, survives
-from sysid.gap.equivalence import at_bound, beyond_rate, near_known, within_equivalence
+from sysid.gap.comparison import (
+    at_bound,
+    beyond_rate,
+    near_known,
+    outdone,
+    pays,
+    replaced,
+    simpler,
+    simplest,
+    smallest_sets,
+    survives,
+    within_equivalence,
+)
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.price import pays, smallest_sets
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
 from sysid.machine import EffectKey
 

@@ -12,11 +12,17 @@ import numpy.typing as npt
 from sysid.effects import flexible_drive, gain_error, inertia_error
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import clearly_worse
-from sysid.gap.cross_validation import gain_of_recordings
 from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.disagreement import stage_rmse
-from sysid.gap.held_out import held_out_error, is_better, is_excited, relative_error
-from sysid.gap.held_out_price import comparisons_without, without_cheap_names
+from sysid.gap.held_out import (
+    comparisons_without,
+    gain_of_recordings,
+    held_out_error,
+    is_better,
+    is_excited,
+    relative_error,
+    without_cheap_names,
+)
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import problem_floor
@@ -30,8 +36,7 @@ from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES
 from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
 from sysid.gap.unnamed.description import describe_period, describe_residual
-from sysid.gap.unnamed.periodic_instead import without_periodic_names
-from sysid.gap.unnamed.position_instead import without_names_of_position
+from sysid.gap.unnamed.instead import without_names_of_position, without_periodic_names
 from sysid.gap.written import near_misses
 from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import outdone
+from sysid.gap.comparison import outdone, smallest_sets
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
@@ -19,7 +19,6 @@ from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
-from sysid.gap.price import smallest_sets
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
 from sysid.gap.servo.sag import fewest_sets, sags

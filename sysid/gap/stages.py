@@ -15,11 +15,11 @@ from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import shown_floor
+from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.sensor_scales import with_sensor_scales
 from sysid.gap.servo.arm import beside_each_other, with_link_masses
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import LINKS, Forms, find_stage
-from sysid.gap.tasks.search import SearchTasks
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS, core_taken

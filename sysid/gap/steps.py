@@ -30,11 +30,11 @@ from sysid.gap.prepare.noise import floor_spread, run_floors
 from sysid.gap.promotion import first_promotion, free_run_check, lineage_of, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
+from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.servo.sag import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
 from sysid.gap.statement import Agreement, ResponseDifference, response_differences
-from sysid.gap.tasks.search import SearchTasks
 from sysid.names import model_name
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE

@@ -17,9 +17,9 @@ from sysid.gap.following import Fields, Following, completed
 from sysid.gap.prepare.case import excitation, force_comparisons, held_out_of, untested_forces
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import NOT_MEASURED, GapResult
+from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.stage_search import Forms
 from sysid.gap.statement import left_out_sentence
-from sysid.gap.tasks.search import SearchTasks
 from sysid.gap.thresholds import EXPLAINED
 from sysid.gap.written import with_units
 from sysid.plant import Plant

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sysid.gap.aliases import without_aliases
-from sysid.gap.candidates import candidates_at
+from sysid.gap.candidates import candidates_at, without_aliases
 from sysid.machine import load_machine
 from sysid.plant import compile_plant, nominal_plant
 

@@ -12,9 +12,9 @@ from plant_data import dataset_of, nominal
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.candidates import candidates_at
-from sysid.gap.cross_validation import cross_validated_error, gain_of_recordings
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, place
+from sysid.gap.held_out import cross_validated_error, gain_of_recordings
 from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect

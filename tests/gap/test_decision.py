@@ -14,10 +14,9 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import decision, thresholds
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.comparison import difference, simpler, survives
+from sysid.gap.comparison import difference, pays, pays_beside, simpler, survives, typical_errors
 from sysid.gap.decision import FreeRun, decide
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.price import pays, pays_beside, typical_errors
 from sysid.gap.thresholds import BLOCK_NATS
 
 Array = npt.NDArray[np.float64]

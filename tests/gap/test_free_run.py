@@ -9,10 +9,10 @@ import pytest
 from regression_stage import NOISE, SIGNAL, candidate, likelihood, problem, recordings, rows_of
 
 from sysid.gap.candidates import Candidate
+from sysid.gap.comparison import pays
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, fit_model
-from sysid.gap.price import pays
 
 F, G, TWIN = candidate(0), candidate(1), candidate(2)
 

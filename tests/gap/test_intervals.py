@@ -14,7 +14,7 @@ from sysid.gap.data import Data
 from sysid.gap.disagreement import run_rmse
 from sysid.gap.fit import Fit, fit_candidates, place
 from sysid.gap.intervals import Known, known_of
-from sysid.gap.intervals.shared import FRAMES
+from sysid.gap.intervals.known import FRAMES
 from sysid.gap.prepare.noise import noise_levels, problem_floor, run_floors, with_noise
 from sysid.gap.problem import Problem, drive_problem, problems_of, split_of
 from sysid.machine import KnownEffect

@@ -9,8 +9,8 @@ from scipy import stats
 
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
-from sysid.gap.intervals.jackknife import half_widths, jackknifed
 from sysid.gap.problem import problems_of, split_of
+from sysid.gap.stage_intervals import half_widths, jackknifed
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
 

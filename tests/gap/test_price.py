@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.gap.price import left_where_acting, pays
+from sysid.gap.comparison import left_where_acting, pays
 
 ROWS = 1000.0
 SIZES = st.lists(st.floats(1.0, 100.0), min_size=1, max_size=6)

@@ -15,7 +15,7 @@ from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
 from sysid.gap.candidates import candidates_at
 from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
-from sysid.gap.held_out_price import comparisons_without, without_cheap_names
+from sysid.gap.held_out import comparisons_without, without_cheap_names
 from sysid.gap.prepare.case import Stage
 from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_intervals_of

@@ -19,8 +19,7 @@ from sysid.execution import LocalExecutor, TaskError, open_executor
 from sysid.gap import find_gap, steps
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.result import GapResult
-from sysid.gap.tasks.search import SearchTasks, search_tasks
-from sysid.gap.tasks.values import from_result, to_result
+from sysid.gap.search_tasks import SearchTasks, from_result, search_tasks, to_result
 from sysid.machine import KnownEffect
 from sysid.plant import nominal_plant
 from sysid.registry import Registry

@@ -15,8 +15,7 @@ from servo_arms import arm_text, commands, drafted, recording_of
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.aliases import without_servo_aliases
-from sysid.gap.candidates import Scales, candidates_at
+from sysid.gap.candidates import Scales, candidates_at, without_servo_aliases
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.steps import open_study
 from sysid.machine import Machine

@@ -11,12 +11,11 @@ from plant_data import dataset_of, nominal
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.candidates import Candidate
-from sysid.gap.free_run import LeastSquares, free_run_of
+from sysid.gap.free_run import CLASSES, LeastSquares, SpeedClasses, free_run_of, speed_classes
 from sysid.gap.likelihood.discrepancy import discrepancy_of
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import open_case, stage_candidates
-from sysid.gap.speed_classes import CLASSES, SpeedClasses, speed_classes
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
 

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from scipy import signal as filters
 
 from sysid.datasets.recording import Recording
-from sysid.gap.intervals.criterion import Criterion
-from sysid.gap.intervals.curvature import Curvature
+from sysid.gap.intervals.criterion import Criterion, Curvature
 from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.signals import split_signal
 

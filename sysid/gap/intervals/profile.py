@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.intervals.criterion import Criterion
-from sysid.gap.intervals.curvature import Curvature
+from sysid.gap.intervals.criterion import Criterion, Curvature
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]

@@ -25,11 +25,10 @@ from scipy.linalg import solve_triangular
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
-from sysid.gap.likelihood.block_products import BlockProducts, predictive_densities, products_by_block
+from sysid.gap.likelihood.block_products import BlockProducts, posterior_covariance, predictive_densities, products_by_block
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
 from sysid.gap.likelihood.rows import Series, StageRows
-from sysid.gap.likelihood.uncertainty import posterior_covariance
 
 Array = npt.NDArray[np.float64]
 

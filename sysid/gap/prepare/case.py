@@ -23,8 +23,7 @@ from sysid.effects import (
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
-from sysid.gap.aliases import without_aliases, without_servo_aliases
-from sysid.gap.candidates import Candidate, Scales, candidates_at
+from sysid.gap.candidates import Candidate, Scales, candidates_at, without_aliases, without_servo_aliases
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid.effects import joint_compliance, sensor_bias
-from sysid.gap.equivalence import equivalent_change
+from sysid.gap.comparison import equivalent_change
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.servo.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error

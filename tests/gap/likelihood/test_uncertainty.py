@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.gap.likelihood.block_products import block_products
-from sysid.gap.likelihood.uncertainty import posterior_covariance
+from sysid.gap.likelihood.block_products import block_products, posterior_covariance
 
 Array = npt.NDArray[np.float64]
 BLOCKS, ROWS = 30, 80

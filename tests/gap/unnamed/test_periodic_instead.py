@@ -13,7 +13,7 @@ from unnamed_data import BASE, MACHINE, MODEL, Rate, disturbed, disturbed_datase
 
 from sysid.gap import find_gap
 from sysid.gap.problem import drive_problem
-from sysid.gap.unnamed.periodic_instead import _better, _series
+from sysid.gap.unnamed.instead import _better, _series
 from sysid.gap.unnamed.residual_series import ResidualSeries, residual_series
 from sysid.machine import KnownEffect
 

@@ -9,7 +9,7 @@ from unnamed_data import BASE, MACHINE, Rate, disturbed_dataset
 
 from sysid.gap import find_gap
 from sysid.gap.decision import POSITION
-from sysid.gap.unnamed.position_instead import DEGREE, PositionResidual, left_out, replaces
+from sysid.gap.unnamed.instead import DEGREE, PositionResidual, left_out, replaces
 
 LOW, HIGH = MACHINE.axis("boom").stroke or (0.0, 1.0)
 
