@@ -11,7 +11,7 @@ import pytest
 from plant_data import ROLES, arm, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
-from sysid.gap import GapResult, find_gap, held_out, held_out_price, proof
+from sysid.gap import GapResult, find_gap, held_out, proof
 from sysid.gap.candidates import candidates_at
 from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
@@ -228,8 +228,8 @@ def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
     alone: tuple[float, float], extended: tuple[float, float] | None, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Scores of the sets without and with the name, in noise floors; a vector is its own score here."""
-    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
-    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 1.0)
+    monkeypatch.setattr(held_out, "cross_validated_error", lambda stage, model: float(model.theta[0]))
+    monkeypatch.setattr(held_out, "distance_moved", lambda stage, recordings: 1.0)
 
     def vector(value: float) -> Any:
         return SimpleNamespace(theta=np.array([value]))
@@ -270,8 +270,8 @@ def test_a_name_beside_drives_with_wrong_formulas_pays_even_where_its_own_seem_r
     scores: tuple[float, float], other: float | None, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``other``: error of a second drive without a name, whose formulas are wrong; a vector is its own score here."""
-    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
-    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 1.0)
+    monkeypatch.setattr(held_out, "cross_validated_error", lambda stage, model: float(model.theta[0]))
+    monkeypatch.setattr(held_out, "distance_moved", lambda stage, recordings: 1.0)
 
     def stage(target: str, nominal: float, named: tuple[str, ...], exact: bool) -> Stage:
         unused: Any = None
@@ -302,8 +302,8 @@ def test_a_limit_of_the_pump_pays_once_for_all_drives(
     second: tuple[float, float], limits: tuple[float, float], kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone, the limit reduces the error of the first drive by half, which is not its price."""
-    monkeypatch.setattr(held_out_price, "cross_validated_error", lambda stage, model: float(model.theta[0]))
-    monkeypatch.setattr(held_out_price, "distance_moved", lambda stage, recordings: 0.0)
+    monkeypatch.setattr(held_out, "cross_validated_error", lambda stage, model: float(model.theta[0]))
+    monkeypatch.setattr(held_out, "distance_moved", lambda stage, recordings: 0.0)
     label, unused = "pump_flow_limit(machine)", cast(Any, None)
 
     def stage(target: str, scores: tuple[float, float], ends: tuple[float, float]) -> Stage:
