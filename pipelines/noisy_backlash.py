@@ -162,13 +162,13 @@ def table_of(answers: list[Answer]) -> str:
     rows = []
     for label, part in (*parts, ("all", answers)):
         named = [a for a in part if a.width is not None]
-        errors = [a.error for a in named] or [np.nan]
+        errors = [a.error for a in named]
         rows.append(
             (
                 label,
                 str(len(part)),
                 str(len(named)),
-                f"{100.0 * float(np.median(errors)):.1f}, {100.0 * max(errors):.1f} %",
+                f"{100.0 * float(np.median(errors)):.1f}, {100.0 * max(errors):.1f} %" if errors else "–",
                 str(sum(a.error <= CLOSE for a in named)),
                 str(sum(a.holds for a in named)),
                 str(sum(bool(a.others) for a in part)),
