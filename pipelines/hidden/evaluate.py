@@ -36,6 +36,7 @@ class CaseResult:
         closed: least share of the closable gap that was closed over all signals; None where nothing was named or closable.
         unnamed: whether structure was described that has no name.
         explained: share of what is hidden that the best fit of its own names takes away, noise-free; 1 where they are exact.
+        refused: near misses, (effect, target, the condition for a name that it fails).
         failure: why there is no answer.
     """
 
@@ -53,6 +54,7 @@ class CaseResult:
     seconds: float
     explained: float = 1.0
     alike: tuple[str, ...] = ()
+    refused: tuple[tuple[str, str, str], ...] = ()
     failure: str | None = None
 
     @property
@@ -72,9 +74,10 @@ class CaseResult:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> CaseResult:
         """What :meth:`to_json` wrote."""
-        given = {each.name: values[each.name] for each in fields(cls)}
+        given = {each.name: values[each.name] for each in fields(cls) if each.name in values}  # older files know fewer
         given |= {key: tuple((name, target) for name, target in given[key]) for key in ("hidden", "named", "wrong", "missed")}
         given["alike"] = tuple(given["alike"])
+        given["refused"] = tuple((name, target, lacks) for name, target, lacks in given.get("refused", ()))
         given["factor"] = math.inf if given["factor"] is None else given["factor"]
         given["seconds"] = math.nan if given["seconds"] is None else given["seconds"]
         return cls(**(given | {"spec": CaseSpec.from_json(given["spec"])}))
@@ -118,6 +121,7 @@ def evaluate(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapp
         seconds=answered["seconds"],
         explained=_explained(sealed.get("model_error", {})),
         alike=tuple(key for name, each in compared.items() if truths[name].get("exact") for key in each),
+        refused=tuple((miss["name"], miss["target"], miss["lacks"]) for miss in answer.get("near_misses", ())),
     )
 
 

@@ -53,11 +53,14 @@ def page_tables(result: Mapping[str, Any]) -> str:
         for case in result["judgements"]
         if case["failure"] or case["wrong"] or (case["due"] and not case["exact"])
     ]
+    refused = [(lacks, str(each["hidden"]), str(each["other"])) for lacks, each in result.get("refusals", {}).items()]
     parts = [
         f"Tier `{result['tier']}`, {_count(result)}, seed {_seed(result)}, {result['date']}: `{result['command']}`.",
         markdown(("", "goal", "measured", "95 %", "cases"), rates, "llrlr"),
         "Names given to a single hidden effect:",
         markdown(("hidden", "named"), called, "ll"),
+        "Why effects of a model that fits have no name, counted apart for effects that are hidden and for others:",
+        markdown(("condition", "hidden effects", "others"), refused, "lrr"),
         "Cases with a wrong or incomplete answer:",
         "`explained`: share of the hidden error that the best fit of the true effect removes, where it is below 90 %.",
         markdown(("case", "hides", "named", "verdict", "explained"), failed, "llll"),

@@ -75,7 +75,18 @@ def scored(cases: Sequence[CaseResult]) -> dict[str, Any]:
         "closed_median": float(np.median(closed)) if closed else None,
         "seconds": {"median": float(np.median(seconds)) if seconds else None, "max": max(seconds, default=None)},
         "confusion": confusion(cases),
+        "refusals": refusals(cases),
     }
+
+
+def refusals(cases: Sequence[CaseResult]) -> dict[str, dict[str, int]]:
+    """Condition for a name → how often an effect fails it, counted apart for effects that are hidden and for others."""
+    table: dict[str, dict[str, int]] = {}
+    for case in cases:
+        for name, target, lacks in case.refused:
+            counts = table.setdefault(lacks, {"hidden": 0, "other": 0})
+            counts["hidden" if (name, target) in case.hidden else "other"] += 1
+    return dict(sorted(table.items()))
 
 
 def confusion(cases: Sequence[CaseResult]) -> dict[str, dict[str, int]]:

@@ -336,6 +336,23 @@ def test_rates_over_cases(hidden: dict[str, ModuleType]) -> None:
     }
 
 
+def test_why_effects_have_no_name_is_counted(hidden: dict[str, ModuleType]) -> None:
+    sealed, found = sealed_case(hidden, "single", ("backlash", "slew")), answer(verdict="unnamed")
+    late = "something else explains it"
+    found["answer"]["near_misses"] = [
+        {"name": "backlash", "target": "slew", "lacks": late},
+        {"name": "backlash", "target": "boom", "lacks": late},
+        {"name": "stiction", "target": "slew", "lacks": "it may be absent"},
+    ]
+    case = hidden["evaluate"].evaluate(sealed, found)
+    again = hidden["evaluate"].CaseResult.from_json(json.loads(json.dumps(case.to_json())))
+    assert again == case
+    older = {key: value for key, value in case.to_json().items() if key != "refused"}
+    assert hidden["evaluate"].CaseResult.from_json(older).refused == ()
+    counted = hidden["score"].scored([case, again])["refusals"]
+    assert counted == {"it may be absent": {"hidden": 0, "other": 2}, late: {"hidden": 2, "other": 2}}
+
+
 def test_wilson_interval(hidden: dict[str, ModuleType]) -> None:
     wilson = hidden["score"].wilson
     assert wilson(0, 300) == pytest.approx([0.0, 0.01264], abs=1e-4)
