@@ -1,6 +1,4 @@
-"""95 % intervals of the unknowns of a stage.
-
-Standard errors of a least-squares fit from its values without each part of the recordings.
+"""95 % intervals of the unknowns of a stage: of its posterior, of its profile, and from parts of the recordings.
 
 Where the formulas of a stage are wrong, the best values depend on the motion, and each part of the recordings has its own. The
 jackknife leaves out each part in turn,
@@ -150,6 +148,8 @@ def simultaneous(values: Array, limits: Array) -> Array:
     wider = norm.ppf(1.0 - 0.025 / len(values)) / Z
     return np.asarray(values[:, None] + wider * (limits - values[:, None]))
 
+
+# -- differences between parts of the recordings -----------------------------------------------------------------------------
 
 Clusters = npt.NDArray[np.int64]
 
