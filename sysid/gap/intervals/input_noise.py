@@ -1,9 +1,9 @@
 """Effect of noise in the measured input of a stage on its fit: parameters are shifted and scattered, and no residual shows it.
 
 Backlash is estimated too wide, since the noise of its input crosses it; noise of the tip sustains a swing. The stage is run on
-its input, smoothed as far as the noise of the sensor allows. Noise is added repeatedly, and the parameters that then fit best
-are compared with those that generated the output (indirect inference: Gouriéroux, Monfort & Renault, J. Applied Econometrics 8
-(1993)). The noise that remains in the smoothed input is not corrected.
+the estimate of its input (:mod:`sysid.gap.prepare.measured_input`; of a force, on its smoothed motion). Noise is added
+repeatedly, and the parameters that then fit best are compared with those that generated the output (indirect inference:
+Gouriéroux, Monfort & Renault, J. Applied Econometrics 8 (1993)). The noise that remains in the estimate is not corrected.
 """
 
 from __future__ import annotations
