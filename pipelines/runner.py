@@ -33,7 +33,7 @@ from runner_flight import AXES, DRIFT, DRIVEN, KEEPS, LINE, LOOP, NO_FAULT, POLI
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
-from sysid.runner.checks.settings import BOUNDS
+from sysid_rl.run.checks.settings import BOUNDS
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]

@@ -22,7 +22,7 @@ PHASE_NS = 4_000_000
 
 
 class BenchLine:
-    """A bus (as python-can has it), a clock, and the switches of the machine, for :class:`sysid.runner.can.CanTransport`."""
+    """A bus (as python-can has it), a clock, and the switches of the machine, for :class:`sysid_rl.run.can.CanTransport`."""
 
     def __init__(self, process: LiveProcess) -> None:
         self._process, self._now = process, 0

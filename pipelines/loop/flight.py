@@ -19,13 +19,13 @@ from sysid.bench.live import LiveProcess
 from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.plant import Plant
 from sysid.registry import Registry
-from sysid.runner.can import CanSettings, CanTransport
-from sysid.runner.clock import SECOND
-from sysid.runner.cycle import Cycle
-from sysid.runner.flight_log import FlightLog, provenance
-from sysid.runner.operator import Unattended
-from sysid.runner.outcome import RunOutcome
-from sysid.runner.simulated import SimulatedTransport
+from sysid_rl.run.can import CanSettings, CanTransport
+from sysid_rl.run.clock import SECOND
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.flight_log import FlightLog, provenance
+from sysid_rl.run.operator import Unattended
+from sysid_rl.run.outcome import RunOutcome
+from sysid_rl.run.simulated import SimulatedTransport
 
 Array = npt.NDArray[np.float64]
 

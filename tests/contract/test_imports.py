@@ -1,4 +1,4 @@
-"""Imports point one way, the simulated test bench stands alone, and starting up is cheap."""
+"""Imports point one way, also from ``sysid_rl`` to ``sysid``; the simulated test bench stands alone; starting up is cheap."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "sysid"
+#: What moves a machine: it builds on ``sysid``.
+DOWNSTREAM = ROOT / "rl" / "sysid_rl"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
@@ -24,16 +26,16 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("datasets",),
     ("networks",),
     ("plant",),
-    ("registry", "validate", "testing", "world", "control"),
+    ("registry", "validate", "testing", "world"),
     ("gap", "versions"),
     ("reports", "view", "export"),
-    ("rl",),
     ("workspace",),
     ("model_versions", "fleet"),
     ("site",),
-    ("runner",),
     ("cli",),
 )
+#: The same of ``sysid_rl``; each may import all of ``sysid``.
+DOWNSTREAM_FLOORS: tuple[tuple[str, ...], ...] = (("control",), ("train",), ("run",), ("cli",))
 #: The simulated test bench has its own physics: it shares nothing with the library but errors and settings.
 BENCH_MAY_IMPORT = {"errors", "config", "bench"}
 #: Half a second and more each, or a compiler: only loaded by the verb that needs them.
@@ -59,26 +61,26 @@ def sources(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-def part_of(path: Path) -> str:
+def part_of(path: Path, package: Path = PACKAGE) -> str:
     """``sysid/gap/result.py`` → ``gap``; ``sysid/errors.py`` → ``errors``; ``sysid/__init__.py`` → the empty name."""
-    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    first = path.relative_to(package).parts[0].removesuffix(".py")
     return "" if first == "__init__" else first
 
 
-def imported_parts(path: Path) -> Iterator[tuple[str, int]]:
-    """The parts of sysid that a file imports anywhere in it (also inside functions), with the line."""
+def imported_parts(path: Path, package: str = "sysid") -> Iterator[tuple[str, int]]:
+    """The parts of a package that a file imports anywhere in it (also inside functions), with the line."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             module = node.module or ""
-            names = [f"sysid.{alias.name}" for alias in node.names] if module == "sysid" else [module]
+            names = [f"{package}.{alias.name}" for alias in node.names] if module == package else [module]
         else:
             continue
         for name in names:
             words = name.split(".")
-            if words[0] == "sysid" and len(words) > 1 and words[1] != "__version__":
+            if words[0] == package and len(words) > 1 and words[1] != "__version__":
                 yield words[1], node.lineno
 
 
@@ -107,8 +109,29 @@ def test_imports_point_downwards(path: Path) -> None:
     assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
 
 
+@pytest.mark.parametrize("path", sources(DOWNSTREAM), ids=lambda path: str(path.relative_to(DOWNSTREAM)))
+def test_imports_of_the_package_downstream_point_downwards(path: Path) -> None:
+    floor_of = {name: number for number, floor in enumerate(DOWNSTREAM_FLOORS) for name in floor}
+    part = part_of(path, DOWNSTREAM)
+    assert part in floor_of or path == DOWNSTREAM / "__init__.py", "enter it in DOWNSTREAM_FLOORS"
+    mine = floor_of.get(part, -1)
+    wrong = [
+        f"line {line}: sysid_rl.{other}"
+        for other, line in imported_parts(path, "sysid_rl")
+        if other != part and floor_of.get(other, len(FLOORS)) >= mine
+    ]
+    assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
+    upstream = {other for other, _ in imported_parts(path)}
+    assert part == "cli" or not upstream & {"cli", "bench"}, f"{path.relative_to(ROOT)}: a verb or the test bench"
+
+
+def test_nothing_of_sysid_names_the_package_downstream() -> None:
+    """Neither an import, in a function either, nor a name that is imported later: entry points lead there."""
+    assert [str(path.relative_to(ROOT)) for path in sources(PACKAGE) if "sysid_rl" in path.read_text("utf-8")] == []
+
+
 def imported_modules(path: Path) -> Iterator[str]:
-    """Modules of sysid that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
+    """Modules of ours that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -124,10 +147,11 @@ def imported_modules(path: Path) -> Iterator[str]:
 
 
 def module_of(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    root = DOWNSTREAM.parent if path.is_relative_to(DOWNSTREAM) else ROOT
+    return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {module_of(path): path for path in sources(PACKAGE)}
+MODULES = {module_of(path): path for path in (*sources(PACKAGE), *sources(DOWNSTREAM))}
 
 
 def circles(imports: dict[str, set[str]]) -> list[list[str]]:
@@ -151,7 +175,7 @@ def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
 
 
 def defined_in(path: Path) -> set[str]:
-    """Names that a module of sysid has, those that it imports lazily among them."""
+    """Names that a module has, those that it imports lazily among them."""
     tree = ast.parse(path.read_text("utf-8"), str(path))
     lazy = any(isinstance(node, ast.Name) and node.id == "lazy_names" for node in ast.walk(tree))
     found = {node.value for node in ast.walk(tree) if lazy and isinstance(node, ast.Constant) and isinstance(node.value, str)}
@@ -166,10 +190,10 @@ def defined_in(path: Path) -> set[str]:
 
 
 def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
-    """What a file takes from sysid that is not there."""
+    """What a file takes from sysid and sysid_rl that is not there."""
     nodes = (node for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))) if isinstance(node, ast.ImportFrom))
-    from_sysid = [node for node in nodes if (node.module or "").partition(".")[0] == "sysid"]
-    taken = [(node.lineno, str(node.module), alias.name) for node in from_sysid for alias in node.names]
+    ours = [node for node in nodes if (node.module or "").partition(".")[0] in ("sysid", "sysid_rl")]
+    taken = [(node.lineno, str(node.module), alias.name) for node in ours for alias in node.names]
     return [
         f"{path.name}, line {line}: {name} of {module}"
         for line, module, name in taken
@@ -179,7 +203,7 @@ def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
 
 def test_studies_and_tests_take_from_sysid_what_is_there(tmp_path: Path) -> None:
     defined = {name: defined_in(path) for name, path in MODULES.items()}
-    files = [*sources(PACKAGE), *sources(ROOT / "pipelines"), *sources(ROOT / "tests")]
+    files = [*sources(PACKAGE), *sources(DOWNSTREAM), *sources(ROOT / "pipelines"), *sources(ROOT / "tests")]
     assert [text for path in files for text in missing_names(path, defined)] == []
     bad = tmp_path / "bad.py"
     bad.write_text("from sysid.cores import cores, processors\nfrom sysid import nothing, gap\n")

@@ -49,7 +49,7 @@ RETIRED = {
 }
 #: In the text of documentation, console and comments.
 PHRASES = ("stand-in machine", "told apart", "from afar", "whence")
-CODE = sorted((ROOT / "sysid").rglob("*.py"))
+CODE = sorted([*(ROOT / "sysid").rglob("*.py"), *(ROOT / "rl" / "sysid_rl").rglob("*.py")])
 TEXT = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
 
 
@@ -76,7 +76,7 @@ def test_no_retired_phrase_is_in_the_text() -> None:
 
 
 def test_files_that_the_glossary_names_exist() -> None:
-    named = re.findall(r"`(sysid/[\w/.]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"))
+    named = re.findall(r"`((?:sysid|rl/sysid_rl)/[\w/.]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"))
     assert len(named) > 40
     assert [name for name in named if not (ROOT / name).exists()] == []
 

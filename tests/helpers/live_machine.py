@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sysid.bench.live import read_truth
-from sysid.runner.can import CanSettings
+from sysid_rl.run.can import CanSettings
 
 ROOT = Path(__file__).parents[2]
 DATABASE = ROOT / "rl/autolog/machine.dbc"

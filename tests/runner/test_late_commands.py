@@ -13,8 +13,8 @@ from sysid.bench.live import COLUMNS, LiveProcess
 from sysid.bench.live_bus import CanFrame
 from sysid.bench.live_machine import LATE_NS, TIME_OUT_NS, Watchdog
 from sysid.bench.recipe_file import load_recipe
-from sysid.runner.bus import BusSettings, MachineBus
-from sysid.runner.line_delay import MachineClock
+from sysid_rl.run.bus import BusSettings, MachineBus
+from sysid_rl.run.line_delay import MachineClock
 
 MS = 1_000_000
 CYCLE = 10 * MS
