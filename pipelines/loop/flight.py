@@ -15,8 +15,8 @@ import numpy.typing as npt
 from loop.bench_line import BenchLine
 from loop.capture_export import export_take
 from loop.deployment import Deployment
-from sysid.bench.live import LiveProcess
-from sysid.bench.recipe import AXES, BenchRecipe
+from simulated_bench.live import LiveProcess
+from simulated_bench.recipe import AXES, BenchRecipe
 from sysid.plant import Plant
 from sysid.registry import Registry
 from sysid_rl.run.can import CanSettings, CanTransport

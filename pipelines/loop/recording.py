@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sysid.bench.recipe import AXES, BenchRecipe
+from simulated_bench.recipe import AXES, BenchRecipe
 from sysid.datasets import Dataset, ingest
 from sysid_rl.run.flight_log import recipe_text
 

@@ -15,7 +15,8 @@ import pytest
 from sysid.extras import DISTRIBUTION, EXTRAS, install_command
 
 ROOT = Path(__file__).parents[2]
-CODE = sorted([*(ROOT / "sysid").rglob("*.py"), *(ROOT / "rl" / "sysid_rl").rglob("*.py")])
+FOLDERS = ("sysid", "rl/sysid_rl", "pipelines/simulated_bench")
+CODE = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 CONTENT = ("datasets", "pipelines", "rl", "reports")
 RAW_LOGS = {".mcap", ".csv", ".mat", ".parquet", ".bag", ".c3d", ".db3", ".blf"}
 
@@ -37,12 +38,12 @@ def test_content_folder_says_what_it_is_and_is_not_importable(folder: str) -> No
     text = (ROOT / folder / "README.md").read_text("utf-8")
     assert text.startswith(f"# {folder}/")
     assert "sysid" in text, "say which code reads it"
-    packages = [path for path in (ROOT / folder).rglob("__init__.py") if not path.is_relative_to(ROOT / "rl" / "sysid_rl")]
-    assert packages == []
+    packages = {path.relative_to(ROOT).parts[1] for path in (ROOT / folder).rglob("__init__.py")}
+    assert packages <= {"sysid_rl", "simulated_bench"}
 
 
 def test_two_import_packages_with_their_files() -> None:
-    """What is installed: ``sysid``, and ``sysid_rl`` in the folder of its recipes; the simulated test bench is not."""
+    """What is installed: ``sysid``, and ``sysid_rl`` in the folder of its recipes."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     assert settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["sysid", "rl/sysid_rl"]
     from hatchling.builders.wheel import WheelBuilder
@@ -50,7 +51,6 @@ def test_two_import_packages_with_their_files() -> None:
     files = {file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()}
     names = {path.relative_to(ROOT).as_posix() for path in tracked()}
     wanted = {name.removeprefix("rl/") for name in names if name.startswith(("sysid/", "rl/sysid_rl/"))}
-    wanted -= {name for name in wanted if name.startswith("sysid/bench/")}
     assert {"sysid/py.typed", "sysid_rl/py.typed", "sysid/cli/templates/servo-machine.toml"} <= wanted
     assert {name for name in files if not name.startswith("sysid/shipped/")} == wanted
 

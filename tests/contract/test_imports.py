@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "sysid"
 #: What moves a machine: it builds on ``sysid``.
 DOWNSTREAM = ROOT / "rl" / "sysid_rl"
+BENCH = ROOT / "pipelines" / "simulated_bench"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
@@ -37,7 +38,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 #: The same of ``sysid_rl``; each may import all of ``sysid``.
 DOWNSTREAM_FLOORS: tuple[tuple[str, ...], ...] = (("control",), ("train",), ("run",), ("cli",))
 #: The simulated test bench has its own physics: it shares nothing with the library but errors and settings.
-BENCH_MAY_IMPORT = {"errors", "config", "bench"}
+BENCH_MAY_IMPORT = {"errors", "config"}
 #: Half a second and more each, or a compiler: only loaded by the verb that needs them.
 HEAVY = (
     "torch",
@@ -85,7 +86,7 @@ def imported_parts(path: Path, package: str = "sysid") -> Iterator[tuple[str, in
 
 
 def test_every_part_has_its_floor() -> None:
-    listed = {part for floor in FLOORS for part in floor} | {"bench", ""}
+    listed = {part for floor in FLOORS for part in floor} | {""}
     found = {part_of(path) for path in sources(PACKAGE)}
     assert found <= listed, f"no floor for {sorted(found - listed)}: enter it in FLOORS"
 
@@ -93,10 +94,6 @@ def test_every_part_has_its_floor() -> None:
 @pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_point_downwards(path: Path) -> None:
     part = part_of(path)
-    if part == "bench":
-        wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
-        assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
-        return
     floor_of = {name: number for number, floor in enumerate(FLOORS) for name in floor}
     if path == PACKAGE / "__init__.py":  # the front door: `sysid.load` opens a room when it is called
         return
@@ -121,13 +118,22 @@ def test_imports_of_the_package_downstream_point_downwards(path: Path) -> None:
         if other != part and floor_of.get(other, len(FLOORS)) >= mine
     ]
     assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
-    upstream = {other for other, _ in imported_parts(path)}
-    assert part == "cli" or not upstream & {"cli", "bench"}, f"{path.relative_to(ROOT)}: a verb or the test bench"
+    assert part == "cli" or "cli" not in {other for other, _ in imported_parts(path)}, f"{path.relative_to(ROOT)}: a verb"
 
 
-def test_nothing_of_sysid_names_the_package_downstream() -> None:
-    """Neither an import, in a function either, nor a name that is imported later: entry points lead there."""
-    assert [str(path.relative_to(ROOT)) for path in sources(PACKAGE) if "sysid_rl" in path.read_text("utf-8")] == []
+@pytest.mark.parametrize("path", sources(BENCH), ids=lambda path: str(path.relative_to(BENCH)))
+def test_the_simulated_test_bench_shares_nothing_with_what_is_tested_on_it(path: Path) -> None:
+    wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
+    wrong += [f"line {line}: sysid_rl.{other}" for other, line in imported_parts(path, "sysid_rl")]
+    assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
+
+
+@pytest.mark.parametrize(
+    ("folder", "word"), [(PACKAGE, "sysid_rl"), (PACKAGE, "simulated_bench"), (DOWNSTREAM, "simulated_bench")]
+)
+def test_a_package_does_not_name_what_builds_on_it(folder: Path, word: str) -> None:
+    """Neither in an import, in a function either, nor as a name that is imported later: entry points lead to verbs."""
+    assert [str(path.relative_to(ROOT)) for path in sources(folder) if word in path.read_text("utf-8")] == []
 
 
 def imported_modules(path: Path) -> Iterator[str]:
@@ -147,11 +153,11 @@ def imported_modules(path: Path) -> Iterator[str]:
 
 
 def module_of(path: Path) -> str:
-    root = DOWNSTREAM.parent if path.is_relative_to(DOWNSTREAM) else ROOT
+    root = next(folder.parent for folder in (PACKAGE, DOWNSTREAM, BENCH) if path.is_relative_to(folder))
     return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {module_of(path): path for path in (*sources(PACKAGE), *sources(DOWNSTREAM))}
+MODULES = {module_of(path): path for path in (*sources(PACKAGE), *sources(DOWNSTREAM), *sources(BENCH))}
 
 
 def circles(imports: dict[str, set[str]]) -> list[list[str]]:
@@ -170,8 +176,8 @@ def test_no_module_imports_itself_through_others() -> None:
 
 def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
-    bad.write_text("def f():\n    from sysid.gap import find_gap\n    import sysid.bench.machine\n    from sysid import cli\n")
-    assert list(imported_parts(bad)) == [("gap", 2), ("bench", 3), ("cli", 4)]
+    bad.write_text("def f():\n    from sysid.gap import find_gap\n    import sysid.site.item\n    from sysid import cli\n")
+    assert list(imported_parts(bad)) == [("gap", 2), ("site", 3), ("cli", 4)]
 
 
 def defined_in(path: Path) -> set[str]:
@@ -190,9 +196,9 @@ def defined_in(path: Path) -> set[str]:
 
 
 def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
-    """What a file takes from sysid and sysid_rl that is not there."""
+    """What a file takes from our packages that is not there."""
     nodes = (node for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))) if isinstance(node, ast.ImportFrom))
-    ours = [node for node in nodes if (node.module or "").partition(".")[0] in ("sysid", "sysid_rl")]
+    ours = [node for node in nodes if (node.module or "").partition(".")[0] in ("sysid", "sysid_rl", "simulated_bench")]
     taken = [(node.lineno, str(node.module), alias.name) for node in ours for alias in node.names]
     return [
         f"{path.name}, line {line}: {name} of {module}"

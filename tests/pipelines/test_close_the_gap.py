@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from rerun_file import curves
 
-from sysid.bench.recipe import AXES
+from simulated_bench.recipe import AXES
 from sysid.gap import GapResult
 from sysid.gap.result import Gap, NamedEffect, WrittenEffect
 from sysid.machine import KnownEffect, load_machine

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES
 
-from sysid.bench.live_bus import CanFrame, LiveBus
+from simulated_bench.live_bus import CanFrame, LiveBus
 from sysid_rl.run.can import CanSettings, CanTransport
 from sysid_rl.run.slcan import WAITING, SlcanBus, parse_line
 

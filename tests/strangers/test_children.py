@@ -88,7 +88,8 @@ def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) ->
 def test_every_place_that_starts_a_process_is_listed() -> None:
     """Readers that run in a process of their own enter theirs here."""
     found = set()
-    for path in sorted([*(ROOT / "sysid").rglob("*.py"), *(ROOT / "rl" / "sysid_rl").rglob("*.py")]):
+    folders = ("sysid", "rl/sysid_rl", "pipelines/simulated_bench")
+    for path in sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         modules = {
             name.name if isinstance(node, ast.Import) else str(node.module)
             for node in ast.walk(ast.parse(path.read_text("utf-8")))
