@@ -29,7 +29,7 @@ from targets import TARGETS, forget
 # As where files are read: the other pools reserve a gigabyte of address space at once. Read when pyarrow is imported.
 os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
+sys.path[:0] = [str(ROOT), str(ROOT / "rl"), str(ROOT / "tests" / "helpers")]
 
 LARGEST_INPUT = 16 * 1024
 #: For one input: seconds, and memory beyond what the process takes before it.

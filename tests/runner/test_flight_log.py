@@ -82,7 +82,7 @@ def test_a_reading_that_stands_still_is_said_once_and_neutral_is_zero(tmp_path: 
 @contextmanager
 def writing(folder: Path, rate: float, limit: int = 0) -> Iterator[subprocess.Popen[str]]:
     words = [sys.executable, flights.__file__, str(folder), str(rate), str(limit)]
-    environment = os.environ | {"PYTHONPATH": str(flights.ROOT)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(flights.ROOT), str(flights.ROOT / "rl")))}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment) as process:
         try:
             yield process
