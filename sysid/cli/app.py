@@ -13,7 +13,7 @@ import click
 from sysid.children import safe_children
 from sysid.cli import verbs
 from sysid.disk import storage_error
-from sysid.errors import SettingsError, StorageError, SysidError, nearest
+from sysid.errors import StorageError, SysidError, nearest
 from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
 from sysid.release import __version__
@@ -28,7 +28,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         try:
             return verbs.command(cmd_name)
-        except SettingsError:
+        except verbs.UNLOADED:
             if ctx.resilient_parsing:  # completion in a shell: of the verbs that load
                 return None
             raise

@@ -18,17 +18,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+import click
 
 from sysid.errors import SettingsError
 from sysid.extras import extra_of
 
-if TYPE_CHECKING:
-    import click
-
 T = TypeVar("T")
 
 GROUP, VIEWERS = "sysid.verbs", "sysid.viewers"
+#: What loading a verb raises; the second where a package of an extra of this distribution is missing.
+UNLOADED = (SettingsError, ModuleNotFoundError)
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def all_verbs() -> dict[str, Verb]:
     for name, entry in _added().items():
         try:
             added[name] = _verb(entry)
-        except SettingsError as error:
+        except UNLOADED as error:
             added[name] = Verb("", str(error))
     while ready := [name for name, verb in added.items() if verb.after in found]:
         for name in ready:
@@ -94,6 +95,7 @@ def command(name: str) -> click.Command | None:
 
     Raises:
         SettingsError: it is a verb of another package, and does not load.
+        ModuleNotFoundError: it needs a package of an extra of this distribution.
     """
     if name in VERBS:
         return _command(VERBS[name])
@@ -109,6 +111,7 @@ def viewer(suffix: str) -> Callable[[Path, Path | None, str | None], None] | Non
 
     Raises:
         SettingsError: it does not load.
+        ModuleNotFoundError: it needs a package of an extra of this distribution.
     """
     entries = [*entry_points(group=VIEWERS, name=suffix.removeprefix("."))] if suffix else []
     return _loaded(entries[0], entries[0].load) if entries else None
@@ -128,8 +131,10 @@ def _verb(entry: EntryPoint) -> Verb:
 
 def _command(verb: Verb) -> click.Command:
     module, _, attribute = verb.location.partition(":")
-    command: click.Command = getattr(importlib.import_module(module), attribute)
-    return command
+    found: object = getattr(importlib.import_module(module), attribute)
+    if not isinstance(found, click.Command):
+        raise TypeError(f"{verb.location} is no command of click")
+    return found
 
 
 def _loaded(entry: EntryPoint, load: Callable[[], T]) -> T:
