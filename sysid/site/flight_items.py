@@ -1,4 +1,4 @@
-"""Runs of a machine as items of the site, from the records that the runner keeps in the workspace."""
+"""Runs of a machine as items of the site, from the records that its runs leave in the workspace."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sysid.parse import parse_json
 from sysid.root import Root
 from sysid.site.item import Fact, Item
 
-#: Folder of the records (:mod:`sysid.runner.run_record`).
+#: Folder of the records in a workspace: a JSON file of schema 1 a run.
 FOLDER = "flights"
 NOT_ENDED = "not ended: the run goes on, or it was killed"
 
