@@ -234,7 +234,7 @@ def decide(
         known = {f.labels: f for f in models}
         less = without or (lambda f, c: known[f.labels - {c.label}])
         for c in model.candidates:
-            if not lacking[c.key] and less(model, c).left <= EXPLAINED * max(model.left, 1.0):
+            if not lacking[c.key] and _leaves_as_little(less(model, c), model):
                 lacking[c.key] = LITTLE
     alone = model
     if servo and without is not None:
@@ -303,6 +303,11 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
     """The models without those that have the effects of ``chosen``, in whatever form."""
     here = {c.key for c in chosen.candidates}
     return [f for f in models if {c.key for c in f.candidates} != here]
+
+
+def _leaves_as_little(less: ModelFit, model: ModelFit) -> bool:
+    """Whether a set with fewer effects leaves at most a tenth more."""
+    return less.left <= EXPLAINED * max(model.left, 1.0)
 
 
 def _beyond_price(

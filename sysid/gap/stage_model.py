@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +66,81 @@ class StageFit:
     open_loads: Mapping[str, float] = field(default_factory=dict)
 
 
-def fit_stage(
+@dataclass(frozen=True)
+class StageSearch:
+    """The searched sets of effects of one stage, and what the decision asks of them.
+
+    Args:
+        free: least squares over the free run. bare: the likelihood without discrepancy.
+        excited: candidates that the recordings excite; ``nameable``: their labels.
+        sags: whether the stage is that of an axis that may sag under gravity.
+        smallest: labels of the smallest sets that explain the free run, where errors accumulate.
+    """
+
+    proposals: Proposals
+    free: LeastSquares
+    start: Start
+    bare: StageLikelihood
+    excited: tuple[Candidate, ...]
+    nameable: tuple[str, ...]
+    sags: bool
+    smallest: tuple[frozenset[str], ...] = ()
+    _evidence: dict[tuple[str, ModelFit], float] = field(default_factory=dict)
+
+    def own_evidence(self, fit: ModelFit) -> float:
+        """Evidence of a model with the discrepancy estimated beside it alone."""
+        key = "own", fit
+        if key not in self._evidence:
+            self._evidence[key] = own_evidence(self.proposals.likelihood, self.start, fit)
+        return self._evidence[key]
+
+    def needed(self, fit: ModelFit) -> float:
+        """Gain in evidence of a model by a discrepancy [nats]."""
+        key = "needed", fit
+        if key not in self._evidence:
+            self._evidence[key] = fit.evidence - fit_model(self.bare, fit.candidates, fit.values[None]).evidence
+        return self._evidence[key]
+
+    def decided(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> StageFit:
+        """The decision on the stage; ``rope`` and ``shared`` as in :func:`sysid.gap.decision.decide`."""
+        proposals = self.proposals
+        decision = self._decide(rope, shared)
+        for _ in range(4):  # every survivor without each of its effects, until nothing new survives
+            before = len(proposals.fits)
+            for survivor in (decision.model, *decision.acceptable):
+                for candidate in survivor.candidates:
+                    proposals.without(survivor, candidate)
+            if len(proposals.fits) == before:
+                break
+            decision = self._decide(rope, shared)
+        fitted = _fitted(proposals, decision, self.free)
+        if not decision.named or len(decision.named) == len(decision.model.candidates):
+            return fitted
+        names = _valued(proposals.warm(decision.named, decision.model), decision, self.free)
+        alone = replace(decision, model=names, acceptable=(names,), tied=())
+        return replace(fitted, names_alone=_fitted(proposals, alone, self.free))
+
+    def _decide(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> Decision:
+        proposals = self.proposals
+        models = {f.labels: f for f in (*proposals.near(), *(proposals.fits[labels] for labels in self.smallest))}
+        return decide(
+            tuple(models.values()),
+            self.nameable,
+            rope,
+            shared,
+            self.own_evidence,
+            self.needed,
+            proposals.likelihood.rows.problem.integrates,
+            self.free,
+            proposals.without,
+            fewest=self._fewest if self.sags else None,
+        )
+
+    def _fewest(self, fit: ModelFit) -> list[ModelFit]:
+        return fewest_sets(fit, self.excited, self.proposals.warm, EXPLAINED)
+
+
+def search_stage(
     model: Model,
     problem: Problem,
     recordings: Sequence[Recording],
@@ -75,16 +148,13 @@ def fit_stage(
     sigma: Array,
     candidates: Sequence[Candidate],
     nameable: Sequence[str],
-    rope: Mapping[EffectKey, float],
     on_fit: Callable[[str], None],
-    shared: Sequence[str],
-) -> StageFit:
-    """Search and decide one stage.
+) -> StageSearch:
+    """Search one stage.
 
     Args:
         sigma: noise floor of each output, (d,).
         nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
-        rope, shared: as in :func:`sysid.gap.decision.decide`.
         on_fit: called with the labels of each fitted set.
     """
     full = recordings[0].rate_hz
@@ -117,54 +187,15 @@ def fit_stage(
     for other in likeliest:
         proposals.warm(other.candidates, other)
 
-    @cache
-    def own_of(fit: ModelFit) -> float:
-        return own_evidence(likelihood, start, fit)
-
     bare = StageLikelihood(rows, discrepancy.absent, replace(variances, groups=np.zeros(0)), extra)
-
-    @cache
-    def needed(fit: ModelFit) -> float:
-        return fit.evidence - fit_model(bare, fit.candidates, fit.values[None]).evidence
-
+    sagging = sags(model.machine, problem, excited)
+    search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging)
     proposals.forward(proposals.best)
-    if not problem.integrates or needed(proposals.best) < MISSPECIFIED:
+    if not problem.integrates or search.needed(proposals.best) < MISSPECIFIED:
         proposals.around()
-    acceptable = [proposals.warm(f.candidates, f) for f in sets]
-
-    def fewest(fit: ModelFit) -> list[ModelFit]:
-        return fewest_sets(fit, excited, proposals.warm, EXPLAINED)
-
-    def decided() -> Decision:
-        models = {f.labels: f for f in (*proposals.near(), *acceptable)}
-        return decide(
-            tuple(models.values()),
-            nameable,
-            rope,
-            shared,
-            own_of,
-            needed,
-            problem.integrates,
-            free,
-            proposals.without,
-            fewest=fewest if sags(model.machine, problem, excited) else None,
-        )
-
-    decision = decided()
-    for _ in range(4):  # every survivor without each of its effects, until nothing new survives
-        before = len(proposals.fits)
-        for survivor in (decision.model, *decision.acceptable):
-            for candidate in survivor.candidates:
-                proposals.without(survivor, candidate)
-        if len(proposals.fits) == before:
-            break
-        decision = decided()
-    fitted = _fitted(proposals, decision, free)
-    if not decision.named or len(decision.named) == len(decision.model.candidates):
-        return fitted
-    names = _valued(proposals.warm(decision.named, decision.model), decision, free)
-    alone = replace(decision, model=names, acceptable=(names,), tied=())
-    return replace(fitted, names_alone=_fitted(proposals, alone, free))
+    for smallest in sets:
+        proposals.warm(smallest.candidates, smallest)
+    return replace(search, smallest=tuple(f.labels for f in sets))
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:

@@ -30,7 +30,7 @@ from sysid.gap.prepare.clocks import open_offset
 from sysid.gap.problem import Problem
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import BEHIND, SCALE
-from sysid.gap.stage_model import StageFit, fit_stage
+from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
@@ -105,7 +105,7 @@ def find_stage(
 
         def search(some: Sequence[Candidate]) -> StageFit:
             seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return fit_stage(model, *seen_by, some, nameable, rope, on_fit=fits, shared=shared)
+            return search_stage(model, *seen_by, some, nameable, fits).decided(rope, shared)
 
         fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":

@@ -78,7 +78,7 @@ def fit_links_stage(
     nameable: Sequence[str],
     on_fit: Callable[[str], None],
 ) -> StageFit:
-    """Search and decide the links; arguments as of :func:`sysid.gap.stage_model.fit_stage`."""
+    """Search and decide the links; arguments as of :func:`sysid.gap.stage_model.search_stage`."""
     there = [c for c in candidates if c.label in nameable]
     rows = axis_rows(model, problem, recordings, theta)
     whole = _Whole(model, rows, theta, sigma, there)

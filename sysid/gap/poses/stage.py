@@ -66,7 +66,7 @@ def fit_pose_stage(
     nameable: Sequence[str],
     on_fit: Callable[[str], None],
 ) -> StageFit:
-    """Search and decide the end-effector stage of static poses; arguments as of :func:`sysid.gap.stage_model.fit_stage`.
+    """Search and decide the end-effector stage of static poses; arguments as of :func:`sysid.gap.stage_model.search_stage`.
 
     Effects that the poses do not excite are left out: they would absorb the errors of others. The frame of the measurement
     stays, whether the poses determine it or not.

@@ -1,0 +1,76 @@
+"""One sealed case under every trial: searched once, decided by each changed rule."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hidden.evaluate import _meant
+from sysid.datasets import ingest
+from sysid.gap import steps
+from sysid.gap.proof import ProofOutcome
+from sysid.plant import nominal_plant
+from trials.memory import Memory
+from trials.replaced import load_all, replaced
+from trials.rules import TRIALS
+
+Answer = dict[str, Any]
+
+
+def decide_case(site: Path, sealed: Path, out: Path) -> None:
+    """Write the answer of every trial about the logs in ``site``, judged by the ``sealed`` truth."""
+    load_all()
+    truth = json.loads(sealed.read_text("utf-8"))
+    hidden = tuple((e["name"], e["target"]) for each in truth["hidden"] for e in each["effects"])
+    answers: dict[str, Answer] = {}
+    with tempfile.TemporaryDirectory() as workspace, Memory().installed():
+        dataset = ingest(site, workspace)
+        study = steps.open_study(dataset, nominal_plant(dataset.machine))
+        for name, changes in TRIALS.items():
+            with replaced(changes):
+                answers[name] = judged(steps.decide_on(steps.search(study)), hidden)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps({"hidden": hidden, "answers": answers}, indent=1) + "\n", "utf-8")
+
+
+def judged(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:
+    """Names and ties of an answer, those that are wrong, and hidden effects that it misses."""
+    meant = {
+        (e.name, e.target): _meant(
+            {"name": e.name, "target": e.target, "aliases": [{"name": n, "target": t} for n, t in e.aliases]}, tuple(hidden)
+        )
+        for e in outcome.named
+    }
+    return {
+        "named": sorted(meant),
+        "ties": sorted(sorted(tie) for tie in outcome.ties),
+        "wrong": sorted(name for name, found in meant.items() if found is None),
+        "missed": [name for name in hidden if name not in meant.values()],
+    }
+
+
+def verdict(answer: Answer) -> str:
+    return "wrong" if answer["wrong"] else "incomplete" if answer["missed"] else "exact"
+
+
+def changed(cases: Mapping[str, Mapping[str, Answer]]) -> dict[str, dict[str, Any]]:
+    """Trial → how many answers change, from which verdict to which, and the cases.
+
+    Args:
+        cases: by name, the answer of every trial; that of the rule itself has no name.
+    """
+    table: dict[str, dict[str, Any]] = {}
+    for trial in TRIALS:
+        moves, names = Counter[str](), []
+        for name, answers in cases.items():
+            before, after = answers[""], answers[trial]
+            if [before["named"], before["ties"]] != [after["named"], after["ties"]]:
+                moves[f"{verdict(before)} → {verdict(after)}"] += 1
+                names.append(name)
+        if trial:
+            table[trial] = {"changed": len(names), "moves": dict(sorted(moves.items())), "cases": names}
+    return table

@@ -1,0 +1,127 @@
+"""Remembers what a decision asks of the fits of a case, so that the case is searched once and decided many times.
+
+A search is a value (:class:`sysid.gap.stage_model.StageSearch`), and what the rule asks of it depends on a set of effects and
+its values alone. Those results are kept by what they depend on; each decision begins with the sets that the search has fitted.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sysid.gap import fit, held_out
+from sysid.gap.intervals import known
+from sysid.gap.likelihood import stage as likelihood_stage
+from sysid.gap.proposals import Proposals
+from sysid.gap.stage_model import StageSearch, search_stage
+from sysid.gap.unnamed import description, instead
+from trials.replaced import replaced
+
+
+class Memory:
+    """The results of one case; ``installed`` puts it in front of the functions that take long."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, Any] = {}
+        self._alive: list[object] = []  # what is identified by its address
+
+    def installed(self) -> Any:
+        """A context in which these functions remember."""
+        return replaced(
+            {
+                "likelihood.stage.fit_model": self._of(likelihood_stage.fit_model, _model_key, self._keep_first),
+                "stage_model.search_stage": self._search(search_stage),
+                "intervals.known.known_of": self._of(known.known_of, _known_key),
+                "held_out.cross_validated_error": self._of(held_out.cross_validated_error, _error_key),
+                "held_out._errors": self._of(held_out._errors, _error_key),
+                "held_out.held_out_error": self._of(held_out.held_out_error, lambda stage, theta: (stage.label, _bytes(theta))),
+                "unnamed.description.describe_residual": self._of(description.describe_residual, _residual_key),
+                "unnamed.description.describe_period": self._of(description.describe_period, _residual_key),
+                "unnamed.description.worst_residual": self._of(description.worst_residual, _residual_key),
+                "unnamed.instead._better": self._of(instead._better, lambda *parts: [_series(part) for part in parts]),
+                "fit.fit_candidates": self._of(fit.fit_candidates, _fit_key),
+            }
+        )
+
+    def _of(self, function: Callable[..., Any], key_of: Callable[..., Any], before: Any = None) -> Callable[..., Any]:
+        name = f"{function.__module__}.{function.__qualname__}"
+
+        @functools.wraps(function)
+        def remembered(*args: Any, **named: Any) -> Any:
+            key = name, repr(key_of(*args, **named))
+            if key not in self._known:
+                if before is not None:
+                    before(*args)
+                self._known[key] = function(*args, **named)
+            return self._known[key]
+
+        return remembered
+
+    def _keep_first(self, *args: Any) -> None:
+        self._alive.append(args[0])
+
+    def _search(self, function: Callable[..., StageSearch]) -> Callable[..., StageSearch]:
+        searched = self._of(function, _search_key, lambda *args: self._alive.append(args[1]))
+
+        @functools.wraps(function)
+        def fresh(*args: Any) -> StageSearch:
+            found = searched(*args)
+            free = replace(found.free, proposals=_copied(found.free.proposals))
+            return replace(found, proposals=_copied(found.proposals), free=free)
+
+        return fresh
+
+
+def _copied(proposals: Proposals) -> Proposals:
+    """With the fits of the search, without those that a decision adds."""
+    return replace(proposals, fits=dict(proposals.fits))
+
+
+def _bytes(values: Any) -> bytes:
+    return np.ascontiguousarray(values).tobytes()
+
+
+def _labels(candidates: Any) -> list[str]:
+    return [candidate.label for candidate in candidates]
+
+
+def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = likelihood_stage.ROUNDS) -> Any:
+    return id(likelihood), _labels(candidates), _bytes(starts), rounds
+
+
+def _search_key(
+    model: Any, problem: Any, recordings: Any, theta: Any, sigma: Any, candidates: Any, nameable: Any, _: Any
+) -> Any:
+    return id(problem), _bytes(theta), _bytes(sigma), _labels(candidates), list(nameable)
+
+
+def _known_key(data: Any, theta: Any, fitted: Any, noise: Any, seed: int) -> Any:
+    return (
+        data.problem.stage,
+        data.problem.target,
+        data.drifting,
+        _bytes(theta),
+        _bytes(fitted.theta),
+        _labels(fitted.candidates),
+    )
+
+
+def _error_key(stage: Any, model: Any) -> Any:
+    return stage.label, _bytes(stage.theta), _bytes(model.theta), _labels(model.candidates), stage.found.accumulates
+
+
+def _residual_key(problem: Any, theta: Any, recordings: Any, machine: Any) -> Any:
+    return problem.stage, problem.target, _bytes(theta), [recording.name for recording in recordings]
+
+
+def _fit_key(data: Any, theta: Any, candidates: Any, starts: Any, *rest: Any) -> Any:
+    here = data.problem.stage, data.problem.target, data.drifting, [recording.name for recording in data.recordings]
+    return here, _bytes(theta), _labels(candidates), _bytes(np.array(starts)), rest
+
+
+def _series(part: Any) -> list[bytes]:
+    return [_bytes(series.target) for series in part]

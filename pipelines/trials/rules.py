@@ -1,0 +1,69 @@
+"""The trials: each condition of the decision rule, and each of its constants, changed alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sysid.gap import comparison, decision, proof
+
+Changes = Mapping[str, Any]
+
+
+def _never(*_: object, **__: object) -> bool:
+    return False
+
+
+def _always(*_: object, **__: object) -> bool:
+    return True
+
+
+#: Trial → names below `sysid.gap` that are replaced, and by what.
+CONDITIONS: Mapping[str, Changes] = {
+    "evidence with the discrepancy of each set alone": {"stage_model.StageSearch.own_evidence": lambda _, fit: fit.evidence},
+    "a survivor with more effects that is clearly likelier": {"comparison.replaced": _never},
+    "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
+    "effects that the discrepancy must not replace": {"comparison.outdone": _never},
+    "survival by predictive density": {"comparison.survives": lambda f, best: f.evidence > best.evidence - decision.LEAST},
+    "alternatives that may be absent themselves": {"decision._is_alternative": _always},
+    "formulas right: no set certainly leaves less": {"decision._exact": lambda f, _, needed, *__: needed(f) < decision.LEAST},
+    "formulas right: by the noise floor instead": {"decision._exact": lambda f, *_: f.left <= decision.EXPLAINED},
+    "compensates for a similar effect": {"decision._repairs": _never},
+    "changes some speeds only": {"decision._contradicted": _never},
+    "known value within a tenth": {"comparison.near_known": _never},
+    "useful only beside one that may be absent": {"decision._pay_alone": _always},
+    "others leave as little": {"decision._leaves_as_little": _never},
+    "servo: certain effects beyond their price": {"decision._beyond_price": lambda f, *_: ([], f)},
+    "too fast for the rate": {"comparison.beyond_rate": _never},
+    "at a bound": {"comparison.at_bound": _never},
+    "preferred by blocks of the free run": {"free_run.LeastSquares.further": lambda *_: 0.0},
+    "preferred by evidence": {"decision._likelier": _never},
+    "the price where the effects act": {"free_run.LeastSquares.priced": lambda free, f: free.left(f)},
+    "the plant: a larger survivor": {"decision._whole": lambda smallest, *_: smallest},
+    "the plant: a survivor that leaves less": {"decision._less_left": lambda f, *_: f},
+    "open clocks and dead times": {"stage_search._equivalence": lambda *_: {}},
+    "scales shared with a drive": {"stage_search._scales_of_drives": lambda _: set()},
+    "scales that their drive contradicts": {"sensor_scales.with_sensor_scales": lambda stages, _: tuple(stages)},
+    "weight of unknown masses": {"stage_search._without_masses": lambda case, stage, fitted: fitted},
+    "a periodic disturbance instead": {"unnamed.instead.without_periodic_names": lambda stage, _: stage},
+    "a function of the position instead": {"unnamed.instead.without_names_of_position": lambda stage, _: stage},
+    "sag instead of errors of a sensor": {
+        "servo.ties.without_sensor_names": lambda _, stage: stage,
+        "servo.ties.sag_tie": lambda *_: None,
+    },
+    "the names alone on held-out recordings": {"proof._with_proven_model": proof.with_intervals},
+    "the price on recordings left out": {"held_out.without_cheap_names": list},
+    "the error of the other drives": {"comparison.pays_beside": lambda before, after, _: comparison.pays(before, after)},
+    "one effect pays for several drives": {"held_out._proven_together": lambda *_: frozenset()},
+    "better on held-out recordings": {"held_out.is_better": _always},
+    "whole recordings instead of blocks": {"proof._shown_by_recordings": _always},
+    "may be absent by the stated interval": {"stage_intervals.may_be_absent": _never},
+    "a share of the gap": {"proof._least_share": lambda _: 0.0},
+}
+#: Constants of the decision, larger and smaller by half; searches stay as they are.
+CONSTANTS: Mapping[str, Changes] = {
+    f"{name} {sign} {factor:g}": {f"thresholds.{name}": value * factor if sign == "x" else value / factor}
+    for name, value in (("STANDARD_ERRORS", 2.0), ("LEAST", 3.0), ("BLOCK_NATS", 5.0), ("PRICE", 5.0), ("SHARE", 0.01))
+    for sign, factor in (("x", 1.5), ("/", 1.5))
+}
+TRIALS: Mapping[str, Changes] = {"": {}, **CONDITIONS, **CONSTANTS}

@@ -1,0 +1,67 @@
+"""The trials of the decision rule replace what they name, everywhere and for a while, and count what changes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "pipelines"))
+from sysid.gap import comparison, decision, thresholds
+from sysid.gap.free_run import LeastSquares
+from trials.cases import changed, verdict
+from trials.memory import Memory
+from trials.replaced import load_all, replaced
+from trials.rules import TRIALS
+
+
+@pytest.mark.parametrize("trial", list(TRIALS))
+def test_every_trial_names_something_that_there_is(trial: str) -> None:
+    load_all()
+    with replaced(TRIALS[trial]):
+        pass
+
+
+def test_a_replacement_reaches_every_module_that_has_imported_the_name_and_ends() -> None:
+    before = comparison.at_bound, decision.at_bound, LeastSquares.priced, decision.LEAST
+    mine = (lambda *_: True, lambda *_: 0.0)
+    with replaced({"comparison.at_bound": mine[0], "free_run.LeastSquares.priced": mine[1], "thresholds.LEAST": 4.5}):
+        assert comparison.at_bound is decision.at_bound is mine[0]
+        assert LeastSquares.priced is mine[1]
+        assert decision.LEAST == thresholds.LEAST == comparison.LEAST == 4.5
+    assert (comparison.at_bound, decision.at_bound, LeastSquares.priced, decision.LEAST) == before
+
+
+def test_a_name_that_there_is_not_is_no_trial() -> None:
+    with pytest.raises(AttributeError), replaced({"decision.nothing_of_the_kind": None}):
+        pass
+
+
+def test_what_is_remembered_is_computed_once() -> None:
+    calls = []
+
+    def double(value: int) -> int:
+        calls.append(value)
+        return 2 * value
+
+    memory = Memory()
+    remembered = memory._of(double, lambda value: value)
+    assert [remembered(k) for k in (1, 2, 1)] == [2, 4, 2]
+    assert calls == [1, 2]
+
+
+def answer(*named: str, wrong: tuple[str, ...] = (), missed: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {"named": list(named), "ties": [], "wrong": list(wrong), "missed": list(missed)}
+
+
+def test_changed_answers_are_counted_by_what_they_were() -> None:
+    right, wrong, less = answer("delay"), answer("delay", "leak", wrong=("leak",)), answer(missed=("delay",))
+    assert [verdict(each) for each in (right, wrong, less)] == ["exact", "wrong", "incomplete"]
+    one = dict.fromkeys(TRIALS, right) | {"at a bound": wrong, "LEAST x 1.5": less}
+    other = dict.fromkeys(TRIALS, less) | {"at a bound": less}
+    found = changed({"first": one, "second": other})
+    assert found["at a bound"] == {"changed": 1, "moves": {"exact → wrong": 1}, "cases": ["first"]}
+    assert found["LEAST x 1.5"]["moves"] == {"exact → incomplete": 1}
+    assert sum(each["changed"] for each in found.values()) == 2
