@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from sysid import display
-from sysid.datasets.quality.coverage import GRID, PairMap, Span
-from sysid.datasets.quality.rest import Rest
+from sysid.datasets.quality.coverage import GRID, PairMap, Rest, Span
 from sysid.datasets.quality.use import CELLS, SMALL, VISITED_S, AxisUse
 from sysid.reports.charts import BOTTOM, LEFT, RIGHT, TOP, axis_labels, grid_lines, svg_element, tick_texts
 from sysid.reports.charts import SMALL as SIZE

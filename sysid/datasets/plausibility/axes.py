@@ -1,20 +1,21 @@
-"""Findings about one axis: command range, positions, response, linkage, and sizes in its description."""
+"""Findings about one axis: command range, positions, response, linkage, and sizes in its description; over all recordings, and
+in some recordings only, where one layout, logger or day of several has another unit, sign or column.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from sysid.datasets.plausibility.explain import Explanation, explanations_of, signal_of
-from sysid.datasets.plausibility.figures import AxisFigures, pairs_of, span_of
-from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, Severity
-from sysid.datasets.plausibility.measures import LEAST_STRENGTH, Measure, measures_of
+from sysid.datasets.plausibility.figures import LEAST_STRENGTH, AxisFigures, Measure, measures_of, pairs_of, span_of
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, Severity, interval, plain, ratio_text, value
 from sysid.datasets.plausibility.response import motion_of, response_of
-from sysid.datasets.plausibility.words import interval, plain, ratio_text, value
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.machine.rigid_body import moves_masses
+from sysid.names import uncut_name
 from sysid.signals import axis_signal
 
 #: Ratio of the gain that the recordings show to an estimated one from which it is said, and from which the error of the gain
@@ -219,3 +220,73 @@ def _description_text(measure: Measure, figures: AxisFigures, place: str | None)
         text = f"{name} = {interval(*figures.ends, unit)} of axis {axis.name} in machine.toml"
         return text, f"a width between {low} and {high} {unit}"
     return f"gain = {value(axis.gain, f'{unit}/s')} of axis {axis.name} in machine.toml", f"{low} to {high} {unit}/s"
+
+
+#: Quantities that a file states; the description of the machine is the same for all recordings.
+OF_FILES = ("command", "driven", "joint")
+
+
+#: Least range of the commands, as a share of that in all recordings: little motion is mostly backlash and friction.
+COMMANDED = 0.3
+
+
+def partial_findings(
+    recordings: Sequence[Recording],
+    whole: Sequence[AxisFigures],
+    figures: Callable[[Sequence[Recording], Axis], AxisFigures],
+) -> Iterator[Finding]:
+    """A severe finding for each mistake that explains the figures of some recordings of motion, but not of all.
+
+    Args:
+        whole: figures over all recordings of those axes where they are plausible.
+        figures: of one recording (of all its blocks) and axis.
+    """
+    parts = by_recording(recordings)
+    if len(parts) < 2:
+        return
+    groups: dict[tuple[str, ...], list[AxisFinding]] = {}
+    for every in whole:
+        found: dict[str, AxisFinding] = {}
+        for name, blocks in parts.items():
+            finding = _of_file(figures(blocks, every.axis), every)
+            if finding is not None:
+                found[name] = finding
+        if len(found) == len(parts):
+            continue
+        same: dict[tuple[str, tuple[str, float]], list[str]] = {}
+        for name, finding in found.items():
+            same.setdefault((finding.key, finding.explanations[0].key), []).append(name)
+        for names in same.values():
+            groups.setdefault(tuple(names), []).append(found[names[0]])
+    for some, findings in groups.items():
+        for merged_finding in merged(findings):
+            causes = (*merged_finding.causes, *_without_effect(findings))
+            yield replace(merged_finding, causes=causes, recordings=some)
+
+
+def _without_effect(findings: Sequence[AxisFinding]) -> Iterator[Cause]:
+    """A motion against its command, which it follows in other recordings, may also not be its own."""
+    axes = tuple(finding.axis for finding in findings if finding.key.endswith(":sign"))
+    if axes:
+        says = "without effect in these recordings: a drive that is off, or in another mode"
+        yield Cause("the command of axis", axes, says, remedy="Leave their files out: `left_out` in [recordings] of the recipe")
+
+
+def by_recording(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Recording of motion before it was cut → its blocks."""
+    parts: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        if recording.kind == "motion":
+            parts.setdefault(uncut_name(recording.name), []).append(recording)
+    return parts
+
+
+def _of_file(figures: AxisFigures, whole: AxisFigures) -> AxisFinding | None:
+    """A severe finding that mistakes in the file explain, with these alone."""
+    if figures.command is None or whole.command is None or figures.command.width < COMMANDED * whole.command.width:
+        return None
+    finding = axis_finding(figures)
+    if finding is None or finding.level < 2:
+        return None
+    kept = tuple(each for each in finding.explanations if each.key[0] in OF_FILES)
+    return replace(finding, explanations=kept) if kept else None

@@ -12,9 +12,8 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from sysid.datasets.plausibility.figures import AxisFigures, Span
-from sysid.datasets.plausibility.finding import Cause
-from sysid.datasets.plausibility.measures import cost_of
+from sysid.datasets.plausibility.figures import AxisFigures, Span, cost_of
+from sysid.datasets.plausibility.finding import Cause, factor_text
 from sysid.datasets.plausibility.mistakes import (
     ANGLE,
     COMMAND,
@@ -26,7 +25,6 @@ from sysid.datasets.plausibility.mistakes import (
     TIME,
     UnitMistake,
 )
-from sysid.datasets.plausibility.words import factor_text
 from sysid.signals import axis_signal
 
 #: Cost of a mistake [nats], and of a second one at the same time.

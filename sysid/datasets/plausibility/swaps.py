@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.plausibility.figures import AxisFigures
+from sysid.datasets.plausibility.figures import AxisFigures, cost_of
 from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
-from sysid.datasets.plausibility.measures import cost_of
 from sysid.datasets.plausibility.response import Motion, changes, correlation, motion_of, strengths
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.quality import coverage, repeats, rest, use
-from sysid.datasets.quality.coverage import PairMap, Span, pair_maps, spans_of
+from sysid.datasets.quality import coverage, repeats, use
+from sysid.datasets.quality.coverage import PairMap, Rest, Span, noise_at_rest, pair_maps, postures, rests_of, spans_of
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.repeats import Repeat, repeats_of
-from sysid.datasets.quality.rest import Rest, noise_at_rest, postures, rests_of
 from sysid.datasets.quality.use import AxisUse, Scale, pairs_together, scales_of, together, use_of
 from sysid.datasets.recording import Dataset, Recording
 from sysid.signals import split_signal
@@ -113,8 +112,8 @@ THRESHOLDS: Mapping[str, Any] = {
     "command_cells": use.CELLS,
     "joint_cells": coverage.GRID,
     "cell_visited_s": use.VISITED_S,
-    "still_from_s": rest.LEAST_S,
-    "posture_apart": rest.APART,
+    "still_from_s": coverage.LEAST_S,
+    "posture_apart": coverage.APART,
     "repeats_alike": repeats.ALIKE,
     "repeats_overlap": repeats.OVERLAP,
 }
