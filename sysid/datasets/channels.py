@@ -25,7 +25,7 @@ from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
-from sysid.logs.confined import read_confined
+from sysid.logs.reader import read_confined
 from sysid.logs.rosbag import bag_of
 from sysid.logs.table import no_numbers
 from sysid.machine import Machine
