@@ -15,8 +15,7 @@ import numpy.typing as npt
 from sysid.export.geometry import base_pose, stretched, tip_offset
 from sysid.export.names import MachineNames, Names
 from sysid.machine.kinematics import Kinematics, rotation_about
-from sysid.machine.mimic import followed
-from sysid.machine.urdf_tree import MOVING, urdf_tree
+from sysid.machine.urdf_tree import MOVING, followed, urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]

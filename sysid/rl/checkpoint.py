@@ -20,7 +20,7 @@ import numpy as np
 
 from sysid.errors import StoreError
 from sysid.files import write_durably
-from sysid.networks.checkpoint import REMEDY
+from sysid.networks.member import REMEDY
 from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import TrainingRecipe
 from sysid.root import Root

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine.kinematics import GRAVITY
-from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
+from sysid.networks.reduced_chain import ElasticChain, ElasticJoint
 from sysid.versions.onnx_nodes import Nodes
 
 Array = npt.NDArray[np.float64]

@@ -1,8 +1,18 @@
-"""Moving joints of a chain as a calibration sees them: fixed transforms merged, axes and the directions of displacements."""
+"""A chain as a calibration sees it: its moving joints, with fixed transforms merged, axes and the directions of displacements;
+its forward kinematics with a constant geometry; and its constants where joints deflect under load, for programs that evaluate
+it without Python.
+
+With a constant geometry, constant transforms are multiplied in advance. From the tip to the base, with the constant rotation R
+and translation t before joint j, its axis k and reading θ::
+
+    p ← t + R·(k kᵀ + cos θ·(I − k kᵀ) + sin θ·[k]×)·p        revolute
+    p ← t + R·(p + θ·k)                                        prismatic
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -131,3 +141,120 @@ def cross(a: Array, b: Array) -> Array:
     x, y, z, u, v, w = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
     out[..., 0], out[..., 1], out[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
     return out
+
+
+@dataclass(frozen=True)
+class FoldedJoint:
+    """One joint with the constant transform before it.
+
+    Args:
+        column: of the joint values.
+        stretch, offset: factor of its reading, and what is added [rad or m].
+        prismatic: whether it is a prismatic joint.
+        shift: t, (3, 1).
+        factors: factors of the point; revolute (9, 3): constant, cos and sin part; prismatic (3, 3): R.
+        slide: R·k, (3, 1).
+    """
+
+    column: int
+    stretch: float
+    offset: float
+    prismatic: bool
+    shift: Array
+    factors: Array
+    slide: Array
+
+    @staticmethod
+    def of(
+        column: int, stretch: float, offset: float, prismatic: bool, axis: Array, rotation: Array, shift: Array
+    ) -> FoldedJoint:
+        along = np.outer(axis, axis)
+        x, y, z = axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        parts = [rotation] if prismatic else [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross]
+        return FoldedJoint(column, stretch, offset, prismatic, shift[:, None], np.vstack(parts), (rotation @ axis)[:, None])
+
+
+@dataclass(frozen=True)
+class FoldedChain:
+    """The joints from base to tip, and the tip in the frame of the last joint, (3, 1)."""
+
+    joints: tuple[FoldedJoint, ...]
+    last: Array
+
+    @cached_property
+    def _readings(self) -> tuple[npt.NDArray[np.int64], Array, Array | None]:
+        """Columns of the joint values in the order of the chain, the factors of their readings, and offsets where there are
+        any."""
+        columns = np.array([joint.column for joint in self.joints], dtype=np.int64)
+        offsets = np.array([[joint.offset] for joint in self.joints])
+        return columns, np.array([[joint.stretch] for joint in self.joints]), offsets if offsets.any() else None
+
+    def tip(self, q: Array) -> Array:
+        """Joint values (n, n_axes) → tip in the base frame, (n, 3) [m]."""
+        columns, stretches, offsets = self._readings
+        readings = q.take(columns, axis=1).T * stretches
+        if offsets is not None:
+            readings += offsets
+        cosines, sines = np.cos(readings), np.sin(readings)
+        point = self.last
+        for k in range(len(self.joints) - 1, -1, -1):
+            joint = self.joints[k]
+            moved = joint.factors.dot(point)
+            if joint.prismatic:
+                point = joint.slide * readings[k]
+                point += moved
+            else:
+                point = moved[3:6] * cosines[k]
+                point += moved[6:] * sines[k]
+                point += moved[:3]
+            point += joint.shift
+        return np.ascontiguousarray(point.T)
+
+
+@dataclass(frozen=True)
+class ElasticJoint:
+    """One moving joint of a chain.
+
+    Args:
+        turn, shift: of its origin in the frame that the joint before it moves, (3, 3) and (3,) [m].
+        axis: unit vector in the frame of the origin, (3,).
+        column: of the joint values that move it; its motion is ``ratio``·((1 + ``scale``)·value − ``compliance``·load) +
+            ``offset``.
+        master: number of the joint whose load includes its own, or None.
+        compliance: of its axis under the load of ``master`` [rad/(N·m) or m/N].
+        across: directions of lateral deflection in the frame of the origin, (2, 3); ``lateral`` [rad/(N·m)], (2,).
+        mass, centre: of all that it moves and no further joint, in the frame that it moves [kg], (3,) [m].
+    """
+
+    turn: Array
+    shift: Array
+    axis: Array
+    prismatic: bool
+    column: int
+    ratio: float
+    scale: float
+    offset: float
+    master: int | None
+    compliance: float
+    across: Array
+    lateral: Array
+    mass: float
+    centre: Array
+
+
+@dataclass(frozen=True)
+class ElasticChain:
+    """Joints from base to tip.
+
+    Args:
+        frame: pose of the base in the frame of the measurement, (4, 4).
+        after: number of the joint that moves the tip; ``point``: the tip in the frame that it moves, (3,) [m].
+        settling: steps from the unloaded pose to the deflected one.
+    """
+
+    joints: tuple[ElasticJoint, ...]
+    frame: Array
+    after: int
+    point: Array
+    settling: int
