@@ -54,7 +54,7 @@ FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smoot
 
 
 def drive_data(plant: Plant, rate_hz: float) -> dict[str, Any]:
-    """The data of :func:`sysid.export.standalone.assembly.assemble` for steps of 1/``rate_hz``."""
+    """The data of :func:`sysid.export.standalone.model.assemble` for steps of 1/``rate_hz``."""
     model = compile_plant(plant)
     sway = effect_slots(plant, "gripper_sway", "tool")
     pump = effect_slots(plant, "pump_flow_limit", "machine")

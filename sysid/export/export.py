@@ -13,12 +13,11 @@ from typing import Any, cast
 from sysid.datasets.recording import Dataset, Recording
 from sysid.disk import written_to
 from sysid.errors import SettingsError
-from sysid.export.force_replay import force_replay
 from sysid.export.mjcf_servo import has_servos
 from sysid.export.names import Renamed
 from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
-from sysid.export.replay import Replay, replay
+from sysid.export.replay import Replay, force_replay, replay
 from sysid.export.target import ForceSimulation, Simulation, Target
 from sysid.export.targets import fallback
 from sysid.files import make_folder

@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_module import MODULE
-from sysid.export.effect_table import write_effect_table
+from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames, Names
-from sysid.export.shipped_run import load_module, true_signals, write_drive_model
 from sysid.export.target import Simulation, Start, Support, support_of
 from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, joint_values, urdf_names, urdf_of, xml_text
 from sysid.machine.urdf_tree import urdf_tree

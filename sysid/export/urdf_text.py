@@ -1,24 +1,116 @@
 """The URDF of a plant: that of its machine with the effects that a URDF can hold, or a plain one from the limits of its axes.
 
-Joint values are those of the sensors: an offset of a joint turns (or shifts) its frame.
+Joint values are those of the sensors: an offset of a joint turns (or shifts) its frame. Effects of the geometry are places of
+frames: lengths of links, offset of the tip, pose of the base.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.export.geometry import base_pose, stretched, tip_offset
 from sysid.export.names import MachineNames, Names
-from sysid.machine.kinematics import Kinematics, rotation_about
-from sysid.machine.urdf_tree import MOVING, followed, urdf_tree
+from sysid.machine.kinematics import Joint, Kinematics, origin_pose, rotation_about
+from sysid.machine.urdf_tree import MOVING, followed, moments_of, urdf_tree
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
+
+
+def base_pose(plant: Plant) -> tuple[Array, Array]:
+    """Rotation (3, 3) and place (3,) [m] of the base in the measured frame."""
+    item = plant.effect("base_misalignment", "base")
+    if item is None:
+        return np.eye(3), np.zeros(3)
+    rotation = np.asarray(item.parameters["rotation"], dtype=np.float64)
+    angle = float(np.linalg.norm(rotation))
+    turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else np.eye(3)
+    return turn, np.asarray(item.parameters["translation"], dtype=np.float64)
+
+
+def stretched(joint: Joint, plant: Plant, kinematics: Kinematics) -> Array:
+    """Place of a joint's frame, with the length error of the link that the joint before it in the chain moves.
+
+    Fixed joints in between belong to that link: each is stretched by the same share.
+    """
+    place = joint.origin[:3, 3].copy()
+    names = [j.name for j in kinematics.chain]
+    if joint.name not in names:
+        return place
+    moved = [j for j in kinematics.chain[: names.index(joint.name)] if j.name in kinematics.drives]
+    if not moved or moved[-1].name not in kinematics.actuated:
+        return place
+    target = plant.machine.axis_names[kinematics.actuated.index(moved[-1].name)]
+    error = plant.effect("link_length_error", target)
+    length = link_length(kinematics, moved[-1].name)
+    if error is None or length < 1e-9:
+        return place
+    return place * (1.0 + float(np.asarray(error.parameters["error"])) / length)
+
+
+def link_length(kinematics: Kinematics, joint: str) -> float:
+    """Distance from the frame of a joint of the chain to that of the next joint that moves, or to the tip [m]."""
+    names = [j.name for j in kinematics.chain]
+    frame = np.eye(4)
+    for step in kinematics.chain[names.index(joint) + 1 :]:
+        frame = frame @ step.origin
+        if step.name in kinematics.drives:
+            break
+    return float(np.linalg.norm(frame[:3, 3]))
+
+
+def tip_offset(plant: Plant, kinematics: Kinematics) -> Array:
+    """Offset of the tip in the frame of its link, (3,) [m]; the effect has it in the frame that the last joint moves."""
+    item = plant.effect("tip_offset", "ee")
+    if item is None:
+        return np.zeros(3)
+    turn = np.eye(3)
+    for joint in reversed(kinematics.chain):
+        if joint.name in kinematics.drives:
+            break
+        turn = joint.origin[:3, :3] @ turn
+    return np.asarray(turn.T @ np.asarray(item.parameters["translation"], dtype=np.float64))
+
+
+#: Link → mass (1,) [kg], centre (3,) [m] and inertia about it in the axes of the link (3, 3) [kg·m²].
+LinkInertias = Mapping[str, tuple[Array, ...]]
+#: Mass [kg] and inertia [kg·m²] of a body whose URDF link has none: a simulator needs some, the drives do not notice it.
+SMALL_MASS, SMALL_INERTIA = 1e-9, 1e-9
+
+
+#: Of every format with masses, for the page of an export.
+NOTE = (
+    "Moments of inertia that no mass distribution has (one above the sum of the others) are replaced by the nearest possible "
+    "ones."
+)
+
+
+def link_inertias(urdf: Element) -> LinkInertias:
+    """Those of a URDF; a link without a mass is left out."""
+    found: dict[str, tuple[Array, ...]] = {}
+    for link in urdf.findall("link"):
+        mass, moments = link.find("inertial/mass"), link.find("inertial/inertia")
+        if mass is None or float(mass.get("value", "0")) <= 0.0:
+            continue
+        pose = origin_pose(link.find("inertial/origin"))
+        turned = pose[:3, :3] @ possible(moments_of(moments)) @ pose[:3, :3].T
+        found[str(link.get("name"))] = (np.array([float(str(mass.get("value")))]), pose[:3, 3], turned)
+    return found
+
+
+def possible(moments: Array) -> Array:
+    """Moments (3, 3) of the nearest mass distribution: its second moment tr(I)/2 − I along any direction is at least zero."""
+    values, axes = np.linalg.eigh(0.5 * np.trace(moments) * np.eye(3) - moments)
+    if values[0] >= 0.0:
+        return moments
+    second = axes * np.maximum(values, 0.0) @ axes.T
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
 #: Links that are added: the frame in which the end effector was measured, and the measured point; and joints to them.
 WORLD, END_EFFECTOR = "measured_frame", "ee"
 WORLD_JOINT, END_EFFECTOR_JOINT = f"{WORLD}_joint", f"{END_EFFECTOR}_joint"

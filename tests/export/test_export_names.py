@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from test_every_target import RATE, chain, exported, joint, link, plant_of, sdf_agrees, two_axes
 from test_mjcf_arm import PAYLOAD, two_links
 
+from sysid.export.drive_module import load_module
 from sysid.export.names import Names, identifier, same_file, scoped, word
-from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
 from sysid.export.targets import TARGETS, target_named
 from sysid.export.urdf_text import xml_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sysid.export.standalone.oscillator import oscillation
+from sysid.export.standalone.command_parts import oscillation
 
 
 class Friction:

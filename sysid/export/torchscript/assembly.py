@@ -1,22 +1,58 @@
-"""Plant → TorchScript module of its drive chain, with the parameters of its effects by name."""
+"""Plant → TorchScript module of its drive chain, with the parameters of its effects by name.
+
+PyTorch deprecates TorchScript, which Isaac Lab loads: its warnings are not those of a user's mistake.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from sysid.effects import effect_named, stiction
 from sysid.export.drive_data import EDGE, WITHOUT_PART, drive_data
 from sysid.export.standalone.joint_parts import GRAVITY
-from sysid.export.torchscript import axes, command_parts, force_parts, joint_parts
-from sysid.export.torchscript.files import scripted
-from sysid.export.torchscript.model import DriveModel
+from sysid.export.torchscript import command_parts, force_parts, joint_parts
+from sysid.export.torchscript.model import Axis, DriveModel, ForceAxis, JointColumns, PositionAxis, VelocityAxis
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import signals_of, slot_indices
 from sysid.plant.machine_arrays import GAIN, LENGTH, ORDER, PASSIVE, SHIFT
+
+_jit: Any = torch.jit
+
+
+@contextmanager
+def deprecation_known() -> Iterator[None]:
+    """Without the warning that TorchScript is deprecated."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit\..*", DeprecationWarning)
+        yield
+
+
+def scripted(module: torch.nn.Module) -> Any:
+    """A module as a script."""
+    with deprecation_known():
+        return _jit.script(module.eval())
+
+
+def save_script(module: Any, path: Path) -> None:
+    """Write a script to a file."""
+    with deprecation_known():
+        _jit.save(module, str(path))
+
+
+def load_script(path: Path) -> Any:
+    """The script of a file, on the CPU."""
+    with deprecation_known():
+        return _jit.load(str(path), map_location="cpu")
+
 
 Array = npt.NDArray[np.float64]
 #: Parts with further arguments are made one by one, the others by their class.
@@ -89,23 +125,23 @@ class _Assembly:
         made = [self.axis(axis) for axis in self.data["axes"]]
         return DriveModel(self.dt, names, values, made, pump, self.kinematics(self.compiled), self.sway(), self.readings())
 
-    def axis(self, axis: dict[str, Any]) -> axes.Axis:
+    def axis(self, axis: dict[str, Any]) -> Axis:
         name, link = axis["name"], axis["linkage"]
         low, high = (math.copysign(math.inf, s) if axis[k] is None else axis[k] for k, s in (("low", -1.0), ("high", 1.0)))
         linkage = None if link is None else joint_parts.Linkage(link["low"], link["step"], link["joints"])
         sides = [self.at(effect, name, side) for effect in ("backlash", "joint_compliance") for side in ("drive", "structure")]
-        columns = axes.JointColumns(self.at("joint_offset", name), *sides)
+        columns = JointColumns(self.at("joint_offset", name), *sides)
         if axis["actuation"] == "force":
-            return axes.ForceAxis(self.dt, low, high, self.rotor(axis), linkage, columns)
+            return ForceAxis(self.dt, low, high, self.rotor(axis), linkage, columns)
         parts = [self.part(part, values, axis) for part, values in axis["command"]]
         stage = command_parts.CommandStage(parts)
         if axis["actuation"] == "velocity":
-            return axes.VelocityAxis(self.dt, low, high, stage, axis["gain"], axis["sense"], linkage, columns)
+            return VelocityAxis(self.dt, low, high, stage, axis["gain"], axis["sense"], linkage, columns)
         kinds = [part for part, _ in axis["command"]]
         sag = -1
         if "second_order_lag" in kinds:
             sag = 1 + sum(part.width for part in parts[: kinds.index("second_order_lag")]) + 2
-        return axes.PositionAxis(self.dt, low, high, stage, sag, linkage, columns)
+        return PositionAxis(self.dt, low, high, stage, sag, linkage, columns)
 
     def part(self, part: str, values: dict[str, Any], axis: dict[str, Any]) -> command_parts.Part:
         name = axis["name"]

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from sysid.export.torchscript.oscillator import damped_sine, free_motion, parameter
+from sysid.export.torchscript.command_parts import damped_sine, free_motion, parameter
 
 
 class Friction(nn.Module):
