@@ -11,8 +11,21 @@ import numpy.typing as npt
 
 from sysid.machine import Axis, Kinematics, Machine
 from sysid.machine.kinematics import Joint
-from sysid.reports.clearance import Canvas
-from sysid.reports.picture_parts import PARTS_HEIGHT, badge, base, cylinder, drive, joint, link, name, pipe, pump, tool, valve
+from sysid.reports.picture_parts import (
+    PARTS_HEIGHT,
+    Canvas,
+    badge,
+    base,
+    cylinder,
+    drive,
+    joint,
+    link,
+    name,
+    pipe,
+    pump,
+    tool,
+    valve,
+)
 from sysid.reports.places import Mark, axis_of, has_valve
 from sysid.signals import split_signal
 

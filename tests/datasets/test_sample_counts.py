@@ -22,7 +22,7 @@ from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import SettingsError
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import load_machine
-from sysid.reports.samples import sample_lines
+from sysid.reports.dataset_texts import sample_lines
 
 MACHINE = (
     'schema = 1\nname = "press"\nrate_hz = 100.0\n[[axes]]\nname = "ram"\nactuation = "velocity"\ndrives = "joint"\n'

@@ -14,7 +14,7 @@ from sysid.datasets.versions.index import VersionIndex
 from sysid.runner.cycle import Cycle
 from sysid.runner.run_record import EventRecorder, Recorders
 from sysid.site import build_site, inventory
-from sysid.site.dataset_items import dataset_items
+from sysid.site.inventory import dataset_items
 
 
 def test_a_violation_over_consecutive_cycles_is_one_event() -> None:
