@@ -71,8 +71,7 @@ def gap(
         from sysid.execution import open_executor
         from sysid.fleet import fleet_gap
         from sysid.fleet.machines import described
-        from sysid.fleet.page import fleet_page
-        from sysid.fleet.tables import tables
+        from sysid.fleet.page import fleet_page, tables
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
@@ -148,8 +147,7 @@ def watch(
     with progress_bar("watch") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.fleet.machines import described
-        from sysid.fleet.page import fleet_page
-        from sysid.fleet.tables import drift_table
+        from sysid.fleet.page import drift_table, fleet_page
         from sysid.fleet.watching import watch as watch_machine
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace

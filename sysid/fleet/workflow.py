@@ -12,8 +12,8 @@ from sysid.execution import Executor, LocalExecutor
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import drifts, since_last_change
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
+from sysid.fleet.estimates import name_effects
 from sysid.fleet.machines import exact_references
-from sysid.fleet.names import name_effects
 from sysid.fleet.result import FleetMachine, FleetResult
 from sysid.progress import Progress, part, silent
 from sysid.workspace import open_workspace

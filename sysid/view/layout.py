@@ -11,8 +11,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.result import Map
 from sysid.signals import split_signal
 from sysid.view.findings import ENTITY as FINDINGS
-from sysid.view.findings import MOMENTS
-from sysid.view.maps import map_views
+from sysid.view.findings import MOMENTS, map_views
 
 #: Seconds of the past that the trails of boom tip and tool show.
 TRAIL_S = 3.0

@@ -197,7 +197,7 @@ def _watched() -> tuple[Path, bytes]:
     """A workspace whose dataset is watched, and the state of the watch."""
     from one_axis_logs import MACHINE, record
 
-    from sysid.fleet.names import plant_sha256
+    from sysid.fleet.estimates import plant_sha256
     from sysid.workspace import open_workspace
 
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

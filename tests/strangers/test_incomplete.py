@@ -25,8 +25,7 @@ from sysid.machine.sources.urdf import urdf_draft
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.names import check_pattern
 from sysid.plant import nominal_plant
-from sysid.view.drawing import STYLES, primitives
-from sysid.view.visuals import link_shapes
+from sysid.view.drawing import STYLES, link_shapes, primitives
 from sysid.world.bodies import build_bodies
 
 MACHINE = """schema = 1
