@@ -13,8 +13,7 @@ from typing import NoReturn
 import click
 
 from sysid.children import safe_children
-from sysid.disk import storage_error
-from sysid.errors import StorageError, SysidError, nearest
+from sysid.errors import StorageError, SysidError, nearest, storage_error
 from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
 from sysid.release import __version__

@@ -241,7 +241,7 @@ def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
 
 def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
     """The unnamed errors as text."""
-    from sysid.reports.reasons import with_titles
+    from sysid.reports.words import with_titles
 
     return [
         f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"

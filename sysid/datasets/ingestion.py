@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid.datasets.aligned import aligned_recording, stream_signals
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, read_channels, survey_mounts
 from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, by_source
@@ -19,6 +18,7 @@ from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes, split
 from sysid.datasets.tasks.driver import TaskIngest
+from sysid.datasets.tasks.steps import aligned_recording, stream_signals
 from sysid.datasets.unstated_units import command_notes, rate_notes, with_joint_units
 from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import PartRecord, digest_of

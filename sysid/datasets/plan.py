@@ -180,7 +180,7 @@ def streams_of(pairs: Sequence[tuple[str, str]], tables: Sequence[Recording]) ->
     """File stem → its signals in the tables.
 
     Args:
-        pairs: :func:`~sysid.datasets.aligned.stream_signals` of all recordings.
+        pairs: :func:`~sysid.datasets.tasks.steps.stream_signals` of all recordings.
     """
     kept = {signal for table in tables for signal in table.signals}
     found: dict[str, dict[str, None]] = {}

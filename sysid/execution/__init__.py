@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 
 from sysid.execution.cluster import ClusterExecutor
-from sysid.execution.executor import Executor, TaskError
-from sysid.execution.local import LocalExecutor
+from sysid.execution.executor import Executor, LocalExecutor, TaskError
 
 __all__ = ["Executor", "LocalExecutor", "TaskError", "open_executor"]
 

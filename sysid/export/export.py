@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.disk import written_to
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, written_to
 from sysid.export.mjcf_servo import has_servos
 from sysid.export.names import Renamed
 from sysid.export.page import export_page, lacking, shown, unit_of

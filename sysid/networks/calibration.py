@@ -1,7 +1,7 @@
 """Kinematic calibration from poses: geometry, elasticity, frame and markers of a URDF, with intervals and identifiability.
 
 All parameters are estimated together. Geometry, frame and markers are always free; scales of readings, joint compliances and
-lateral compliances only where the evidence of the poses supports them (:mod:`sysid.networks.geometry_evidence`). The posterior
+lateral compliances only where the evidence of the poses supports them (:mod:`sysid.networks.pose_fit`). The posterior
 covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not determined. Beside the
 selected model stand others with their evidence, and their errors on poses that the fit has not seen: every model is fitted anew
 in each of :data:`FOLDS` folds of the poses, the selection of optional parameters included.
@@ -27,11 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import ExcitationError
+from sysid.networks.calibrated_chain import FoldedChain, GeometryParameter
 from sysid.networks.geometry import Geometry
-from sysid.networks.geometry_evidence import SubsetEvidence, Support
-from sysid.networks.geometry_parameters import GeometryParameter
-from sysid.networks.pose_fit import PoseFit, PoseSet, fit_poses, registered
-from sysid.networks.reduced_chain import FoldedChain
+from sysid.networks.pose_fit import PoseFit, PoseSet, SubsetEvidence, Support, fit_poses, registered
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

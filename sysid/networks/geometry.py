@@ -24,13 +24,13 @@ import numpy.typing as npt
 from scipy.stats import qmc
 
 from sysid.machine.kinematics import GRAVITY, Kinematics
-from sysid.networks import geometry_parameters as sizes
-from sysid.networks.geometry_parameters import GeometryParameter
-from sysid.networks.reduced_chain import (
+from sysid.networks import calibrated_chain as sizes
+from sysid.networks.calibrated_chain import (
     ElasticChain,
     ElasticJoint,
     FoldedChain,
     FoldedJoint,
+    GeometryParameter,
     MovingJoint,
     cross,
     exp,

@@ -18,13 +18,13 @@ from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
 from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
-from sysid.validate.binning import per_second
 from sysid.validate.error_analysis import (
     ErrorMap,
     MapAxis,
     Profile,
     Ranges,
     error_maps,
+    per_second,
     profile,
     speed_profiles,
     speeds,

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from sysid.machine.kinematics import GRAVITY
 from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
+from sysid.networks.calibrated_chain import ElasticChain, ElasticJoint
 from sysid.networks.policy import PolicyNetwork
-from sysid.networks.reduced_chain import ElasticChain, ElasticJoint
 
 
 class Nodes:

@@ -220,7 +220,7 @@ def test_the_same_commands_again_show_what_does_not_repeat(most: int, monkeypatc
     Args:
         most: rows above which a shift is first searched on means.
     """
-    monkeypatch.setattr("sysid.datasets.quality.repeats.MOST", most)
+    monkeypatch.setattr("sysid.datasets.quality.evidence.MOST", most)
     rng = np.random.default_rng(3)
     command = np.repeat(rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], 30), 40)
     late = np.concatenate([np.zeros(50), command])

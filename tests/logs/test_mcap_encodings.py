@@ -23,7 +23,7 @@ from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.inspection import summarise
 from sysid.logs.mcap import McapReader, indexed_block
-from sysid.logs.rows import flatten
+from sysid.logs.messages import flatten
 
 
 def write_raw(

@@ -20,9 +20,9 @@ from mcap_ros2.writer import Writer
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
-from sysid.logs.cdr import ColumnDecoder
 from sysid.logs.layout import layout_of
 from sysid.logs.mcap import McapReader
+from sysid.logs.messages import ColumnDecoder
 from sysid.logs.rosmsg import parse_definition
 
 LINE = "=" * 80

@@ -22,6 +22,7 @@ from sysid.datasets.plausibility.axes import (
     merged,
     partial_findings,
     ranged,
+    swap_findings,
     usual_gain,
 )
 from sysid.datasets.plausibility.columns import (
@@ -34,7 +35,6 @@ from sysid.datasets.plausibility.columns import (
 from sysid.datasets.plausibility.finding import Evidence, Finding
 from sysid.datasets.plausibility.points import point_findings
 from sysid.datasets.plausibility.stamps import rates_of, time_findings
-from sysid.datasets.plausibility.swaps import swap_findings
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.datasets.roles.motion import motion_table
 from sysid.datasets.roles.needs import lacks_of, role_amounts

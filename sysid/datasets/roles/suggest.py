@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import parse_settings, toml_values
-from sysid.datasets.quality.repeats import repeats_of
+from sysid.datasets.quality.evidence import repeats_of
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role
