@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sysid.effects.units import parameter_unit
 from sysid.export.drive_data import SPOOL, drive_data
-from sysid.export.standalone import command_parts, force_parts, joint_parts, model
+from sysid.export.standalone import command_parts, mechanical_parts, model
 from sysid.export.target import Start
 from sysid.files import json_text
 from sysid.plant import Plant
@@ -47,18 +47,19 @@ PARTS: Mapping[str, Any] = {
     "stiction": command_parts.Stiction,
     "oil_compressibility": command_parts.OilCompressibility,
     "second_order_lag": command_parts.SecondOrderLag,
-    "viscous_friction": force_parts.ViscousFriction,
-    "coulomb_friction": force_parts.CoulombFriction,
-    "stribeck_friction": force_parts.StribeckFriction,
-    "smooth_coulomb_friction": force_parts.SmoothCoulombFriction,
-    "rigid_drive": force_parts.RigidDrive,
-    "flexible_drive": force_parts.FlexibleDrive,
+    "viscous_friction": mechanical_parts.ViscousFriction,
+    "coulomb_friction": mechanical_parts.CoulombFriction,
+    "stribeck_friction": mechanical_parts.StribeckFriction,
+    "smooth_coulomb_friction": mechanical_parts.SmoothCoulombFriction,
+    "rigid_drive": mechanical_parts.RigidDrive,
+    "flexible_drive": mechanical_parts.FlexibleDrive,
 }
 #: Frame of the model, in the order in which its classes refer to each other.
 _FRAME = (
-    joint_parts.Linkage, joint_parts.Backlash, joint_parts.Kinematics, joint_parts.turned, joint_parts.SensorReading,
-    joint_parts.GripperSway, model.State, model.Drive, model.ChainDrive, model.VelocityDrive, model.PositionDrive,
-    model.ForceDrive, model.Axis, model.DriveModel, model.assemble, model._axis, model._drive,
+    mechanical_parts.Linkage, mechanical_parts.Backlash, mechanical_parts.Kinematics, mechanical_parts.turned,
+    mechanical_parts.SensorReading, mechanical_parts.GripperSway, model.State, model.Drive, model.ChainDrive,
+    model.VelocityDrive, model.PositionDrive, model.ForceDrive, model.Axis, model.DriveModel, model.assemble, model._axis,
+    model._drive,
 )  # fmt: skip
 
 #: Names of the machine, its plant and its axes are in the data alone: no text of a file becomes source code.
@@ -104,10 +105,10 @@ def load(path: str | Path = Path(__file__).with_name("{data}")) -> DriveModel:
 def module_text(data: Mapping[str, Any]) -> str:
     """The module for :func:`sysid.export.drive_data.drive_data`, with the parts that these data name."""
     used = used_parts(data)
-    classes: list[Any] = [command_parts.oscillation, command_parts.Part, force_parts.Friction, force_parts.RigidDrive]
+    classes: list[Any] = [command_parts.oscillation, command_parts.Part, mechanical_parts.Friction, mechanical_parts.RigidDrive]
     classes += [PARTS[name] for name in PARTS if name in used and PARTS[name] not in classes]
     absent = _absent(data)
-    head = _HEAD.format(data=DATA, dt=float(data["dt"]), gravity=joint_parts.GRAVITY)
+    head = _HEAD.format(data=DATA, dt=float(data["dt"]), gravity=mechanical_parts.GRAVITY)
     tail = _TAIL.format(parts="\n".join(f'    "{name}": {PARTS[name].__name__},' for name in PARTS if name in used), data=DATA)
     sources = (inspect.getsource(entry) for entry in [*classes, *_FRAME] if entry not in absent)
     return "\n\n".join([head, *sources, tail])
@@ -117,13 +118,13 @@ def _absent(data: Mapping[str, Any]) -> set[Any]:
     """Classes that these data do not need."""
     absent: set[Any] = set()
     if data["sway"] is None:
-        absent.add(joint_parts.GripperSway)
+        absent.add(mechanical_parts.GripperSway)
     if data["kinematics"] is None:
-        absent |= {joint_parts.Kinematics, joint_parts.turned}
+        absent |= {mechanical_parts.Kinematics, mechanical_parts.turned}
     if all(axis["linkage"] is None for axis in data["axes"]):
-        absent.add(joint_parts.Linkage)
+        absent.add(mechanical_parts.Linkage)
     if all(axis["actuation"] != "force" for axis in data["axes"]):
-        absent |= {model.ForceDrive, force_parts.Friction, force_parts.RigidDrive}
+        absent |= {model.ForceDrive, mechanical_parts.Friction, mechanical_parts.RigidDrive}
     if not used_parts(data) & {"oil_compressibility", "second_order_lag", "flexible_drive"}:
         absent.add(command_parts.oscillation)
     return absent

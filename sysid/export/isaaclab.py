@@ -15,8 +15,7 @@ from sysid.export.drive_data import WITHOUT_PART, drive_data
 from sysid.export.names import MachineNames, Names, identifier
 from sysid.export.posterior import posterior
 from sysid.export.target import Simulation, Support
-from sysid.export.urdf import COMPOSED, UrdfSimulation
-from sysid.export.urdf_text import FIXED_WORLD, urdf_names, urdf_of, xml_text
+from sysid.export.urdf import COMPOSED, FIXED_WORLD, UrdfSimulation, urdf_names, urdf_of, xml_text
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 

@@ -21,9 +21,9 @@ from sysid.export.mjcf_servo import MujocoServos, has_servos, write_servos
 from sysid.export.names import MachineNames
 from sysid.export.standalone import mujoco_robot
 from sysid.export.target import ForceSimulation, Simulation, Start, Support
-from sysid.export.urdf_text import NOTE
+from sysid.export.urdf import NOTE
 from sysid.machine.rigid_body import moves_masses
-from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]

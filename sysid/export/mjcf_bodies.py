@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sysid.export.mjcf_drives import ARMATURE, HARD, DriveEntry, Moved, dry_friction, limit
 from sysid.export.names import MachineNames, Names
-from sysid.export.urdf_text import (
+from sysid.export.urdf import (
     APART,
     SMALL_INERTIA,
     SMALL_MASS,

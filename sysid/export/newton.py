@@ -15,7 +15,7 @@ from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames
 from sysid.export.target import Simulation, Start, Support, support_of
-from sysid.export.urdf_text import END_EFFECTOR, NOTE, joint_values
+from sysid.export.urdf import END_EFFECTOR, NOTE, joint_values
 from sysid.export.usd_stage import (
     ANCHOR,
     SCENE,

@@ -30,7 +30,7 @@ from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.export.drive_module import true_signals
 from sysid.export.target import ForceSimulation, Simulation, Start
-from sysid.export.urdf_text import base_pose, tip_offset
+from sysid.export.urdf import base_pose, tip_offset
 from sysid.gap.adapters.simulator import joint_start
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.arm_forces import arm_forces

@@ -15,7 +15,7 @@ from sysid.errors import SettingsError
 from sysid.export.drive_module import MODULE, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames, Names, scoped
 from sysid.export.target import Simulation, Support, support_of
-from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, NOTE, WORLD, link_inertias, urdf_names, urdf_of, xml_text
+from sysid.export.urdf import END_EFFECTOR, FIXED_WORLD, NOTE, WORLD, link_inertias, urdf_names, urdf_of, xml_text
 from sysid.foreign import shown
 from sysid.plant import Plant
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sysid.export.mjcf_drives import ARMATURE
 from sysid.export.names import MachineNames, Names, identifier
-from sysid.export.urdf_text import (
+from sysid.export.urdf import (
     END_EFFECTOR,
     SMALL_INERTIA,
     SMALL_MASS,

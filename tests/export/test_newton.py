@@ -16,7 +16,7 @@ from test_targets import recording
 from sysid.export.newton import FILE, NewtonTarget
 from sysid.export.replay import Replay, replay
 from sysid.export.target import Start
-from sysid.export.urdf_text import link_inertias
+from sysid.export.urdf import link_inertias
 from sysid.export.usd_stage import SCENE, actuator_path, joint_path, link_path, undeclared
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.urdf_tree import urdf_tree

@@ -19,7 +19,7 @@ import pytest
 from sysid.config import inside, toml_values
 from sysid.datasets import ingest
 from sysid.errors import SettingsError, SysidError
-from sysid.export.targets import target_named
+from sysid.export.export import target_named
 from sysid.machine import machine_from_files
 from sysid.machine.sources.urdf import urdf_draft
 from sysid.machine.urdf_tree import urdf_tree

@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.export.standalone.command_parts import Part
-from sysid.export.standalone.force_parts import RigidDrive
-from sysid.export.standalone.joint_parts import Backlash, GripperSway, Kinematics, Linkage, SensorReading
+from sysid.export.standalone.mechanical_parts import Backlash, GripperSway, Kinematics, Linkage, RigidDrive, SensorReading
 
 Array = npt.NDArray[np.float64]
 

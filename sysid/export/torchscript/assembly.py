@@ -18,8 +18,8 @@ import torch
 
 from sysid.effects import effect_named, stiction
 from sysid.export.drive_data import EDGE, WITHOUT_PART, drive_data
-from sysid.export.standalone.joint_parts import GRAVITY
-from sysid.export.torchscript import command_parts, force_parts, joint_parts
+from sysid.export.standalone.mechanical_parts import GRAVITY
+from sysid.export.torchscript import command_parts, mechanical_parts
 from sysid.export.torchscript.model import Axis, DriveModel, ForceAxis, JointColumns, PositionAxis, VelocityAxis
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import signals_of, slot_indices
@@ -72,10 +72,10 @@ _COMMAND: dict[str, Any] = {
 #: The place of a spool's parameters among those of ``stiction``.
 SPOOL_SLOT = [slot.name for slot in stiction.EFFECT.slots].index("spool_breakaway")
 _FRICTION: dict[str, Any] = {
-    "viscous_friction": force_parts.ViscousFriction,
-    "coulomb_friction": force_parts.CoulombFriction,
-    "stribeck_friction": force_parts.StribeckFriction,
-    "smooth_coulomb_friction": force_parts.SmoothCoulombFriction,
+    "viscous_friction": mechanical_parts.ViscousFriction,
+    "coulomb_friction": mechanical_parts.CoulombFriction,
+    "stribeck_friction": mechanical_parts.StribeckFriction,
+    "smooth_coulomb_friction": mechanical_parts.SmoothCoulombFriction,
 }
 
 
@@ -128,7 +128,7 @@ class _Assembly:
     def axis(self, axis: dict[str, Any]) -> Axis:
         name, link = axis["name"], axis["linkage"]
         low, high = (math.copysign(math.inf, s) if axis[k] is None else axis[k] for k, s in (("low", -1.0), ("high", 1.0)))
-        linkage = None if link is None else joint_parts.Linkage(link["low"], link["step"], link["joints"])
+        linkage = None if link is None else mechanical_parts.Linkage(link["low"], link["step"], link["joints"])
         sides = [self.at(effect, name, side) for effect in ("backlash", "joint_compliance") for side in ("drive", "structure")]
         columns = JointColumns(self.at("joint_offset", name), *sides)
         if axis["actuation"] == "force":
@@ -180,19 +180,19 @@ class _Assembly:
             edges,
         )
 
-    def rotor(self, axis: dict[str, Any]) -> force_parts.RigidDrive:
+    def rotor(self, axis: dict[str, Any]) -> mechanical_parts.RigidDrive:
         name = axis["name"]
         laws = [_FRICTION[law](self.at(law, name)) for law, _ in axis["frictions"]]
         inertia = float(self.compiled.arrays.axes[self.plant.machine.axis_names.index(name), GAIN])
         constant, ratio, bias = (self.at(effect, name) for effect in ("force_constant_error", "inertia_error", "load_bias"))
         common = (self.dt, inertia, constant, ratio, bias, laws)
         if axis["rotor"] == "rigid_drive":
-            return force_parts.RigidDrive(*common)
+            return mechanical_parts.RigidDrive(*common)
         spring = axis["spring"]
         count = max(1, math.ceil(2.0 * math.pi * spring["frequency"] * math.sqrt(1.0 + spring["inertia_ratio"]) * self.dt))
-        return force_parts.FlexibleDrive(*common, self.at("flexible_drive", name), count)
+        return mechanical_parts.FlexibleDrive(*common, self.at("flexible_drive", name), count)
 
-    def kinematics(self, model: Model) -> joint_parts.Kinematics | None:
+    def kinematics(self, model: Model) -> mechanical_parts.Kinematics | None:
         data, links = self.data["kinematics"], model.arrays.links
         if data is None:
             return None
@@ -203,14 +203,16 @@ class _Assembly:
                 owner = self.plant.machine.axis_names[int(links[j - 1, ORDER])]
                 step |= {"length_at": self.at("link_length_error", owner), "length": float(links[j, LENGTH])}
             steps.append((data["joints"][j] if j < len(data["joints"]) else {}) | step)
-        return joint_parts.Kinematics(steps[:-1], steps[-1], self.at("tip_offset", "ee"), self.at("base_misalignment", "base"))
+        return mechanical_parts.Kinematics(
+            steps[:-1], steps[-1], self.at("tip_offset", "ee"), self.at("base_misalignment", "base")
+        )
 
-    def sway(self) -> joint_parts.GripperSway | None:
+    def sway(self) -> mechanical_parts.GripperSway | None:
         sway = self.data["sway"]
         if sway is None:
             return None
         rate = math.sqrt(GRAVITY / sway["length"])
-        return joint_parts.GripperSway(self.dt, self.at("gripper_sway", "tool"), max(1, math.ceil(self.dt * rate / 0.1)))
+        return mechanical_parts.GripperSway(self.dt, self.at("gripper_sway", "tool"), max(1, math.ceil(self.dt * rate / 0.1)))
 
     def readings(self) -> dict[str, tuple[str, list[int]]]:
         names, posed = self.plant.machine.axis_names, self.data["kinematics"] is not None

@@ -14,8 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from sysid.export.torchscript.command_parts import CommandStage, parameter
-from sysid.export.torchscript.force_parts import RigidDrive
-from sysid.export.torchscript.joint_parts import GripperSway, Kinematics, Linkage, backlash
+from sysid.export.torchscript.mechanical_parts import GripperSway, Kinematics, Linkage, RigidDrive, backlash
 
 Step = tuple[Tensor, Tensor]
 
