@@ -96,11 +96,6 @@ TIME = _both(
 )
 
 
-def nearest_mistake(ratio: float, mistakes: tuple[UnitMistake, ...]) -> UnitMistake:
-    """The mistake whose factor is closest to ``ratio`` > 0, in the logarithm."""
-    return min(mistakes, key=lambda mistake: abs(math.log(ratio / mistake.factor)) + 0.2 * mistake.rarity)
-
-
 #: Cost of a mistake [nats], and of a second one at the same time.
 PRIOR, SECOND = 3.0, 3.0
 #: Mistakes within this of the best one are named with it [nats]; a better explanation than none has to gain :data:`GAIN`.

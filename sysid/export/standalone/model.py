@@ -8,10 +8,8 @@ the command of sample k + 1). Units are SI.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -259,11 +257,6 @@ def assemble(data: dict[str, Any], parts: dict[str, Any]) -> DriveModel:
     limit = math.inf if data["pump_limit"] is None else data["pump_limit"]
     axes = [_axis(dt, axis, parts) for axis in data["axes"]]
     return DriveModel(dt, names, signals, axes, limit, kinematics, sway, sensors)
-
-
-def read_model(path: str | Path, parts: dict[str, Any]) -> DriveModel:
-    """The model of a JSON file."""
-    return assemble(json.loads(Path(path).read_text("utf-8")), parts)
 
 
 def _axis(dt: float, axis: dict[str, Any], parts: dict[str, Any]) -> Axis:
