@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sysid.datasets.chunked import Mask, copied, known, masked, stretches
 from sysid.datasets.plausibility.finding import MOST, Cause, Evidence, Finding, interval, value
+from sysid.datasets.quality.describe import SampleCounts, stored_counts, together
 from sysid.datasets.quality.noise import table_noise
-from sysid.datasets.quality.samples import SampleCounts, stored_counts, together
 from sysid.datasets.recording import Recording
 from sysid.datasets.wrapping import WELL_SAMPLED, Wraps, is_position, one_turn, wraps_of
 from sysid.machine import Axis, Machine
