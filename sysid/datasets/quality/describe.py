@@ -96,20 +96,20 @@ def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], st
     times = chosen(times, there)
     steps, limit = differences(times), gap_limit(channel)
     used, inside, done, ends, stray = 0, 0, 0, (0, 0), 0
-    moving = [clocked for clocked in parts if clocked.kind == "motion" and len(clocked)]
+    moving = [piece for piece in parts if piece.kind == "motion" and len(piece)]
     if not moving:  # a pose is the median of a still phase
         used = inside = len(times)
-    for clocked in moving:
-        begin = (clocked.start_ns - start_ns) * 1e-9
-        first, last = np.searchsorted(times, (begin - 1.0 / clocked.rate_hz, begin + len(clocked) / clocked.rate_hz))
+    for piece in moving:
+        begin = (piece.start_ns - start_ns) * 1e-9
+        first, last = np.searchsorted(times, (begin - 1.0 / piece.rate_hz, begin + len(piece) / piece.rate_hz))
         first, last = max(int(first), done), max(int(last), done)
-        if clocked is not moving[0] and not command:  # in a pause, not in a guard
+        if piece is not moving[0] and not command:  # in a pause, not in a guard
             around = np.concatenate([[np.inf], steps, [np.inf]])[done : first + 1] > limit
             stray += int(np.count_nonzero(around[:-1] & around[1:]))
-        ends = (first if clocked is moving[0] else ends[0], last)
+        ends = (first if piece is moving[0] else ends[0], last)
         inside, done = inside + last - first, last
-        values = clocked.values(channel.signal) if channel.primary else None
-        used += last - first if values is None else _in_table(times[first:last] - begin, values, clocked.rate_hz)
+        values = piece.values(channel.signal) if channel.primary else None
+        used += last - first if values is None else _in_table(times[first:last] - begin, values, piece.rate_hz)
     outside = ends[0] + len(times) - ends[1] if moving else 0
     bridged = 0.0
     if not command and moving and len(steps):
