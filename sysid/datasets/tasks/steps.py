@@ -227,7 +227,7 @@ def read_recording(location: str, folder: str, number: int, plan: Plan, files: R
         mounts: of the rigid bodies in this recording.
 
     Returns:
-        ``reading`` and ``pieces`` (:mod:`sysid.datasets.tasks.steps`), ``file`` and ``clocks`` for the manifest, ``rates``
+        ``reading`` and ``pieces`` as plain values, ``file`` and ``clocks`` for the manifest, ``rates``
         (notes); ``reading`` alone where a file cannot be used.
 
     Raises:
