@@ -22,6 +22,8 @@ from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import AlignmentError, InputError, SettingsError
 from sysid.machine import Machine, load_machine
 
+Array = npt.NDArray[np.float64]
+
 #: Part of every digest; to be increased when the same logs give another table.
 INGEST_VERSION = 6
 
@@ -230,8 +232,6 @@ def made_by(found: Sequence[RecordingFiles], plan: Plan, mounts: Mounts) -> Part
     recipe = plan.rules.text if plan.rules is not None else ""
     return PartRecord(INGEST_VERSION, recipe, settings_of(plan), shared_mounts(found, mounts))
 
-
-Array = npt.NDArray[np.float64]
 
 #: Least cosine of the angle between an offset and the last link for which they count as parallel.
 ALONG = 0.9

@@ -26,6 +26,8 @@ from sysid.files import json_text
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
 
+Array = npt.NDArray[np.float64]
+
 #: Names of the two files.
 MODULE, DATA = "drive_model.py", "drive_model.json"
 #: Name in the data → class.
@@ -143,9 +145,6 @@ def used_parts(data: Mapping[str, Any]) -> set[str]:
 def data_text(data: Mapping[str, Any]) -> str:
     """The data as JSON."""
     return json_text(data)
-
-
-Array = npt.NDArray[np.float64]
 
 
 def write_drive_model(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, str]:

@@ -30,6 +30,8 @@ from sysid.progress import Progress, part, silent
 from sysid.registry.version import sha256
 from sysid.workspace import Workspace, open_workspace
 
+Array = npt.NDArray[np.float64]
+
 
 def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
     """Task: the gap of one machine, from a stored result of this dataset version and plant if there is one.
@@ -70,8 +72,6 @@ def _own_file(place: Workspace, dataset: Dataset, plant: Plant) -> Path:
     """The names by this plant, in the results of the dataset version."""
     return place.output(f"fleet-{plant_sha256(plant)[:16]}.json", dataset)
 
-
-Array = npt.NDArray[np.float64]
 
 #: A standard deviation above so many negligible changes: the recording does not determine the parameter. The prior of an
 #: unknown in the curvature of a fit is a thousand of them wide.

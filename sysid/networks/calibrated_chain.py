@@ -38,6 +38,8 @@ import numpy.typing as npt
 from sysid.machine.kinematics import Drive, Joint, Kinematics, rotation_about
 from sysid.machine.moved_bodies import moved_bodies
 
+Array = npt.NDArray[np.float64]
+
 Kind = Literal["displacement", "scale", "point", "compliance", "lateral"]
 
 #: Prior standard deviations: m, rad, and a share.
@@ -81,9 +83,6 @@ class GeometryParameter:
     @property
     def optional(self) -> bool:
         return self.kind in OPTIONAL
-
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

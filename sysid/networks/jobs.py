@@ -30,6 +30,8 @@ from sysid.networks.mlp import Normalisation, Rectifier
 if TYPE_CHECKING:
     import torch
 
+Array = npt.NDArray[np.float64]
+
 
 def generator(seed: int, name: str, pass_: int) -> np.random.Generator:
     """Generator of one member and one pass over its rows; pass 0 is for the initial weights."""
@@ -69,8 +71,6 @@ class ShuffleOrder:
             self._pass, self._permutation = pass_, generator(self._seed, self._name, pass_).permutation(self._rows)
         return self._permutation
 
-
-Array = npt.NDArray[np.float64]
 
 #: Largest working set of one batch on a CPU [bytes]: more members per batch save calls while they fit the caches.
 CACHE = 6_000_000

@@ -34,6 +34,8 @@ from sysid.reports.picture_parts import (
 )
 from sysid.signals import split_signal
 
+Array = npt.NDArray[np.float64]
+
 #: Stage → part at its end, for unnamed errors.
 _OF_STAGE = {
     "command": "valve",
@@ -125,8 +127,6 @@ def axis_of(mark: Mark, names: Sequence[str]) -> str | None:
     owner = mark.target if mark.target in names else split_signal(mark.target)[0]
     return owner if owner in names else None
 
-
-Array = npt.NDArray[np.float64]
 
 #: Width, greatest height and margin of the drawing [px].
 WIDTH, HEIGHT, MARGIN = 560, 470, 48

@@ -17,6 +17,7 @@ from sysid.current_folder import without_matplotlib
 from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,6 @@ def error_metrics(truth: Array, predicted: Array, unit: str) -> ErrorMetrics:
         unit=unit,
     )
 
-
-Mask = npt.NDArray[np.bool_]
 
 #: Level at which intervals are evaluated, if there are enough calibration rows.
 LEVEL = 0.95

@@ -20,6 +20,8 @@ from sysid.networks.split import SignalRows, evenly_spaced
 from sysid.validate.error_analysis import ErrorMap, Profile, Spike
 from sysid.validate.metrics import Coverage, ErrorMetrics
 
+Array = npt.NDArray[np.float64]
+
 #: Errors that differ by less are alike; the promotion policy permits the same.
 ALIKE = 1.05
 
@@ -60,8 +62,6 @@ def _factors(values: list[float]) -> str:
     low, high = (f"{value:.1f}" if value < 9.95 else f"{value:.0f}" for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"
 
-
-Array = npt.NDArray[np.float64]
 
 #: Largest number of rows of a trace.
 TRACE_ROWS = 2000

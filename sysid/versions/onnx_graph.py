@@ -24,6 +24,8 @@ from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, Struct
 from sysid.networks.calibrated_chain import ElasticChain, ElasticJoint
 from sysid.networks.policy import PolicyNetwork
 
+Array = npt.NDArray[np.float64]
+
 
 class Nodes:
     """Nodes and constants in the order of their addition; values are referred to by name.
@@ -57,8 +59,6 @@ class Nodes:
     def columns(self, value: str, which: Sequence[int]) -> str:
         return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
 
-
-Array = npt.NDArray[np.float64]
 
 #: Added to a squared angle, so that its root is not zero.
 TINY = 1e-30

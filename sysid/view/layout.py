@@ -27,6 +27,8 @@ from sysid.pictures import ticks
 from sysid.signals import split_signal
 from sysid.view.drawing import TIMELINE, sdk
 
+Array = npt.NDArray[np.float64]
+
 ENTITY, MOMENTS = "findings", "moments"
 
 
@@ -102,8 +104,6 @@ def _value(effect: NamedEffect, name: str, machine: Machine) -> str:
         spread = f" ({interval(low, high, unit, 4)})"
     return f"{name.replace('_', ' ')} {quantity(value, unit, 4)}{spread}"
 
-
-Array = npt.NDArray[np.float64]
 
 #: Largest number of maps per output, and the least share of the variance that they explain.
 MAX_MAPS, MIN_EXPLAINED = 3, 0.15

@@ -28,6 +28,8 @@ from sysid.signals import axis_signal, point_signals
 from sysid.world.bodies import Gripper, build_bodies, passive_joints
 from sysid.world.client import connect, disconnect, pybullet
 
+Array = npt.NDArray[np.float64]
+
 #: Half side and thickness of the ground [m].
 GROUND = (25.0, 0.05)
 
@@ -76,7 +78,6 @@ def add_log(p: Any, client: int, log: Log) -> int:
     return int(body)
 
 
-Array = npt.NDArray[np.float64]
 Mode = Literal["kinematic", "dynamic"]
 
 #: Force of a drive without limit [N or N·m].

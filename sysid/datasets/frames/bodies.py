@@ -27,6 +27,7 @@ from sysid.machine import Kinematics, Machine
 from sysid.machine.kinematics import Joint
 
 Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
 
 #: Largest speed [m/s] and acceleration [m/s²] of a point of the machine; a body beyond them was confused with another.
 MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
@@ -127,8 +128,6 @@ def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array)
         for first, last in zip(*stretches(bad), strict=True)
     ]
 
-
-Stamps = npt.NDArray[np.int64]
 
 #: Largest motion of a body in the reference pose [m].
 STILL = 2e-3

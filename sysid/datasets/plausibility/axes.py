@@ -22,6 +22,8 @@ from sysid.machine.rigid_body import moves_masses
 from sysid.names import uncut_name
 from sysid.signals import axis_signal
 
+Array = npt.NDArray[np.float64]
+
 #: Ratio of the gain that the recordings show to an estimated one from which it is said, and from which the error of the gain
 #: hides those of the effects.
 FAR, HIDES = 2.0, 5.0
@@ -296,7 +298,6 @@ def _of_file(figures: AxisFigures, whole: AxisFigures) -> AxisFinding | None:
     return replace(finding, explanations=kept) if kept else None
 
 
-Array = npt.NDArray[np.float64]
 #: Correlation with the own command, at most, and with that of another axis, at least, for an exchange. On honest data the own
 #: correlation is 0.8 and more for valves, 0.9 and more for servos.
 OWN, OTHER = 0.4, 0.65

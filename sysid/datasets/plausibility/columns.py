@@ -23,6 +23,8 @@ from sysid.names import listed
 from sysid.scratch import computed
 from sysid.signals import axis_signal, split_signal
 
+Array = npt.NDArray[np.float64]
+
 _REMEDY = (
     "Where it means that there is no value, write `missing = [{}]` into the entry of the signal in the recipe; without a "
     "recipe, `sysid ingest --inspect PATH --draft recipe.toml` writes one. Then ingest again"
@@ -148,8 +150,6 @@ def _still_sensor(recordings: Sequence[Recording], signal: str, commanded: float
         yield Finding((f"{signal}:noise",), "notice", (Evidence(found, expected),))
 
 
-Array = npt.NDArray[np.float64]
-
 #: Least command that pushes, beyond most dead-bands; least duration of a visit and of all [s]; least number of visits.
 PUSHED, VISIT_S, TOTAL_S, VISITS = 0.3, 0.3, 1.0, 2
 #: Places of a stop agree to this many standard deviations of the noise, or to this share of the range.
@@ -158,7 +158,6 @@ NOISES, SHARE = 6.0, 1e-3
 INSIDE, AWAY = 0.01, 0.05
 #: The nominal speed would leave the place by this multiple of its tolerance during the visits.
 MOVED = 20.0
-_NOISE_ROWS = 2**15
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ def _stop(recordings: Sequence[Recording], axis: Axis, side: int) -> EndStop | N
     if not moving:
         return None
     furthest = max(float(np.nanmax(y) if side > 0 else -np.nanmin(y)) for y in (r.values(axis.driven) for r in moving))
-    noise = max(table_noise(r.values(axis.driven)[:_NOISE_ROWS], r.rate_hz) for r in moving)
+    noise = max(table_noise(r.values(axis.driven)[:NOISE_ROWS], r.rate_hz) for r in moving)
     tolerance = max(NOISES * noise, SHARE * width)
     end = high if side > 0 else -low
     if end - furthest < max(INSIDE * width, tolerance):

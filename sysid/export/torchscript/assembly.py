@@ -25,6 +25,8 @@ from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import signals_of, slot_indices
 from sysid.plant.machine_arrays import GAIN, LENGTH, ORDER, PASSIVE, SHIFT
 
+Array = npt.NDArray[np.float64]
+
 _jit: Any = torch.jit
 
 
@@ -54,7 +56,6 @@ def load_script(path: Path) -> Any:
         return _jit.load(str(path), map_location="cpu")
 
 
-Array = npt.NDArray[np.float64]
 #: Parts with further arguments are made one by one, the others by their class.
 _COMMAND: dict[str, Any] = {
     "valve_hysteresis": command_parts.ValveHysteresis,

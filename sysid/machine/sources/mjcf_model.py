@@ -30,6 +30,8 @@ from sysid.foreign import MAX_NAME, shown, visible
 from sysid.machine.sources.draft import summarised
 from sysid.machine.sources.mjcf_files import STANDIN_HEIGHTS, STANDIN_MESH, JoinedModel, MissingFile, joined_model
 
+Array = npt.NDArray[np.float64]
+
 T = TypeVar("T")
 
 #: Of reading a description: the largest models of the MuJoCo Menagerie take a tenth of both.
@@ -322,7 +324,6 @@ def _ignored(text: str) -> None:
     """MuJoCo's warnings."""
 
 
-Array = npt.NDArray[np.float64]
 #: Largest relative difference between a number and MuJoCo's text of it.
 ROUNDING = 6e-6
 _BODY, _INERTIAL = ("pos", "quat"), ("pos", "quat", "mass", "diaginertia")
