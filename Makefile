@@ -120,7 +120,7 @@ report: $(READY)
 
 clean:
 	rm -rf $(VENV) $(STORE) $(MLFLOW) $(LEROBOT)-* $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
+	find sysid rl tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.
 # Bytecode is compiled on all cores; pip uses one. Some packages contain files of other Python versions, which do not compile.

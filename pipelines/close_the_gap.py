@@ -34,7 +34,7 @@ from loop.rounds import Site, close_gap
 from loop.score import machine_result, read_truth
 from loop.sealed import draw_machine, write_site, write_truth
 from loop.story import write_story
-from sysid.bench.recipe import AXES
+from simulated_bench.recipe import AXES
 from sysid.gap.experiment import Planning
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from committed import markdown, provenance, write_result, write_tables
-from sysid.control import AxisTuning, proportional_tuning, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
-from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
-from sysid.rl.tracking_task import TrackingTask, plan_tracking
-from sysid.rl.versions import load_versions
+from sysid_rl.control import AxisTuning, proportional_tuning, tune
+from sysid_rl.train.tracking import InversePolicy, TrackingResult, track, track_environment
+from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
+from sysid_rl.train.versions import load_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python pipelines/control.py"

@@ -7,7 +7,7 @@ Each case is a machine with no, one, two or three hidden effects, or a feature o
 disturbances and various excitations. The workflow gets logs and description only, in a separate process; the truth is read
 for the evaluation afterwards.
 
-The bench is sysid.bench, or ("foreign") 200 machines that MuJoCo and PyBullet simulate, with the result in
+The bench is simulated_bench, or ("foreign") 200 machines that MuJoCo and PyBullet simulate, with the result in
 reports/hidden_effects/foreign.json.
 
 The cases follow from the seed. By default it is that of the commit (its first eight hex digits): a change of the search changes

@@ -24,7 +24,7 @@ from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
 from committed import markdown, write_tables
 from interval_coverage import NOISE, PAGE, SEED, STILL, Family, candidates_of, nuisances, problem_of, sensed
-from sysid.bench.recipe import BenchRecipe
+from simulated_bench.recipe import BenchRecipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.data import Data

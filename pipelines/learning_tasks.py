@@ -24,15 +24,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import first_look
 from committed import provenance, write_result, write_tables
-from sysid.control.pendulum import pendulum_of
 from sysid.networks.policy import PolicyNetwork
 from sysid.registry import Registry
-from sysid.rl.paths import circle
-from sysid.rl.policy import load_policy
-from sysid.rl.recipe import load_training
-from sysid.rl.tracking_task import TrackingTask, plan_tracking
-from sysid.rl.training import train_policy
-from sysid.rl.versions import load_versions
+from sysid.registry.policy import load_policy
+from sysid_rl.control.pendulum import pendulum_of
+from sysid_rl.train.paths import circle
+from sysid_rl.train.recipe import load_training
+from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
+from sysid_rl.train.training import train_policy
+from sysid_rl.train.versions import load_versions
 from task_runs import page, peer, pump, redundancy, sway
 
 ROOT = Path(__file__).resolve().parents[1]

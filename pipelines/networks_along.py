@@ -23,10 +23,10 @@ import pandas as pd
 
 from committed import markdown, provenance, write_result, write_tables
 from hydraulic_actuator import HALF, LITERATURE, columns
-from sysid.bench import BenchRecipe, RecordingSettings
-from sysid.bench.case import overlaid
-from sysid.bench.machine import run_machine
-from sysid.bench.recipe import AXES
+from simulated_bench import BenchRecipe, RecordingSettings
+from simulated_bench.case import overlaid
+from simulated_bench.machine import run_machine
+from simulated_bench.recipe import AXES
 from sysid.config import parse_settings, read_toml
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.machine import load_machine

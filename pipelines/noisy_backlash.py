@@ -28,9 +28,9 @@ from committed import markdown, provenance, write_result, write_tables
 from hidden.limits import overlaid_lists
 from hidden.machines import VARIANTS, recorded, visible_tables
 from hidden.make import kept_nominal
-from sysid.bench.case import BenchCase, overlaid, write_case
-from sysid.bench.nominal import CommandChain
-from sysid.bench.recipe import BenchRecipe, HiddenSettings
+from simulated_bench.case import BenchCase, overlaid, write_case
+from simulated_bench.nominal import CommandChain
+from simulated_bench.recipe import BenchRecipe, HiddenSettings
 from sysid.datasets import ingest
 from sysid.gap import find_gap
 from sysid.gap.data import Data

@@ -30,10 +30,10 @@ import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
 from runner_flight import AXES, DRIFT, DRIVEN, KEEPS, LINE, LOOP, NO_FAULT, POLICY, SECOND_RUNNER, TURNS, first_moves, wiring
-from sysid.bench.live import read_truth
+from simulated_bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
-from sysid.runner.checks.settings import BOUNDS
+from sysid_rl.run.checks.settings import BOUNDS
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
@@ -244,7 +244,7 @@ STOPS = ("stopped", "fault")
 
 @contextmanager
 def machine(folder: Path, seconds: float, database: Path) -> Iterator[subprocess.Popen[str]]:
-    words = [sys.executable, "-P", "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
+    words = [sys.executable, "-P", "-m", "simulated_bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
     words += ["--database", str(database), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
     words += ["--truth", str(folder / "truth.bin"), "--seconds", str(seconds)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=_environment()) as process:
@@ -310,7 +310,7 @@ def busy(count: int) -> Iterator[None]:
 def _environment() -> dict[str, str]:
     """One thread each: this computer has few cores."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    return os.environ | {"PYTHONPATH": str(ROOT)} | threads
+    return os.environ | {"PYTHONPATH": os.pathsep.join(str(ROOT / folder) for folder in (".", "rl", "pipelines"))} | threads
 
 
 def run_once(

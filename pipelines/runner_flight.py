@@ -27,11 +27,11 @@ import numpy.typing as npt
 
 from sysid.errors import StorageError, SysidError
 from sysid.registry import Registry
-from sysid.runner.assemble import Assembly, assemble
-from sysid.runner.chain import ControlChain
-from sysid.runner.commissioning import digests, record_path, require_commissioned
-from sysid.runner.cycle import Cycle, State
-from sysid.runner.faults import (
+from sysid_rl.run.assemble import Assembly, assemble
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.commissioning import digests, record_path, require_commissioned
+from sysid_rl.run.cycle import Cycle, State
+from sysid_rl.run.faults import (
     BusOff,
     ClockJumped,
     Delayed,
@@ -50,14 +50,14 @@ from sysid.runner.faults import (
     ValvesSwapped,
     ValveTurned,
 )
-from sysid.runner.first_move import FirstMove as FirstMoveSupervision
-from sysid.runner.flight_log import FlightLog, provenance
-from sysid.runner.modes.commission import Commission
-from sysid.runner.operator import Interruptible, Unattended
-from sysid.runner.policy_thread import PolicyThread
-from sysid.runner.recipe import load_runner
-from sysid.runner.terminal import Console, Terminal, redirected_output
-from sysid.runner.transports import connect
+from sysid_rl.run.first_move import FirstMove as FirstMoveSupervision
+from sysid_rl.run.flight_log import FlightLog, provenance
+from sysid_rl.run.modes.commission import Commission
+from sysid_rl.run.operator import Interruptible, Unattended
+from sysid_rl.run.policy_thread import PolicyThread
+from sysid_rl.run.recipe import load_runner
+from sysid_rl.run.terminal import Console, Terminal, redirected_output
+from sysid_rl.run.transports import connect
 
 Array = npt.NDArray[np.float64]
 

@@ -27,11 +27,11 @@ from committed import markdown, provenance, write_result, write_tables
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.registry import Registry
-from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import TrainingRecipe, load_training
-from sysid.rl.tracking_task import TruncatedObservationPolicy, plan_tracking
-from sysid.rl.training import environments, policy_of
-from sysid.rl.versions import load_versions
+from sysid_rl.train.ddpg import Trainer
+from sysid_rl.train.recipe import TrainingRecipe, load_training
+from sysid_rl.train.tracking_task import TruncatedObservationPolicy, plan_tracking
+from sysid_rl.train.training import environments, policy_of
+from sysid_rl.train.versions import load_versions
 from trained.page import mm
 
 ROOT = Path(__file__).resolve().parents[1]

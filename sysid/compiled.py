@@ -4,7 +4,8 @@ Functions in a loop are compiled without reference counting (Numba's ``_nrt=Fals
 mathematics. Such a function reads and writes its arguments and allocates no arrays.
 
 Numba reuses a cached function even when a step function that it inlined was edited. The folder of the cache is therefore
-named by a hash of all sources of the compiled chain. Cached code is a pickle: this is the only module that imports Numba.
+named by a hash of all sources of the compiled chain, and for functions of another package of those beside them. Cached code is
+a pickle: this is the only module that imports Numba.
 """
 
 from __future__ import annotations
@@ -26,20 +27,28 @@ from sysid.location import cache_home
 _PACKAGE = Path(__file__).parent
 
 
-def source_digest() -> str:
-    """sha256 over the sources of all effects, the plant, and the controller, whose law takes constants from its tuning."""
+def source_digest(beside: Path | None = None) -> str:
+    """sha256 over the sources of all effects and the plant.
+
+    Args:
+        beside: a folder with more sources, such as that of a controller, whose law takes constants from its tuning.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
-    for folder in ("effects", "plant", "control"):
-        for path in sorted((_PACKAGE / folder).glob("*.py")):
+    for folder in (_PACKAGE / "effects", _PACKAGE / "plant", *([] if beside is None else [beside])):
+        for path in sorted(folder.glob("*.py")):
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
 @functools.cache
-def cache_folder() -> Path:
-    """The folder for these sources, in ``NUMBA_CACHE_DIR`` if set; a temporary one, and a warning, if it cannot be written."""
+def cache_folder(beside: Path | None = None) -> Path:
+    """The folder for these sources, in ``NUMBA_CACHE_DIR`` if set; a temporary one, and a warning, if it cannot be written.
+
+    Args:
+        beside: see :func:`source_digest`.
+    """
     root = Path(os.environ.get("NUMBA_CACHE_DIR", "") or cache_home() / "numba")
-    folder = root / source_digest()[:16]
+    folder = root / source_digest(beside)[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         writable = os.access(folder, os.W_OK)
@@ -61,7 +70,9 @@ def _cached(**options: Any) -> Callable[[Any], Any]:
 
     def decorate(function: Any) -> Any:
         config: Any = numba.config
-        before, config.CACHE_DIR = config.CACHE_DIR, str(cache_folder())
+        own = Path(function.__code__.co_filename).parent
+        folder = cache_folder(None if own.is_relative_to(_PACKAGE) else own)
+        before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
             return njit(cache=True, **options)(function)
         finally:

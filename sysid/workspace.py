@@ -36,11 +36,11 @@ from sysid.networks import (
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, dataset_descendants
+from sysid.registry.policy import load_policy
 from sysid.registry.version import sha256
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
-from sysid.rl.policy import load_policy
 from sysid.root import Root
 from sysid.validate import ValidationReport, validate_model
 

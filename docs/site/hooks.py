@@ -32,9 +32,10 @@ PACKAGES = {
     "sysid.reports": "the report of a dataset version",
     "sysid.site": "a workspace as linked pages",
     "sysid.view": "Rerun recordings",
-    "sysid.rl": "train and track policies",
-    "sysid.control": "controllers of cylinders and of hanging tools",
     "sysid.testing": "check an effect of your own",
+    "sysid_rl.control": "controllers of cylinders and of hanging tools",
+    "sysid_rl.train": "train and track policies",
+    "sysid_rl.run": "run a machine, supervised and recorded",
 }
 #: A link or picture: the target without spaces or title, an anchor apart.
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")

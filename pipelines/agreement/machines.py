@@ -11,16 +11,16 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.bench.capture import frame_rotation
-from sysid.bench.case import overlaid
-from sysid.bench.joint_machines import description_of
-from sysid.bench.joint_recipe import ServoArm, Slide, Take
-from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.recipe_file import check_recipe
-from sysid.bench.run import simulate
-from sysid.bench.servo_arm import run_servo_arm
-from sysid.bench.site_files import machine_toml, urdf
-from sysid.bench.slide import run_slide
+from simulated_bench.capture import frame_rotation
+from simulated_bench.case import overlaid
+from simulated_bench.joint_machines import description_of
+from simulated_bench.joint_recipe import ServoArm, Slide, Take
+from simulated_bench.recipe import AXES, BenchRecipe, RecordingSettings
+from simulated_bench.recipe_file import check_recipe
+from simulated_bench.run import simulate
+from simulated_bench.servo_arm import run_servo_arm
+from simulated_bench.site_files import machine_toml, urdf
+from simulated_bench.slide import run_slide
 from sysid.config import parse_settings, read_toml
 from sysid.datasets import Recording
 from sysid.machine import Machine, machine_from_files

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agreement.machines import AUTOLOG, EE, TOOL
-from sysid.bench.cylinder import drive_of, position_of
-from sysid.bench.recipe_file import load_recipe
+from simulated_bench.cylinder import drive_of, position_of
+from simulated_bench.recipe_file import load_recipe
 
 
 @dataclass(frozen=True)

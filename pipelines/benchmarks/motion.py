@@ -12,11 +12,11 @@ from scipy.optimize import least_squares
 from benchmarks.crane import crane
 from benchmarks.rows import in_turns, row
 from sysid.plant import Plant, compile_plant
-from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.reach import joint_limits, tips
-from sysid.rl.task import Task
 from sysid.signals import axis_signal
+from sysid_rl.train.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.reach import joint_limits, tips
+from sysid_rl.train.task import Task
 
 Array = npt.NDArray[np.float64]
 

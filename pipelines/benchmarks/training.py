@@ -63,14 +63,14 @@ def ours_on(device: str, batch: int, hidden: tuple[int, ...], rows: Transitions,
     """Makes so many updates, and waits for the device.
 
     Args:
-        graph: on a GPU, as a CUDA graph, as :class:`sysid.rl.ddpg.Trainer` does.
+        graph: on a GPU, as a CUDA graph, as :class:`sysid_rl.train.ddpg.Trainer` does.
     """
     import torch
 
-    from sysid.rl.agent import Agent, Space
-    from sysid.rl.recipe import Learning, Networks
-    from sysid.rl.repeated import Repeated
-    from sysid.rl.replay import Replay
+    from sysid_rl.train.agent import Agent, Space
+    from sysid_rl.train.recipe import Learning, Networks
+    from sysid_rl.train.repeated import Repeated
+    from sysid_rl.train.replay import Replay
 
     one, four = np.ones(OBSERVED), np.ones(ACTIONS)
     space = Space(-one, one, -four, four, (False,) * ACTIONS, (4, 7), (7, 10))

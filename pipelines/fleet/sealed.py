@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sysid.bench.joint_machines import write_joint_machine
-from sysid.bench.joint_recipe import ServoArm, ServoAxis, Take
-from sysid.bench.servo_arm import run_servo_arm
+from simulated_bench.joint_machines import write_joint_machine
+from simulated_bench.joint_recipe import ServoArm, ServoAxis, Take
+from simulated_bench.servo_arm import run_servo_arm
 from sysid.datasets import Recording
 
 #: Hidden parameter → effect and parameter by which it is named.

@@ -1,4 +1,4 @@
-"""The two benches: `sysid.bench`, and the foreign simulators MuJoCo and PyBullet."""
+"""The two benches: `simulated_bench`, and the foreign simulators MuJoCo and PyBullet."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from agreement.machines import PISTONS
 from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_axes
-from sysid.bench.recipe import AXES
+from simulated_bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]
 #: (visible tables, magnitude, direction) → changed settings of the hidden machine. ``direction`` is +1 or −1.

@@ -18,16 +18,16 @@ from scipy.signal import sosfiltfilt
 from agreement.machines import parsed
 from hidden.kinds import Kind
 from hidden.machines import Tables
-from sysid.bench.crane import tip_position
-from sysid.bench.cylinder import drive_of, joint_of
-from sysid.bench.joint_machines import description_of
-from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.machine import Truth, run_machine
-from sysid.bench.nominal import CommandChain, loads, predict
-from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.sensors import through
-from sysid.bench.servo_arm import run_servo_arm
-from sysid.bench.slide import run_slide
+from simulated_bench.crane import tip_position
+from simulated_bench.cylinder import drive_of, joint_of
+from simulated_bench.joint_machines import description_of
+from simulated_bench.joint_recipe import ServoArm, Slide
+from simulated_bench.machine import Truth, run_machine
+from simulated_bench.nominal import CommandChain, loads, predict
+from simulated_bench.recipe import AXES, BenchRecipe, RecordingSettings
+from simulated_bench.sensors import through
+from simulated_bench.servo_arm import run_servo_arm
+from simulated_bench.slide import run_slide
 from sysid.datasets import Recording
 from sysid.machine import machine_from_files
 from sysid.plant.force import force_inputs

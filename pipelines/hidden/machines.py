@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from agreement.machines import PISTONS
-from sysid.bench.case import overlaid
-from sysid.bench.recipe import AXES
+from simulated_bench.case import overlaid
+from simulated_bench.recipe import AXES
 from sysid.config import read_toml
 
 Family = Literal["valve_crane", "hydraulic_crane", "servo_arm", "slide"]

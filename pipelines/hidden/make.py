@@ -21,11 +21,11 @@ from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
 from hidden.machines import Tables, recorded, visible_tables
-from sysid.bench.case import BenchCase, write_case
-from sysid.bench.joint_machines import write_joint_machine
-from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.nominal import CommandChain, fit_nominal
-from sysid.bench.recipe import BenchRecipe, HiddenSettings
+from simulated_bench.case import BenchCase, write_case
+from simulated_bench.joint_machines import write_joint_machine
+from simulated_bench.joint_recipe import ServoArm, Slide
+from simulated_bench.nominal import CommandChain, fit_nominal
+from simulated_bench.recipe import BenchRecipe, HiddenSettings
 from sysid.plant import nominal_plant
 
 #: Effects of the nominal plant of a servo.

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from learned.forward import longer
 from learned.poses import crane
-from sysid.bench.cylinder import drive_of, joint_of, position_of
+from simulated_bench.cylinder import drive_of, joint_of, position_of
 from sysid.datasets import Dataset
 from sysid.networks import Checkpoints, EnsembleMember, NetworkRecipe, train
 from sysid.networks.actuator import actuator_rows

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.crane import link_poses
-from sysid.bench.cylinder import drive_of, joint_of, position_of
-from sysid.bench.recipe import AXES, BenchRecipe
-from sysid.bench.recipe_file import load_recipe
-from sysid.bench.sensors import read_slew, read_wires
-from sysid.bench.site_files import urdf
+from simulated_bench.crane import link_poses
+from simulated_bench.cylinder import drive_of, joint_of, position_of
+from simulated_bench.recipe import AXES, BenchRecipe
+from simulated_bench.recipe_file import load_recipe
+from simulated_bench.sensors import read_slew, read_wires
+from simulated_bench.site_files import urdf
 from sysid.machine.kinematics import Kinematics
 from sysid.networks import Geometry
 

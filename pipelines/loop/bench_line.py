@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.live import COLUMNS, LiveProcess
-from sysid.bench.live_bus import CanFrame
+from simulated_bench.live import COLUMNS, LiveProcess
+from simulated_bench.live_bus import CanFrame
 
 if TYPE_CHECKING:
     from can import Message
@@ -22,7 +22,7 @@ PHASE_NS = 4_000_000
 
 
 class BenchLine:
-    """A bus (as python-can has it), a clock, and the switches of the machine, for :class:`sysid.runner.can.CanTransport`."""
+    """A bus (as python-can has it), a clock, and the switches of the machine, for :class:`sysid_rl.run.can.CanTransport`."""
 
     def __init__(self, process: LiveProcess) -> None:
         self._process, self._now = process, 0
@@ -66,5 +66,5 @@ class BenchLine:
 
     @property
     def truth(self) -> Mapping[str, Array]:
-        """Columns of the true motion so far (:data:`sysid.bench.live.COLUMNS`), a row each cycle of the machine."""
+        """Columns of the true motion so far (:data:`simulated_bench.live.COLUMNS`), a row each cycle of the machine."""
         return dict(zip(COLUMNS, np.array(self._rows).T, strict=True))

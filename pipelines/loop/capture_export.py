@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.capture import capture
-from sysid.bench.machine import Truth
-from sysid.bench.motive_export import wall_clock, write_motive
-from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
+from simulated_bench.capture import capture
+from simulated_bench.machine import Truth
+from simulated_bench.motive_export import wall_clock, write_motive
+from simulated_bench.recipe import AXES, BenchRecipe, RecordingSettings
 
 Array = npt.NDArray[np.float64]
 
@@ -20,7 +20,7 @@ def export_take(machine: BenchRecipe, truth: Mapping[str, Array], offset_ns: int
     """Write ``folder/mocap.csv``.
 
     Args:
-        truth: columns of :data:`sysid.bench.live.COLUMNS`.
+        truth: columns of :data:`simulated_bench.live.COLUMNS`.
         offset_ns: from the clock of the truth to the date.
         seed: of the noise.
     """

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid.registry import CHAMPION, Registry, ancestors
-from sysid.runner.assemble import Assembly, assemble
-from sysid.runner.recipe import KINEMATIC, parse_runner
+from sysid_rl.run.assemble import Assembly, assemble
+from sysid_rl.run.recipe import KINEMATIC, parse_runner
 
 #: Disabled checks of the supervisor, with their reasons.
 WITHOUT = {

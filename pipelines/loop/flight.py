@@ -15,17 +15,17 @@ import numpy.typing as npt
 from loop.bench_line import BenchLine
 from loop.capture_export import export_take
 from loop.deployment import Deployment
-from sysid.bench.live import LiveProcess
-from sysid.bench.recipe import AXES, BenchRecipe
+from simulated_bench.live import LiveProcess
+from simulated_bench.recipe import AXES, BenchRecipe
 from sysid.plant import Plant
 from sysid.registry import Registry
-from sysid.runner.can import CanSettings, CanTransport
-from sysid.runner.clock import SECOND
-from sysid.runner.cycle import Cycle
-from sysid.runner.flight_log import FlightLog, provenance
-from sysid.runner.operator import Unattended
-from sysid.runner.outcome import RunOutcome
-from sysid.runner.simulated import SimulatedTransport
+from sysid_rl.run.can import CanSettings, CanTransport
+from sysid_rl.run.clock import SECOND
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.flight_log import FlightLog, provenance
+from sysid_rl.run.operator import Unattended
+from sysid_rl.run.outcome import RunOutcome
+from sysid_rl.run.simulated import SimulatedTransport
 
 Array = npt.NDArray[np.float64]
 

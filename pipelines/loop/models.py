@@ -13,8 +13,8 @@ from sysid.machine import KnownEffect
 from sysid.networks import Geometry, StructuredForward, calibrate, to_files
 from sysid.plant import Plant
 from sysid.registry import Registry
-from sysid.rl.inverse_kinematics import chain_of_plant
-from sysid.rl.reach import joint_limits
+from sysid_rl.train.inverse_kinematics import chain_of_plant
+from sysid_rl.train.reach import joint_limits
 
 #: Poses of the plant from which its forward model is calibrated.
 POSES = 512

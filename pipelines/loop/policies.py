@@ -7,10 +7,10 @@ from pathlib import Path
 
 from loop.deployment import Deployment
 from loop.rounds import Site
-from sysid.control import lookahead_time
 from sysid.plant import Plant
-from sysid.rl.recipe import load_training
-from sysid.rl.training import train_policy
+from sysid_rl.control import lookahead_time
+from sysid_rl.train.recipe import load_training
+from sysid_rl.train.training import train_policy
 
 #: Where joints follow at once: a map from target to joints. Half of its episodes: a minute of a core.
 EPISODES = 1280

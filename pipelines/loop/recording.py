@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sysid.bench.recipe import AXES, BenchRecipe
+from simulated_bench.recipe import AXES, BenchRecipe
 from sysid.datasets import Dataset, ingest
-from sysid.runner.flight_log import recipe_text
+from sysid_rl.run.flight_log import recipe_text
 
 #: Rest at the beginning of every run by which the joints of the rigid bodies are zeroed [s].
 REFERENCE_S = (0.2, 1.2)

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from sysid.bench.case import known_effects, overlaid
-from sysid.bench.contract_chain import KEYS, neutral_row
-from sysid.bench.nominal import CommandChain
-from sysid.bench.recipe import AXES, BenchRecipe
-from sysid.bench.recipe_file import check_recipe
-from sysid.bench.site_files import machine_toml, urdf
+from simulated_bench.case import known_effects, overlaid
+from simulated_bench.contract_chain import KEYS, neutral_row
+from simulated_bench.nominal import CommandChain
+from simulated_bench.recipe import AXES, BenchRecipe
+from simulated_bench.recipe_file import check_recipe
+from simulated_bench.site_files import machine_toml, urdf
 from sysid.config import parse_settings, read_toml
 
 Tables = dict[str, Any]

@@ -9,7 +9,7 @@ from loop.flight import Flight, fly
 from loop.policies import CHECKS
 from loop.rounds import path_task
 from paper.rows import MACHINE_MAX, PaperRow
-from sysid.bench.recipe_file import load_recipe
+from simulated_bench.recipe_file import load_recipe
 from sysid.pictures import PictureCurve, svg
 from sysid.workspace import Workspace
 

@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from paper.rows import NUMBER, POLICY_RMSE, SIMULATION_MAX, PaperRow
 from sysid.pictures import PictureCurve, svg
-from sysid.rl.observers import JsonLines
-from sysid.rl.tracking import TrackingResult
-from sysid.rl.tracking_task import TruncatedObservationPolicy, plan_tracking
-from sysid.rl.training import train_policy
-from sysid.rl.versions import load_versions
 from sysid.workspace import Workspace
+from sysid_rl.train.observers import JsonLines
+from sysid_rl.train.tracking import TrackingResult
+from sysid_rl.train.tracking_task import TruncatedObservationPolicy, plan_tracking
+from sysid_rl.train.training import train_policy
+from sysid_rl.train.versions import load_versions
 from trained.runs import Run, runs
 
 Array = npt.NDArray[np.float64]

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from sysid.networks.forward import ForwardModel
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant
-from sysid.rl.gym import MachineEnv
-from sysid.rl.recipe import TrainingRecipe
-from sysid.rl.training import environments
+from sysid_rl.train.gym import MachineEnv
+from sysid_rl.train.recipe import TrainingRecipe
+from sysid_rl.train.training import environments
 
 Array = npt.NDArray[np.float64]
 

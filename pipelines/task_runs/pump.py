@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control.coordinated_motion import motion_limits
-from sysid.control.pendulum import pendulum_of
 from sysid.machine import KnownEffect
-from sysid.rl.environment import Policy
-from sysid.rl.paths import Path
-from sysid.rl.planned import CoordinatedPolicy
-from sysid.rl.tool_figures import tool_figures
-from sysid.rl.tracking import InversePolicy
-from sysid.rl.tracking_task import TrackingTask
+from sysid_rl.control.coordinated_motion import motion_limits
+from sysid_rl.control.pendulum import pendulum_of
+from sysid_rl.train.environment import Policy
+from sysid_rl.train.paths import Path
+from sysid_rl.train.planned import CoordinatedPolicy
+from sysid_rl.train.tool_figures import tool_figures
+from sysid_rl.train.tracking import InversePolicy
+from sysid_rl.train.tracking_task import TrackingTask
 from task_runs.sway import MOVE_S, Controller, run
 
 Array = npt.NDArray[np.float64]

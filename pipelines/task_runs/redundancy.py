@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import CylinderController
-from sysid.control.coordinated_motion import SHARE
-from sysid.rl.inverse_kinematics import chain_of_plant
-from sysid.rl.limit_avoidance import LimitAvoidingPolicy
-from sysid.rl.paths import REACHED, Path, circle
-from sysid.rl.tracking import SETTLED_S, InversePolicy
-from sysid.rl.tracking_task import TrackingTask
+from sysid_rl.control import CylinderController
+from sysid_rl.control.coordinated_motion import SHARE
+from sysid_rl.train.inverse_kinematics import chain_of_plant
+from sysid_rl.train.limit_avoidance import LimitAvoidingPolicy
+from sysid_rl.train.paths import REACHED, Path, circle
+from sysid_rl.train.tracking import SETTLED_S, InversePolicy
+from sysid_rl.train.tracking_task import TrackingTask
 from task_runs.sway import Controller, run
 
 Array = npt.NDArray[np.float64]

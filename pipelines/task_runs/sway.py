@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control.coordinated_motion import motion_limits
-from sysid.control.input_shaper import ShaperKind, input_shaper
-from sysid.control.pendulum import Pendulum, pendulum_of
-from sysid.control.swing_damper import SwingDamper
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
-from sysid.rl.environment import Policy
-from sysid.rl.inverse_kinematics import chain_of_plant
-from sysid.rl.paths import Path, eased
-from sysid.rl.planned import CoordinatedPolicy, DampedPolicy, ShapedPolicy
-from sysid.rl.reach import tips
-from sysid.rl.residual_policy import ResidualPolicy
-from sysid.rl.tool_figures import ToolFigures, tool_figures
-from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
-from sysid.rl.tracking_task import TrackingTask
+from sysid_rl.control.coordinated_motion import motion_limits
+from sysid_rl.control.input_shaper import ShaperKind, input_shaper
+from sysid_rl.control.pendulum import Pendulum, pendulum_of
+from sysid_rl.control.swing_damper import SwingDamper
+from sysid_rl.train.environment import Policy
+from sysid_rl.train.inverse_kinematics import chain_of_plant
+from sysid_rl.train.paths import Path, eased
+from sysid_rl.train.planned import CoordinatedPolicy, DampedPolicy, ShapedPolicy
+from sysid_rl.train.reach import tips
+from sysid_rl.train.residual_policy import ResidualPolicy
+from sysid_rl.train.tool_figures import ToolFigures, tool_figures
+from sysid_rl.train.tracking import InversePolicy, TrackingResult, track, track_environment
+from sysid_rl.train.tracking_task import TrackingTask
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 MOVES, SEED, MOVE_S, SECTOR = 20, 0, 10.0, 0.8
 #: Rest after a path [s], and speed ramps at its ends [s]; 0: the path moves at full speed from its first sample.
 REST_S, EASES = 6.0, (0.0, 1.0)
-#: Damping ratio that feedback adds; the bound by this machine's shortest lag, 36 ms, is 0.12 (sysid/control/swing_damper.py).
+#: Damping ratio that feedback adds; the bound by this machine's shortest lag, 36 ms, is 0.12 (sysid_rl.control.swing_damper).
 DAMPING = 0.1
 #: Greatest distance of a tool from its rest at the beginning, if it swings [m], and the seed of the places where it does.
 START_SWING, SWING_SEED = 0.1, 1

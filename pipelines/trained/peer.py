@@ -12,10 +12,10 @@ import numpy.typing as npt
 from sysid.config import read_toml
 from sysid.progress import Progress
 from sysid.registry import Registry
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.recipe import parse_training
-from sysid.rl.tracking_task import plan_tracking
-from sysid.rl.versions import load_versions
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.recipe import parse_training
+from sysid_rl.train.tracking_task import plan_tracking
+from sysid_rl.train.versions import load_versions
 from trained.policies import kept
 from trained.runs import PAPER, RECIPES
 

@@ -16,21 +16,21 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import read_toml
-from sysid.control import proportional_tuning
 from sysid.files import json_text, plain, written_whole
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.progress import Progress
 from sysid.registry import Registry
-from sysid.rl.checkpoint import TrainingFiles
-from sysid.rl.ddpg import Trainer
-from sysid.rl.inverse_kinematics import chain_of_plant
-from sysid.rl.policy import CandidateSearchPolicy
-from sysid.rl.recipe import parse_training
-from sysid.rl.tracking import SETTLED_S, InversePolicy, TrackingResult
-from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
-from sysid.rl.training import environments, policy_of
-from sysid.rl.versions import load_versions
+from sysid_rl.control import proportional_tuning
+from sysid_rl.train.checkpoint import TrainingFiles
+from sysid_rl.train.ddpg import Trainer
+from sysid_rl.train.inverse_kinematics import chain_of_plant
+from sysid_rl.train.policy import CandidateSearchPolicy
+from sysid_rl.train.recipe import parse_training
+from sysid_rl.train.tracking import SETTLED_S, InversePolicy, TrackingResult
+from sysid_rl.train.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
+from sysid_rl.train.training import environments, policy_of
+from sysid_rl.train.versions import load_versions
 from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, Run
 
 Array = npt.NDArray[np.float64]

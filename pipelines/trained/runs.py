@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.config import read_toml
-from sysid.rl.recipe import TrainingRecipe, parse_training
+from sysid_rl.train.recipe import TrainingRecipe, parse_training
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "rl" / "autolog"

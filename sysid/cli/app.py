@@ -2,74 +2,44 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NoReturn
 
 import click
 
 from sysid.children import safe_children
+from sysid.cli import verbs
 from sysid.errors import StorageError, SysidError, nearest, storage_error
 from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
 from sysid.release import __version__
 
 
-@dataclass(frozen=True)
-class Verb:
-    """Location of a verb's command, and its line in ``sysid --help``."""
-
-    location: str
-    help: str
-
-
-#: In the order of work. ``location`` is ``module:command``.
-VERBS: dict[str, Verb] = {
-    "start": Verb("sysid.cli.start:start", "From a folder of logs to a verdict."),
-    "init": Verb("sysid.cli.init:init", "Create the folders and templates for a machine."),
-    "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
-    "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
-    "fit": Verb("sysid.cli.fit:fit", "Fit the actuator, motion or forward networks of a dataset."),
-    "validate": Verb("sysid.cli.validate:validate", "Evaluate a fitted network on held-out recordings."),
-    "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
-    "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
-    "fleet": Verb("sysid.cli.fleet:fleet", "Compare many machines of one type, and watch them for drift."),
-    "export": Verb("sysid.cli.export:export", "Write a plant for another simulator, with its replay."),
-    "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
-    "track": Verb("sysid.cli.track:track", "Follow a path with a policy, or with inverse kinematics."),
-    "run": Verb("sysid.cli.run:run", "Run a task on a machine: supervised, recorded, stoppable."),
-    "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
-    "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
-    "ui": Verb("sysid.cli.ui:ui", "Write the workspace as linked pages, or serve them."),
-    "demo": Verb("sysid.cli.demo:demo", "Run the whole workflow on the shipped logs."),
-}
-
-
 class LazyGroup(click.Group):
-    """A group that imports the module of a verb only when the verb is called."""
+    """A group that imports the module of a verb only when the verb is called (:mod:`sysid.cli.verbs`)."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(VERBS)
+        return verbs.names()
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in VERBS:
-            return None
-        module, _, attribute = VERBS[cmd_name].location.partition(":")
-        command: click.Command = getattr(importlib.import_module(module), attribute)
-        return command
+        try:
+            return verbs.command(cmd_name)
+        except verbs.UNLOADED:
+            if ctx.resilient_parsing:  # completion in a shell: of the verbs that load
+                return None
+            raise
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in VERBS and not args[0].startswith("-"):
-            ctx.fail(f"no verb {args[0]!r}; did you mean {nearest(args[0], VERBS)}")
+        if args and args[0] not in verbs.VERBS and not args[0].startswith("-") and args[0] not in (known := verbs.names()):
+            ctx.fail(f"no verb {args[0]!r}; did you mean {nearest(args[0], known)}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs, in the order of work"):
-            formatter.write_dl([(name, verb.help) for name, verb in VERBS.items()])
+            formatter.write_dl([(name, visible(" ".join(verb.help.split()))) for name, verb in verbs.all_verbs().items()])
 
 
 @click.group(

@@ -19,7 +19,7 @@ from sysid.root import Root
 FOLDERS = {
     "datasets": "One folder per machine: machine.toml, recipe.toml, raw logs under logs/<recording>/. Read by sysid.datasets.",
     "pipelines": "Whole workflows as short Python files that use the public API of sysid.",
-    "rl": "One folder per machine: training and runner recipes. Read by sysid.rl.",
+    "rl": "One folder per machine: training and runner recipes. Read by sysid train and sysid run.",
     "reports": "Reference results, each with its command, seed and versions. Shown by sysid.reports.",
 }
 

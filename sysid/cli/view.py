@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from sysid.cli.output import Printer, json_option, rerun_command, write_json
+from sysid.cli.verbs import viewer
 
 
 @click.command()
@@ -30,8 +31,8 @@ def view(
 
     A flight log is shown while the runner writes it, or with --out converted to a file.
     """
-    if reference.endswith(".mcap"):
-        _flight(Path(reference), path, Printer(json_file), json_file)
+    if (show := viewer(Path(reference).suffix)) is not None:
+        show(Path(reference), path, json_file)
         return
     from sysid.errors import StoreError
     from sysid.view import write_rerun
@@ -70,15 +71,3 @@ def view(
         json_file,
         {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},
     )
-
-
-def _flight(log: Path, path: Path | None, out: Printer, json_file: str | None) -> None:
-    from sysid.errors import InputError
-    from sysid.machine import load_machine
-    from sysid.runner.live_view import show_flight
-
-    if not log.is_file():
-        raise InputError(str(log), "no such file", "a flight log of the runner")
-    turns = show_flight(log, load_machine(log.parent.parent / "machine.toml"), path)
-    out.line(f"{path or 'viewer'}  ({turns} cycles of {log.parent.name})")
-    write_json(json_file, {"schema": 1, "file": path, "log": str(log), "turns": turns})

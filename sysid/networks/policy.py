@@ -32,8 +32,8 @@ class PolicyNetwork:
         mlp: with the normalisation of observations.
         low, high: limits of each setpoint, (A,) [rad or m].
         full: whether it was trained on the full path (valves and plant); else joints follow at once.
-        residual: where its outputs are shares of an offset of inverse kinematics (:mod:`sysid.rl.residual_policy`): ``share``,
-            ``full_swing`` and ``repeat``, the samples for which an offset is held; None: its outputs are setpoints.
+        residual: where its outputs are shares of an offset of inverse kinematics: ``share``, ``full_swing`` and
+            ``repeat``, the samples for which an offset is held; None: its outputs are setpoints.
     """
 
     inputs: tuple[str, ...]

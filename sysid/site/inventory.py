@@ -1,5 +1,5 @@
 """What a workspace holds, as items with their sources: dataset versions and their raw files, from manifests alone; stored gap
-results; model versions; and runs of a machine, from the records that the runner keeps in the workspace.
+results; model versions; and runs of a machine, from the records that its runs leave in the workspace.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def _model_facts(version: ModelVersion) -> Iterator[Fact]:
         yield Fact("Files, sha256", name, digest[:12])
 
 
-#: Folder of the records (:mod:`sysid.runner.run_record`).
+#: Folder of the records in a workspace: a JSON file of schema 1 a run.
 FOLDER = "flights"
 NOT_ENDED = "not ended: the run goes on, or it was killed"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench import BenchRecipe, RecordingSettings, Run, load_recipe, simulate
+from simulated_bench import BenchRecipe, RecordingSettings, Run, load_recipe, simulate
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
 

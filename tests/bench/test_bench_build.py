@@ -11,13 +11,20 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, load_recipe, simulate
-from sysid.bench.capture import frame_rotation, turn_about
-from sysid.bench.crane import tip_position
-from sysid.bench.cylinder import drive_of
-from sysid.bench.machine import run_machine
-from sysid.bench.recipe import BuildSettings, GripperSettings, SensorSettings, SlewSensorSettings, StrokeSettings, WireSettings
-from sysid.bench.recipe_file import check_recipe
+from simulated_bench import AXES, BenchRecipe, RecordingSettings, Run, load_recipe, simulate
+from simulated_bench.capture import frame_rotation, turn_about
+from simulated_bench.crane import tip_position
+from simulated_bench.cylinder import drive_of
+from simulated_bench.machine import run_machine
+from simulated_bench.recipe import (
+    BuildSettings,
+    GripperSettings,
+    SensorSettings,
+    SlewSensorSettings,
+    StrokeSettings,
+    WireSettings,
+)
+from simulated_bench.recipe_file import check_recipe
 from sysid.errors import SettingsError
 
 Array = npt.NDArray[np.float64]

@@ -12,11 +12,11 @@ import ezc3d
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, simulate, write, write_all
-from sysid.bench.can_log import MESSAGES
-from sysid.bench.recipe import WIRED
-from sysid.bench.recipe_file import check_recipe
-from sysid.bench.site_files import pivot_in_set, write_site_files
+from simulated_bench import AXES, BenchRecipe, RecordingSettings, Run, simulate, write, write_all
+from simulated_bench.can_log import MESSAGES
+from simulated_bench.recipe import WIRED
+from simulated_bench.recipe_file import check_recipe
+from simulated_bench.site_files import pivot_in_set, write_site_files
 from sysid.datasets import Store, ingest
 from sysid.errors import SettingsError
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sysid.bench import BenchRecipe, RecordingSettings, Run, simulate
-from sysid.bench.capture import BodyTrack, frame_rotation, quaternions
-from sysid.bench.capture_recipe import CaptureSettings, SwapSettings
-from sysid.bench.sensors import slew_error
+from simulated_bench import BenchRecipe, RecordingSettings, Run, simulate
+from simulated_bench.capture import BodyTrack, frame_rotation, quaternions
+from simulated_bench.capture_recipe import CaptureSettings, SwapSettings
+from simulated_bench.sensors import slew_error
 
 Array = npt.NDArray[np.float64]
 

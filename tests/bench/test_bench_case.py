@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, BenchRecipe
-from sysid.bench.__main__ import main
-from sysid.bench.case import load_case, overlaid
-from sysid.bench.contract_chain import KEYS, neutral_row, share_pump, speeds, travel
-from sysid.bench.machine import run_machine
-from sysid.bench.nominal import STEP_TESTS, CommandChain, fit_effects, loads, model_error, predict
-from sysid.bench.recipe import HiddenSettings
+from simulated_bench import AXES, BenchRecipe
+from simulated_bench.__main__ import main
+from simulated_bench.case import load_case, overlaid
+from simulated_bench.contract_chain import KEYS, neutral_row, share_pump, speeds, travel
+from simulated_bench.machine import run_machine
+from simulated_bench.nominal import STEP_TESTS, CommandChain, fit_effects, loads, model_error, predict
+from simulated_bench.recipe import HiddenSettings
 from sysid.datasets.recipe import load_recipe as load_ingest_recipe
 from sysid.errors import SettingsError
 from sysid.machine import load_machine

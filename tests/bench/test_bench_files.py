@@ -12,10 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from sysid.bench import AXES, BenchRecipe, Run, simulate, write, write_all
-from sysid.bench.__main__ import main
-from sysid.bench.mcap_log import TOPICS
-from sysid.bench.recipe import WIRED
+from simulated_bench import AXES, BenchRecipe, Run, simulate, write, write_all
+from simulated_bench.__main__ import main
+from simulated_bench.mcap_log import TOPICS
+from simulated_bench.recipe import WIRED
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
 REAL_EXPORTS = Path(__file__).parents[2] / "../shared/data/mocap_files"

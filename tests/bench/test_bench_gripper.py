@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from sysid.bench.gripper import GRAVITY, swing
+from simulated_bench.gripper import GRAVITY, swing
 
 Array = npt.NDArray[np.float64]
 STEP = 0.001

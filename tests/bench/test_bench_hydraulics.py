@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.cylinder import drive_of, position_of
-from sysid.bench.hydraulic_recipe import HydraulicSettings, OilSettings, SupplySettings
-from sysid.bench.machine import Truth, run_machine
-from sysid.bench.oil import orifice_flow, viscosity
-from sysid.bench.recipe import GripperSettings, StrokeSettings
-from sysid.bench.recipe_file import check_recipe
-from sysid.bench.rigid_body import bodies_of, energy
-from sysid.bench.seal import seal_step
-from sysid.bench.spool import PLAY_OPERATORS, edges, spool_motion, with_hysteresis
+from simulated_bench import AXES, BenchRecipe, RecordingSettings
+from simulated_bench.cylinder import drive_of, position_of
+from simulated_bench.hydraulic_recipe import HydraulicSettings, OilSettings, SupplySettings
+from simulated_bench.machine import Truth, run_machine
+from simulated_bench.oil import orifice_flow, viscosity
+from simulated_bench.recipe import GripperSettings, StrokeSettings
+from simulated_bench.recipe_file import check_recipe
+from simulated_bench.rigid_body import bodies_of, energy
+from simulated_bench.seal import seal_step
+from simulated_bench.spool import PLAY_OPERATORS, edges, spool_motion, with_hysteresis
 from sysid.errors import SettingsError
 
 Array = npt.NDArray[np.float64]

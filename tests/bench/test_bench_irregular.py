@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, BenchRecipe, RecordingSettings, load_recipe
-from sysid.bench.cylinder import drive_of, position_of
-from sysid.bench.flight import draw_flight, flight_command
-from sysid.bench.irregular import IrregularSettings, flow_share, irregular_of
-from sysid.bench.joint_recipe import ServoArm, ServoAxis, Slide, Take
-from sysid.bench.machine import Truth, run_machine
-from sysid.bench.servo_arm import run_servo_arm
-from sysid.bench.slide import run_slide
+from simulated_bench import AXES, BenchRecipe, RecordingSettings, load_recipe
+from simulated_bench.cylinder import drive_of, position_of
+from simulated_bench.flight import draw_flight, flight_command
+from simulated_bench.irregular import IrregularSettings, flow_share, irregular_of
+from simulated_bench.joint_recipe import ServoArm, ServoAxis, Slide, Take
+from simulated_bench.machine import Truth, run_machine
+from simulated_bench.servo_arm import run_servo_arm
+from simulated_bench.slide import run_slide
 from sysid.errors import SettingsError
 
 TAKE = RecordingSettings("take", seed=3, seconds=12.0)

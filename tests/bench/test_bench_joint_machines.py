@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.bench.__main__ import main
-from sysid.bench.joint_machines import load_joint_machine, write_joint_machine
-from sysid.bench.joint_recipe import ServoArm, ServoAxis, Slide, Take
-from sysid.bench.servo_arm import gravity_moments, run_servo_arm
-from sysid.bench.slide import run_slide
+from simulated_bench.__main__ import main
+from simulated_bench.joint_machines import load_joint_machine, write_joint_machine
+from simulated_bench.joint_recipe import ServoArm, ServoAxis, Slide, Take
+from simulated_bench.servo_arm import gravity_moments, run_servo_arm
+from simulated_bench.slide import run_slide
 from sysid.errors import SettingsError
 from sysid.logs.csv import CsvReader
 from sysid.logs.reader import ReadOptions

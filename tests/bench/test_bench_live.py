@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench.__main__ import main
-from sysid.bench.can_log import database
-from sysid.bench.live import COLUMNS, SerialLine, Switches, read_truth
-from sysid.bench.live_bus import VALVES, CanFrame, LiveBus, parse_line
-from sysid.bench.live_machine import TIME_OUT_NS, LiveMachine, Watchdog
-from sysid.bench.recipe_file import load_recipe
-from sysid.bench.run import simulate
+from simulated_bench.__main__ import main
+from simulated_bench.can_log import database
+from simulated_bench.live import COLUMNS, SerialLine, Switches, read_truth
+from simulated_bench.live_bus import VALVES, CanFrame, LiveBus, parse_line
+from simulated_bench.live_machine import TIME_OUT_NS, LiveMachine, Watchdog
+from simulated_bench.recipe_file import load_recipe
+from simulated_bench.run import simulate
 from sysid.errors import InputError
 
 ROOT = Path(__file__).parents[2]

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, describe_effects, simulate, without_hidden
-from sysid.bench.compiled import cache_folder, compiled
-from sysid.bench.cylinder import drive_of, position_of
-from sysid.bench.recipe import (
+from simulated_bench import AXES, BenchRecipe, RecordingSettings, Run, describe_effects, simulate, without_hidden
+from simulated_bench.compiled import cache_folder, compiled
+from simulated_bench.cylinder import drive_of, position_of
+from simulated_bench.recipe import (
     ControllerSettings,
     GripperSettings,
     HiddenSettings,

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench import AXES, BenchRecipe, load_recipe
-from sysid.bench.crane import link_poses, tip_position
-from sysid.bench.cylinder import drive_of, joint_of, position_of, within_stops
-from sysid.bench.drivetrain import follow_with_backlash
+from simulated_bench import AXES, BenchRecipe, load_recipe
+from simulated_bench.crane import link_poses, tip_position
+from simulated_bench.cylinder import drive_of, joint_of, position_of, within_stops
+from simulated_bench.drivetrain import follow_with_backlash
 from sysid.machine import load_machine
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"

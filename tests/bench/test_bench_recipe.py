@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench import BenchRecipe, load_recipe
+from simulated_bench import BenchRecipe, load_recipe
 from sysid.errors import SettingsError
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"

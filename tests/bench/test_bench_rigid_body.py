@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.bench import BenchRecipe, RecordingSettings, simulate
-from sysid.bench.drivetrain import flex_step
-from sysid.bench.hydraulic_recipe import MassSettings
-from sysid.bench.machine import run_machine
-from sysid.bench.recipe import GripperSettings
-from sysid.bench.rigid_body import RigidBodies, bodies_of, energy, equations, rod_force, solve3
+from simulated_bench import BenchRecipe, RecordingSettings, simulate
+from simulated_bench.drivetrain import flex_step
+from simulated_bench.hydraulic_recipe import MassSettings
+from simulated_bench.machine import run_machine
+from simulated_bench.recipe import GripperSettings
+from simulated_bench.rigid_body import RigidBodies, bodies_of, energy, equations, rod_force, solve3
 
 Array = npt.NDArray[np.float64]
 

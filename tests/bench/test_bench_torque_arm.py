@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.bench.__main__ import main
-from sysid.bench.joint_machines import load_joint_machine, write_joint_machine
-from sysid.bench.joint_recipe import Take
-from sysid.bench.torque_arm import GRAVITY, Motor, TorqueArm, run_torque_arm, torques
+from simulated_bench.__main__ import main
+from simulated_bench.joint_machines import load_joint_machine, write_joint_machine
+from simulated_bench.joint_recipe import Take
+from simulated_bench.torque_arm import GRAVITY, Motor, TorqueArm, run_torque_arm, torques
 from sysid.errors import SettingsError
 from sysid.logs.csv import CsvReader
 from sysid.logs.reader import ReadOptions

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench.recipe import ValveSettings
-from sysid.bench.valve import delayed, drive_speed, flow_fluctuation, freed, metered, opening, piloted_step, spool_step
+from simulated_bench.recipe import ValveSettings
+from simulated_bench.valve import delayed, drive_speed, flow_fluctuation, freed, metered, opening, piloted_step, spool_step
 
 commands = st.floats(-1.0, 1.0)
 overlaps = st.floats(0.0, 0.4)

@@ -26,7 +26,7 @@ SCRIPT = """
 import signal, subprocess, sys, time
 from concurrent.futures import ThreadPoolExecutor
 from sysid.cli import main
-from sysid.cli.app import VERBS, Verb
+from sysid.cli.verbs import VERBS, Verb
 import click
 
 @click.command()

@@ -15,6 +15,8 @@ import pytest
 from sysid.extras import DISTRIBUTION, EXTRAS, install_command
 
 ROOT = Path(__file__).parents[2]
+FOLDERS = ("sysid", "rl/sysid_rl", "pipelines/simulated_bench")
+CODE = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 CONTENT = ("datasets", "pipelines", "rl", "reports")
 RAW_LOGS = {".mcap", ".csv", ".mat", ".parquet", ".bag", ".c3d", ".db3", ".blf"}
 
@@ -36,15 +38,24 @@ def test_content_folder_says_what_it_is_and_is_not_importable(folder: str) -> No
     text = (ROOT / folder / "README.md").read_text("utf-8")
     assert text.startswith(f"# {folder}/")
     assert "sysid" in text, "say which code reads it"
-    assert not list((ROOT / folder).rglob("__init__.py"))
+    packages = {path.relative_to(ROOT).parts[1] for path in (ROOT / folder).rglob("__init__.py")}
+    assert packages <= {"sysid_rl", "simulated_bench"}
 
 
-def test_one_import_package() -> None:
+def test_two_import_packages_with_their_files() -> None:
+    """What is installed: ``sysid``, and ``sysid_rl`` in the folder of its recipes."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    assert settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["sysid"]
+    assert settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["sysid", "rl/sysid_rl"]
+    from hatchling.builders.wheel import WheelBuilder
+
+    files = {file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()}
+    names = {path.relative_to(ROOT).as_posix() for path in tracked()}
+    wanted = {name.removeprefix("rl/") for name in names if name.startswith(("sysid/", "rl/sysid_rl/"))}
+    assert {"sysid/py.typed", "sysid_rl/py.typed", "sysid/cli/templates/servo-machine.toml"} <= wanted
+    assert {name for name in files if not name.startswith("sysid/shipped/")} == wanted
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "sysid").rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))
+@pytest.mark.parametrize("path", CODE, ids=lambda path: str(path.relative_to(ROOT)))
 def test_no_pickles(path: Path) -> None:
     """Weights are safetensors, tables Parquet, the rest JSON or TOML."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -158,7 +169,7 @@ def test_every_written_command_installs_extras_of_this_distribution() -> None:
 def test_a_refusal_about_a_missing_package_names_its_extra() -> None:
     """Each ``except ImportError`` that refuses takes its remedy from :mod:`sysid.extras`, for the module that it imports."""
     refusals = 0
-    for path in sorted((ROOT / "sysid").rglob("*.py")):
+    for path in CODE:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if not isinstance(node, ast.Try):
                 continue

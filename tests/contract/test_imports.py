@@ -1,4 +1,4 @@
-"""Imports point one way, the simulated test bench stands alone, and starting up is cheap."""
+"""Imports point one way, also from ``sysid_rl`` to ``sysid``; the simulated test bench stands alone; starting up is cheap."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "sysid"
+#: What moves a machine: it builds on ``sysid``.
+DOWNSTREAM = ROOT / "rl" / "sysid_rl"
+BENCH = ROOT / "pipelines" / "simulated_bench"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
@@ -24,18 +27,18 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("datasets",),
     ("networks",),
     ("plant",),
-    ("registry", "validate", "testing", "world", "control"),
+    ("registry", "validate", "testing", "world"),
     ("gap", "versions"),
     ("reports", "view", "export"),
-    ("rl",),
     ("workspace",),
     ("model_versions", "fleet"),
     ("site",),
-    ("runner",),
     ("cli",),
 )
+#: The same of ``sysid_rl``; each may import all of ``sysid``.
+DOWNSTREAM_FLOORS: tuple[tuple[str, ...], ...] = (("control",), ("train",), ("run",), ("cli",))
 #: The simulated test bench has its own physics: it shares nothing with the library but errors and settings.
-BENCH_MAY_IMPORT = {"errors", "config", "bench"}
+BENCH_MAY_IMPORT = {"errors", "config"}
 #: Half a second and more each, or a compiler: only loaded by the verb that needs them.
 HEAVY = (
     "torch",
@@ -59,31 +62,31 @@ def sources(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-def part_of(path: Path) -> str:
+def part_of(path: Path, package: Path = PACKAGE) -> str:
     """``sysid/gap/result.py`` → ``gap``; ``sysid/errors.py`` → ``errors``; ``sysid/__init__.py`` → the empty name."""
-    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    first = path.relative_to(package).parts[0].removesuffix(".py")
     return "" if first == "__init__" else first
 
 
-def imported_parts(path: Path) -> Iterator[tuple[str, int]]:
-    """The parts of sysid that a file imports anywhere in it (also inside functions), with the line."""
+def imported_parts(path: Path, package: str = "sysid") -> Iterator[tuple[str, int]]:
+    """The parts of a package that a file imports anywhere in it (also inside functions), with the line."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             module = node.module or ""
-            names = [f"sysid.{alias.name}" for alias in node.names] if module == "sysid" else [module]
+            names = [f"{package}.{alias.name}" for alias in node.names] if module == package else [module]
         else:
             continue
         for name in names:
             words = name.split(".")
-            if words[0] == "sysid" and len(words) > 1 and words[1] != "__version__":
+            if words[0] == package and len(words) > 1 and words[1] != "__version__":
                 yield words[1], node.lineno
 
 
 def test_every_part_has_its_floor() -> None:
-    listed = {part for floor in FLOORS for part in floor} | {"bench", ""}
+    listed = {part for floor in FLOORS for part in floor} | {""}
     found = {part_of(path) for path in sources(PACKAGE)}
     assert found <= listed, f"no floor for {sorted(found - listed)}: enter it in FLOORS"
 
@@ -91,10 +94,6 @@ def test_every_part_has_its_floor() -> None:
 @pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_point_downwards(path: Path) -> None:
     part = part_of(path)
-    if part == "bench":
-        wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
-        assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
-        return
     floor_of = {name: number for number, floor in enumerate(FLOORS) for name in floor}
     if path == PACKAGE / "__init__.py":  # the front door: `sysid.load` opens a room when it is called
         return
@@ -107,8 +106,38 @@ def test_imports_point_downwards(path: Path) -> None:
     assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
 
 
+@pytest.mark.parametrize("path", sources(DOWNSTREAM), ids=lambda path: str(path.relative_to(DOWNSTREAM)))
+def test_imports_of_the_package_downstream_point_downwards(path: Path) -> None:
+    floor_of = {name: number for number, floor in enumerate(DOWNSTREAM_FLOORS) for name in floor}
+    part = part_of(path, DOWNSTREAM)
+    assert part in floor_of or path == DOWNSTREAM / "__init__.py", "enter it in DOWNSTREAM_FLOORS"
+    mine = floor_of.get(part, -1)
+    wrong = [
+        f"line {line}: sysid_rl.{other}"
+        for other, line in imported_parts(path, "sysid_rl")
+        if other != part and floor_of.get(other, len(FLOORS)) >= mine
+    ]
+    assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
+    assert part == "cli" or "cli" not in {other for other, _ in imported_parts(path)}, f"{path.relative_to(ROOT)}: a verb"
+
+
+@pytest.mark.parametrize("path", sources(BENCH), ids=lambda path: str(path.relative_to(BENCH)))
+def test_the_simulated_test_bench_shares_nothing_with_what_is_tested_on_it(path: Path) -> None:
+    wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
+    wrong += [f"line {line}: sysid_rl.{other}" for other, line in imported_parts(path, "sysid_rl")]
+    assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
+
+
+@pytest.mark.parametrize(
+    ("folder", "word"), [(PACKAGE, "sysid_rl"), (PACKAGE, "simulated_bench"), (DOWNSTREAM, "simulated_bench")]
+)
+def test_a_package_does_not_name_what_builds_on_it(folder: Path, word: str) -> None:
+    """Neither in an import, in a function either, nor as a name that is imported later: entry points lead to verbs."""
+    assert [str(path.relative_to(ROOT)) for path in sources(folder) if word in path.read_text("utf-8")] == []
+
+
 def imported_modules(path: Path) -> Iterator[str]:
-    """Modules of sysid that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
+    """Modules of ours that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -124,10 +153,11 @@ def imported_modules(path: Path) -> Iterator[str]:
 
 
 def module_of(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    root = next(folder.parent for folder in (PACKAGE, DOWNSTREAM, BENCH) if path.is_relative_to(folder))
+    return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {module_of(path): path for path in sources(PACKAGE)}
+MODULES = {module_of(path): path for path in (*sources(PACKAGE), *sources(DOWNSTREAM), *sources(BENCH))}
 
 
 def circles(imports: dict[str, set[str]]) -> list[list[str]]:
@@ -146,12 +176,12 @@ def test_no_module_imports_itself_through_others() -> None:
 
 def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
-    bad.write_text("def f():\n    from sysid.gap import find_gap\n    import sysid.bench.machine\n    from sysid import cli\n")
-    assert list(imported_parts(bad)) == [("gap", 2), ("bench", 3), ("cli", 4)]
+    bad.write_text("def f():\n    from sysid.gap import find_gap\n    import sysid.site.item\n    from sysid import cli\n")
+    assert list(imported_parts(bad)) == [("gap", 2), ("site", 3), ("cli", 4)]
 
 
 def defined_in(path: Path) -> set[str]:
-    """Names that a module of sysid has, those that it imports lazily among them."""
+    """Names that a module has, those that it imports lazily among them."""
     tree = ast.parse(path.read_text("utf-8"), str(path))
     lazy = any(isinstance(node, ast.Name) and node.id == "lazy_names" for node in ast.walk(tree))
     found = {node.value for node in ast.walk(tree) if lazy and isinstance(node, ast.Constant) and isinstance(node.value, str)}
@@ -166,10 +196,10 @@ def defined_in(path: Path) -> set[str]:
 
 
 def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
-    """What a file takes from sysid that is not there."""
+    """What a file takes from our packages that is not there."""
     nodes = (node for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))) if isinstance(node, ast.ImportFrom))
-    from_sysid = [node for node in nodes if (node.module or "").partition(".")[0] == "sysid"]
-    taken = [(node.lineno, str(node.module), alias.name) for node in from_sysid for alias in node.names]
+    ours = [node for node in nodes if (node.module or "").partition(".")[0] in ("sysid", "sysid_rl", "simulated_bench")]
+    taken = [(node.lineno, str(node.module), alias.name) for node in ours for alias in node.names]
     return [
         f"{path.name}, line {line}: {name} of {module}"
         for line, module, name in taken
@@ -179,7 +209,7 @@ def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
 
 def test_studies_and_tests_take_from_sysid_what_is_there(tmp_path: Path) -> None:
     defined = {name: defined_in(path) for name, path in MODULES.items()}
-    files = [*sources(PACKAGE), *sources(ROOT / "pipelines"), *sources(ROOT / "tests")]
+    files = [*sources(PACKAGE), *sources(DOWNSTREAM), *sources(ROOT / "pipelines"), *sources(ROOT / "tests")]
     assert [text for path in files for text in missing_names(path, defined)] == []
     bad = tmp_path / "bad.py"
     bad.write_text("from sysid.cores import cores, processors\nfrom sysid import nothing, gap\n")

@@ -10,9 +10,9 @@ from crane_model import crane_plant
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.control import tune
-from sysid.control.coordinated_motion import RISE_S, SHARE, MotionLimits, coordinated_motion, motion_limits
 from sysid.machine import KnownEffect
+from sysid_rl.control import tune
+from sysid_rl.control.coordinated_motion import RISE_S, SHARE, MotionLimits, coordinated_motion, motion_limits
 
 ways = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(lambda way: max(map(abs, way)) > 1e-3)
 LIMITS = MotionLimits(np.array([0.4, 0.03, 0.1]), np.array([2.0, 0.2, 0.4]), np.array([0.5, 0.05, 0.1]), 1.2)

@@ -10,11 +10,11 @@ import pytest
 from crane_model import crane_plant
 from plant_data import slide
 
-from sysid.control import AxisTuning, CylinderController, proportional_tuning, response_time, tune
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, nominal_plant
 from sysid.plant.stepper import Stepper
+from sysid_rl.control import AxisTuning, CylinderController, proportional_tuning, response_time, tune
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(

@@ -11,10 +11,10 @@ from crane_model import crane_plant
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.control.input_shaper import SHAPERS, InputShaper, ShapedSetpoints, ShaperKind, input_shaper
-from sysid.control.pendulum import Pendulum, pendulum_of
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
+from sysid_rl.control.input_shaper import SHAPERS, InputShaper, ShapedSetpoints, ShaperKind, input_shaper
+from sysid_rl.control.pendulum import Pendulum, pendulum_of
 
 Array = npt.NDArray[np.float64]
 kinds = st.sampled_from(SHAPERS)

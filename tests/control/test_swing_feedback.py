@@ -10,12 +10,12 @@ from crane_model import Perfect, crane_plant
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.control.pendulum import Pendulum, pendulum_of
-from sysid.control.swing_damper import SwingDamper
-from sysid.control.swing_estimator import SwingEstimator
 from sysid.machine import KnownEffect
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.task import Task
+from sysid_rl.control.pendulum import Pendulum, pendulum_of
+from sysid_rl.control.swing_damper import SwingDamper
+from sysid_rl.control.swing_estimator import SwingEstimator
+from sysid_rl.train.driven import DrivenEnvironment
+from sysid_rl.train.task import Task
 
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid.bench import load_recipe, simulate
+from simulated_bench import load_recipe, simulate
 from sysid.datasets import Dataset, Store, ingest
 from sysid.errors import InputError, SysidError
 

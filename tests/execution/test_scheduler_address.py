@@ -13,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 from tasks import doubled
 
-from sysid.cli.app import VERBS, app
+from sysid.cli.app import app
+from sysid.cli.verbs import names
 from sysid.execution import TaskError, open_executor
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
@@ -101,7 +102,7 @@ def test_a_name_that_no_computer_has_is_refused(host: str) -> None:
         trusted_address(f"tcp://{host}:8786")
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", names())
 def test_every_verb_with_a_cluster_has_the_flag(verb: str) -> None:
     shown = CliRunner().invoke(app, [verb, "--help"]).output
     if verb == "fleet":

@@ -29,7 +29,7 @@ from targets import TARGETS, forget
 # As where files are read: the other pools reserve a gigabyte of address space at once. Read when pyarrow is imported.
 os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
+sys.path[:0] = [str(ROOT), str(ROOT / "rl"), str(ROOT / "tests" / "helpers")]
 
 LARGEST_INPUT = 16 * 1024
 #: For one input: seconds, and memory beyond what the process takes before it.
@@ -79,7 +79,7 @@ def fuzz(reader: str, corpus: Path, seconds: int) -> None:
     import atheris
 
     if reader in TARGETS:
-        with atheris.instrument_imports(include=["sysid"], exclude=compiled_modules()):
+        with atheris.instrument_imports(include=["sysid", "sysid_rl"], exclude=compiled_modules()):
             for seed in TARGETS[reader].seeds():  # whatever it imports
                 TARGETS[reader].run(seed)
         _run(TARGETS[reader].run, corpus, seconds)
@@ -113,11 +113,12 @@ def fuzz(reader: str, corpus: Path, seconds: int) -> None:
 def compiled_modules() -> list[str]:
     """Modules with functions that numba compiles: it cannot compile calls of the instrumentation."""
     found = [
-        path
-        for path in (ROOT / "sysid").rglob("*.py")
+        path.relative_to(folder)
+        for folder, package in ((ROOT, "sysid"), (ROOT / "rl", "sysid_rl"))
+        for path in (folder / package).rglob("*.py")
         if re.search(r"^from sysid\S*\.compiled import", path.read_text("utf-8"), re.M)
     ]
-    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
+    return [".".join(path.with_suffix("").parts) for path in found]
 
 
 def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:

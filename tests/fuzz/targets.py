@@ -286,8 +286,8 @@ def recipe(data: bytes) -> None:
     from sysid.datasets.recipe import check_against_machine, stored_recipe
     from sysid.errors import SysidError
     from sysid.machine import machine_from_files
-    from sysid.rl.recipe import parse_training
-    from sysid.runner.recipe import parse_runner
+    from sysid_rl.run.recipe import parse_runner
+    from sysid_rl.train.recipe import parse_training
 
     text = _text(data)
     toml, robot, _ = _autolog()

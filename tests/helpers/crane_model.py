@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Plant, compile_plant, nominal_plant
-from sysid.rl.reach import joint_limits, tips
 from sysid.signals import axis_signal
+from sysid_rl.train.reach import joint_limits, tips
 
 Array = npt.NDArray[np.float64]
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"

@@ -11,8 +11,8 @@ from sysid.networks import StructuredForward, to_files
 from sysid.networks.chain import fit_chain
 from sysid.plant import Plant, compile_plant
 from sysid.registry import Registry
-from sysid.rl.reach import joint_limits, tips
 from sysid.signals import axis_signal
+from sysid_rl.train.reach import joint_limits, tips
 
 
 def learned(plant: Plant, axes: tuple[str, ...] | None = None) -> StructuredForward:

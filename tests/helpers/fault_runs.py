@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from runner_case import MIDDLE, PLANT, Case, Quick, case, true_crane
 
-from sysid.runner import faults as f
-from sysid.runner.chain import ControlChain
-from sysid.runner.faults import Injection
-from sysid.runner.limits import AxisLimits, Limits, LimitSettings
-from sysid.runner.modes.mode import Goal
+from sysid_rl.run import faults as f
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.faults import Injection
+from sysid_rl.run.limits import AxisLimits, Limits, LimitSettings
+from sysid_rl.run.modes.mode import Goal
 
 Array = npt.NDArray[np.float64]
 SIGNALS = ("slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint", "boom.joint", "stick.joint")

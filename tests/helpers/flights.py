@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.runner.cycle import Cycle, Violation
-from sysid.runner.flight_log import FlightLog
-from sysid.runner.transport import MachineInputs, Measurement
+from sysid_rl.run.cycle import Cycle, Violation
+from sysid_rl.run.flight_log import FlightLog
+from sysid_rl.run.transport import MachineInputs, Measurement
 
 ROOT = Path(__file__).parents[2]
 MACHINE = ROOT / "datasets/autolog/machine.toml"

@@ -28,7 +28,7 @@ PRELOAD = [
     "filelock",
     "torch",
     "sysid.networks.structured",
-    "sysid.rl.training",
+    "sysid_rl.train.training",
 ]
 #: What happens at the step: the process is killed; or this call and all that follow find the disk full.
 Fault = Literal["kill", "full"]

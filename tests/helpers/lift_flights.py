@@ -9,10 +9,10 @@ from unittest import mock
 import numpy as np
 from fleet_logs import MACHINE, RATE, recorded
 
-from sysid.runner import flight_log
-from sysid.runner.cycle import Cycle
-from sysid.runner.flight_log import FlightLog
-from sysid.runner.transport import MachineInputs, Measurement
+from sysid_rl.run import flight_log
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.flight_log import FlightLog
+from sysid_rl.run.transport import MachineInputs, Measurement
 
 #: Most cycles in a piece of the log.
 PIECE = 100

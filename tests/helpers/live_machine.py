@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.bench.live import read_truth
-from sysid.runner.can import CanSettings
+from simulated_bench.live import read_truth
+from sysid_rl.run.can import CanSettings
 
 ROOT = Path(__file__).parents[2]
 DATABASE = ROOT / "rl/autolog/machine.dbc"
@@ -62,10 +62,10 @@ class Live:
 @contextmanager
 def live_machine(folder: Path, *options: str) -> Iterator[Live]:
     """The crane of the demo in real time, ready to be spoken with; it ends with the block."""
-    words = [sys.executable, "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml"), "--seconds", "120"]
+    words = [sys.executable, "-m", "simulated_bench", "live", str(ROOT / "datasets/autolog/bench.toml"), "--seconds", "120"]
     words += ["--database", str(DATABASE), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
     words += ["--truth", str(folder / "truth.bin"), *options]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "pipelines")))}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment) as process:
         try:
             assert process.stdout is not None

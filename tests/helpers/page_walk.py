@@ -97,6 +97,8 @@ def run(text: str, folder: Path, logs: Path | None) -> str:
     """What the commands print, with stderr; each one has to succeed."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("SYSID_")}
     environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+    paths = (str(ROOT / "pipelines"), environment.get("PYTHONPATH"))  # pipelines: for simulated_bench, as the pages say
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     if logs is not None:
         environment["LOGS"] = str(logs)
     done = subprocess.run(

@@ -8,9 +8,9 @@ from typing import Any
 
 from flights import cycle
 
-from sysid.runner.cycle import Violation
-from sysid.runner.run_record import EventRecorder, RunRecord
 from sysid.workspace import Workspace
+from sysid_rl.run.cycle import Violation
+from sysid_rl.run.run_record import EventRecorder, RunRecord
 
 LATE = Violation("stale", "boom.cylinder", "fault", 0.12, 0.05, "boom.cylinder is 120 ms old; at most 50 ms")
 RESULT: dict[str, Any] = {

@@ -12,24 +12,24 @@ import numpy as np
 import numpy.typing as npt
 from crane_model import Perfect, crane_plant
 
-from sysid.control import response_time, tune
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant
-from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
-from sysid.rl.reach import joint_limits, tips
-from sysid.runner.chain import ControlChain, SignalPolicy
-from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.cycle import Cycle
-from sysid.runner.faults import FaultyTransport, Injection
-from sysid.runner.limits import Limits, LimitSettings, limits_of
-from sysid.runner.loop import Loop
-from sysid.runner.modes.mode import Mode
-from sysid.runner.operator import Operator, Unattended
-from sysid.runner.recipe import LoopSettings
-from sysid.runner.simulated import SimulatedTransport
-from sysid.runner.state_estimator import StateEstimator
-from sysid.runner.supervisor import Supervisor
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import response_time, tune
+from sysid_rl.run.chain import ControlChain, SignalPolicy
+from sysid_rl.run.checks.settings import CheckSettings
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.faults import FaultyTransport, Injection
+from sysid_rl.run.limits import Limits, LimitSettings, limits_of
+from sysid_rl.run.loop import Loop
+from sysid_rl.run.modes.mode import Mode
+from sysid_rl.run.operator import Operator, Unattended
+from sysid_rl.run.recipe import LoopSettings
+from sysid_rl.run.simulated import SimulatedTransport
+from sysid_rl.run.state_estimator import StateEstimator
+from sysid_rl.run.supervisor import Supervisor
+from sysid_rl.run.valves import axis_valves
+from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
+from sysid_rl.train.reach import joint_limits, tips
 
 Array = npt.NDArray[np.float64]
 DT = 0.01

@@ -7,9 +7,9 @@ from typing import Any
 
 from crane_model import Perfect, crane_plant
 
-from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import TrainingRecipe, parse_training
-from sysid.rl.training import environments
+from sysid_rl.train.ddpg import Trainer
+from sysid_rl.train.recipe import TrainingRecipe, parse_training
+from sysid_rl.train.training import environments
 
 PLANT = crane_plant()
 

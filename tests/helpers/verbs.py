@@ -184,8 +184,8 @@ def train(workspace: Path) -> None:
     """A policy with a checkpoint every few turns, as ``sysid train`` makes it."""
     from training_case import recipe
 
-    from sysid.rl import replay
-    from sysid.rl.training import train_policy
+    from sysid_rl.train import replay
+    from sysid_rl.train.training import train_policy
 
     replay.SEGMENT = 64
     learning = {"episodes": 8, "start": 32, "batch": 16, "buffer": 80}

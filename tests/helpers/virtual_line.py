@@ -9,10 +9,10 @@ import can
 import numpy as np
 from live_machine import DATABASE, ROOT, SIGNALS, VALVES
 
-from sysid.bench.live import LiveProcess
-from sysid.bench.live_bus import CanFrame
-from sysid.bench.recipe_file import load_recipe
-from sysid.runner.can import CanSettings, CanTransport
+from simulated_bench.live import LiveProcess
+from simulated_bench.live_bus import CanFrame
+from simulated_bench.recipe_file import load_recipe
+from sysid_rl.run.can import CanSettings, CanTransport
 
 MS = 1_000_000
 CYCLE = 10 * MS

@@ -272,8 +272,8 @@ def cut(dataset: Dataset, seconds: float) -> Dataset:
 
 def servo_arm(folder: Path) -> Dataset:
     """The servo arm of the simulated test bench, with its end effector by the formula of a planar arm."""
-    from sysid.bench.joint_machines import write_joint_machine
-    from sysid.bench.joint_recipe import ServoArm, ServoAxis, Take
+    from simulated_bench.joint_machines import write_joint_machine
+    from simulated_bench.joint_recipe import ServoArm, ServoAxis, Take
 
     shoulder = ServoAxis("shoulder", (-0.5, 1.5), 0.3, 1.0, delay=0.02, time_constant=0.04)
     elbow = ServoAxis("elbow", (-2.0, 0.5), 0.25, 0.6, delay=0.02, time_constant=0.03)
@@ -293,8 +293,8 @@ def servo_arm(folder: Path) -> Dataset:
 
 def slide(folder: Path) -> Dataset:
     """The slide of the simulated test bench, moved by a force."""
-    from sysid.bench.joint_machines import write_joint_machine
-    from sysid.bench.joint_recipe import Slide, Take
+    from simulated_bench.joint_machines import write_joint_machine
+    from simulated_bench.joint_recipe import Slide, Take
 
     takes = tuple(Take(f"take-{k}", k, 10.0) for k in range(4))
     machine = Slide("slide", "slide", 1, 80.0, takes, coulomb=15.0, viscous=150.0, noise=1e-6, force_noise=0.5)

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from rerun_file import curves
 
-from sysid.bench.recipe import AXES
+from simulated_bench.recipe import AXES
 from sysid.gap import GapResult
 from sysid.gap.result import Gap, NamedEffect, WrittenEffect
 from sysid.machine import KnownEffect, load_machine
 from sysid.plant import nominal_plant
-from sysid.rl.inverse_kinematics import chain_of_plant
-from sysid.rl.reach import joint_limits
+from sysid_rl.train.inverse_kinematics import chain_of_plant
+from sysid_rl.train.reach import joint_limits
 
 
 @pytest.fixture(scope="module")

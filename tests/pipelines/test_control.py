@@ -9,9 +9,9 @@ from types import ModuleType
 
 from crane_model import Perfect, crane_plant
 
-from sysid.control import AxisTuning, tune
 from sysid.machine import KnownEffect
-from sysid.rl.tracking_task import plan_tracking
+from sysid_rl.control import AxisTuning, tune
+from sysid_rl.train.tracking_task import plan_tracking
 
 PLANT = crane_plant(KnownEffect("backlash", "slew", {"width": 0.01}, "drive"))
 

@@ -420,7 +420,7 @@ def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, Modul
     visible = {**machines.recorded(tables, "poor", 1.0, 0.0, 3)}
     visible["recordings"] = [{**visible["recordings"][0], "seconds": 15.0}]
     plain = hidden["limits"]
-    nominal = importlib.import_module("sysid.bench.nominal").CommandChain(np.zeros((4, 18)), np.ones(4))
+    nominal = importlib.import_module("simulated_bench.nominal").CommandChain(np.zeros((4, 18)), np.ones(4))
     shown = {
         "joint_offset(boom)": (1e-3, None),
         "sensor_bias(boom.cylinder)": (1e-4, None),

@@ -13,8 +13,8 @@ import pytest
 from crane_model import Perfect, crane_plant
 
 from sysid.machine import KnownEffect
-from sysid.rl.tracking import InversePolicy
-from sysid.rl.tracking_task import TrackingTask, plan_tracking
+from sysid_rl.train.tracking import InversePolicy
+from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
 
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
 

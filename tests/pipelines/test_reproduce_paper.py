@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid.rl.tracking import TrackingResult
+from sysid_rl.train.tracking import TrackingResult
 
 
 @pytest.fixture(scope="module")

@@ -46,6 +46,19 @@ def test_it_is_kept_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len({before, changed, compiled.source_digest()}) == 3
 
 
+def test_code_of_another_package_is_kept_by_the_sources_beside_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    compiled.cache_folder.cache_clear()
+    try:
+        (tmp_path / "law.py").write_text("def law(x):\n    return x\n")
+        folders = {compiled.cache_folder(), compiled.cache_folder(tmp_path)}
+        compiled.cache_folder.cache_clear()
+        (tmp_path / "tuning.py").write_text("SHARE = 0.5\n")
+        assert len({*folders, compiled.cache_folder(), compiled.cache_folder(tmp_path)}) == 3
+    finally:
+        compiled.cache_folder.cache_clear()
+
+
 @pytest.mark.parametrize(("variable", "below"), [("XDG_CACHE_HOME", "sysid/numba"), ("NUMBA_CACHE_DIR", "")])
 def test_its_folder_is_named_after_the_sources(tmp_path: Path, variable: str, below: str) -> None:
     folder = tmp_path / below / compiled.source_digest()[:16]
@@ -70,10 +83,11 @@ def test_the_setting_of_other_packages_is_restored() -> None:
 def test_one_module_imports_numba() -> None:
     """Code that another one caches would lie in a folder that nobody chose."""
     importing = set()
-    for path in (ROOT / "sysid").rglob("*.py"):
+    folders = ("sysid", "rl/sysid_rl", "pipelines/simulated_bench")
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             if any(name.split(".")[0] == "numba" for name in names):
-                importing.add(str(path.relative_to(ROOT / "sysid")))
-    assert importing == {"compiled.py", "bench/compiled.py"}, "use sysid.compiled"
+                importing.add(str(path.relative_to(ROOT)))
+    assert importing == {"sysid/compiled.py", "pipelines/simulated_bench/compiled.py"}, "use sysid.compiled"

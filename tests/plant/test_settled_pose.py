@@ -16,7 +16,7 @@ from sysid.datasets.recording import Recording
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 from sysid.plant.stepper import Stepper
-from sysid.rl.reach import tips
+from sysid_rl.train.reach import tips
 from tests.helpers.pose_sets import Arm, Hidden, pose_set
 from tests.helpers.pose_sets import tips as tips_of
 

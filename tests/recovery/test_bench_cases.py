@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench import load_recipe, without_hidden, write_all
+from simulated_bench import load_recipe, without_hidden, write_all
 from sysid.datasets import Dataset, ingest
 from sysid.gap import GapResult, find_gap
 from sysid.networks import NetworkRecipe, fit_actuator

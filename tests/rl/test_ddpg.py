@@ -12,13 +12,13 @@ from training_case import FORWARD, PLANT, recipe, steps, trainer
 
 from sysid.errors import SettingsError
 from sysid.networks.batch import unpack
-from sysid.rl.agent import Agent
-from sysid.rl.ddpg import Trainer
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.noise import OrnsteinUhlenbeck
-from sysid.rl.recipe import TrainingRecipe
-from sysid.rl.repeated import Repeated
-from sysid.rl.task import Task
+from sysid_rl.train.agent import Agent
+from sysid_rl.train.ddpg import Trainer
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.noise import OrnsteinUhlenbeck
+from sysid_rl.train.recipe import TrainingRecipe
+from sysid_rl.train.repeated import Repeated
+from sysid_rl.train.task import Task
 
 SEEN = ("turn", "now", "agent", "noise", "environment", "episodes", "evaluations", "actions", "batches")
 

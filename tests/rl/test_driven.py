@@ -10,8 +10,8 @@ from crane_model import Perfect, crane_plant
 
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.task import Task
+from sysid_rl.train.driven import DrivenEnvironment
+from sysid_rl.train.task import Task
 
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
 FORWARD = Perfect(PLANT)

@@ -11,10 +11,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from sysid.errors import SettingsError
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.gym import MachineEnv, MachineVectorEnv
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.task import Task
+from sysid_rl.train.driven import DrivenEnvironment
+from sysid_rl.train.gym import MachineEnv, MachineVectorEnv
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.task import Task
 
 PLANT = crane_plant()
 FORWARD = Perfect(PLANT)

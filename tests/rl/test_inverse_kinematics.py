@@ -10,8 +10,8 @@ from scipy.optimize import least_squares
 from sysid.errors import InputError
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
-from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_forward, chain_of_plant
-from sysid.rl.reach import joint_limits, tips
+from sysid_rl.train.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_forward, chain_of_plant
+from sysid_rl.train.reach import joint_limits, tips
 
 PLANT = crane_plant(
     KnownEffect("joint_offset", "boom", {"offset": 0.02}),

@@ -10,9 +10,9 @@ import pytest
 from crane_model import Perfect, crane_plant
 
 from sysid.errors import InputError, SettingsError
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.reach import joint_limits
-from sysid.rl.task import Task
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.reach import joint_limits
+from sysid_rl.train.task import Task
 
 PLANT = crane_plant()
 FORWARD = Perfect(PLANT)

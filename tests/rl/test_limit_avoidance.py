@@ -7,9 +7,9 @@ import pytest
 from crane_model import crane_plant
 
 from sysid.errors import SettingsError
-from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
-from sysid.rl.limit_avoidance import LimitAvoidingPolicy
-from sysid.rl.reach import joint_limits
+from sysid_rl.train.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
+from sysid_rl.train.limit_avoidance import LimitAvoidingPolicy
+from sysid_rl.train.reach import joint_limits
 
 PLANT = crane_plant()
 CHAIN = chain_of_plant(PLANT)

@@ -9,9 +9,9 @@ import pytest
 from crane_model import crane, crane_plant
 
 from sysid.errors import InputError, SettingsError
-from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
-from sysid.rl.paths import Path, centre_for, check_reach, circle, helix, lowest_height, read_path
-from sysid.rl.reach import reach_of
+from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
+from sysid_rl.train.paths import Path, centre_for, check_reach, circle, helix, lowest_height, read_path
+from sysid_rl.train.reach import reach_of
 
 PLANT = crane_plant()
 REACH = reach_of(PLANT)

@@ -22,12 +22,13 @@ from sysid.model_versions import ModelVersions
 from sysid.networks import FittedChain, StructuredForward, fit_chain, to_files
 from sysid.networks.policy import PolicyNetwork, policy_from_files, policy_to_files
 from sysid.plant import compile_plant
-from sysid.rl.policy import CandidateSearchPolicy, load_policy
-from sysid.rl.reach import joint_limits, tips
-from sysid.rl.recipe import load_training, parse_training
-from sysid.rl.training import policy_of, train_policy
+from sysid.registry.policy import load_policy
 from sysid.versions import export_onnx
 from sysid.workspace import Workspace, open_workspace
+from sysid_rl.train.policy import CandidateSearchPolicy
+from sysid_rl.train.reach import joint_limits, tips
+from sysid_rl.train.recipe import load_training, parse_training
+from sysid_rl.train.training import policy_of, train_policy
 
 RECIPES = Path(__file__).parents[2] / "rl" / "autolog"
 JOINTS = ("slew.joint", "boom.joint", "stick.joint", "telescope.joint")
@@ -66,7 +67,8 @@ def test_a_policy_acts_without_torch(policy: PolicyNetwork, tmp_path: Path) -> N
     for name, content in policy_to_files(policy, {}).items():
         (tmp_path / name).write_bytes(content)
     program = (
-        "import sys; from pathlib import Path; import sysid.rl.policy; from sysid.networks.policy import policy_from_files\n"
+        "import sys; from pathlib import Path; import sysid_rl.train.policy\n"
+        "from sysid.networks.policy import policy_from_files\n"
         f"files = {{path.name: path.read_bytes() for path in Path({str(tmp_path)!r}).iterdir()}}\n"
         "policy_from_files(files, 'here').act([[0.0] * 10])\n"
         "sys.exit('torch' in sys.modules)"
@@ -261,7 +263,7 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
     import warnings
 
-    from sysid.rl.observers import TensorBoard
+    from sysid_rl.train.observers import TensorBoard
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the packages that it brings

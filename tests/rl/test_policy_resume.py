@@ -15,11 +15,11 @@ from test_ddpg import SEEN, assert_same
 from training_case import recipe, steps, trainer
 
 from sysid.errors import SettingsError, StorageError, StoreError
-from sysid.rl import replay as replay_module
-from sysid.rl.checkpoint import STATE, TrainingFiles, training_folder
-from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import TrainingRecipe
-from sysid.rl.replay import Replay
+from sysid_rl.train import replay as replay_module
+from sysid_rl.train.checkpoint import STATE, TrainingFiles, training_folder
+from sysid_rl.train.ddpg import Trainer
+from sysid_rl.train.recipe import TrainingRecipe
+from sysid_rl.train.replay import Replay
 
 
 def run(

@@ -12,10 +12,10 @@ from crane_store import crane_registry
 from sysid.cli.app import app
 from sysid.errors import SettingsError, StoreError
 from sysid.registry import Registry
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.factory import from_versions
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.task import Task
+from sysid_rl.train.driven import DrivenEnvironment
+from sysid_rl.train.factory import from_versions
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.task import Task
 
 
 @pytest.fixture(scope="module")

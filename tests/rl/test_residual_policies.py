@@ -13,19 +13,19 @@ import numpy.typing as npt
 import pytest
 from crane_model import Perfect, crane_plant
 
-from sysid.control.pendulum import pendulum_of
 from sysid.errors import SettingsError
 from sysid.machine import KnownEffect
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork, policy_from_files, policy_to_files
-from sysid.rl.factory import make_environment
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.paths import Path
-from sysid.rl.residual import ResidualEnvironment
-from sysid.rl.residual_observation import Residual, ResidualObservation
-from sysid.rl.residual_policy import ResidualPolicy
-from sysid.rl.task import Task
-from sysid.rl.tracking import track, track_environment
+from sysid_rl.control.pendulum import pendulum_of
+from sysid_rl.train.factory import make_environment
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.paths import Path
+from sysid_rl.train.residual import ResidualEnvironment
+from sysid_rl.train.residual_observation import Residual, ResidualObservation
+from sysid_rl.train.residual_policy import ResidualPolicy
+from sysid_rl.train.task import Task
+from sysid_rl.train.tracking import track, track_environment
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
@@ -197,7 +197,7 @@ def test_what_does_not_fit_is_refused() -> None:
     ],
 )
 def test_recipes_that_contradict_themselves(setting: dict[str, Any], learning: dict[str, Any], message: str) -> None:
-    from sysid.rl.recipe import parse_training
+    from sysid_rl.train.recipe import parse_training
 
     values = {"name": "r", "plant": "p", "forward": "f", "setting": setting, "learning": learning}
     with pytest.raises(SettingsError, match=message):
@@ -205,7 +205,7 @@ def test_recipes_that_contradict_themselves(setting: dict[str, Any], learning: d
 
 
 def test_the_recipe_of_the_tool_is_valid() -> None:
-    from sysid.rl.recipe import load_training
+    from sysid_rl.train.recipe import load_training
 
     recipe = load_training(File(__file__).parents[2] / "rl" / "autolog" / "tool.toml")
     assert recipe.setting.residual == Residual()
@@ -213,10 +213,10 @@ def test_the_recipe_of_the_tool_is_valid() -> None:
 
 def test_training_goes_on_to_the_same_bits(tmp_path: File) -> None:
     pytest.importorskip("torch")
-    from sysid.rl.checkpoint import TrainingFiles
-    from sysid.rl.ddpg import Trainer
-    from sysid.rl.recipe import parse_training
-    from sysid.rl.training import environments, policy_of
+    from sysid_rl.train.checkpoint import TrainingFiles
+    from sysid_rl.train.ddpg import Trainer
+    from sysid_rl.train.recipe import parse_training
+    from sysid_rl.train.training import environments, policy_of
 
     residual = {"share": 0.05, "full_swing": 0.05}
     setting = {"copies": 4, "full": True, "feedback": "plant", "repeat": 10, "spread": 0.3, "residual": residual}

@@ -10,18 +10,18 @@ import numpy.typing as npt
 import pytest
 from crane_model import Perfect, crane_plant
 
-from sysid.control import CylinderController
-from sysid.control.coordinated_motion import motion_limits
-from sysid.control.input_shaper import input_shaper
-from sysid.control.pendulum import pendulum_of
 from sysid.errors import InputError
 from sysid.machine import KnownEffect
-from sysid.rl.environment import Policy
-from sysid.rl.paths import Path
-from sysid.rl.planned import CoordinatedPolicy, ShapedPolicy
-from sysid.rl.tool_figures import TOLERANCE, tool_figures
-from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
-from sysid.rl.tracking_task import TrackingTask, plan_tracking
+from sysid_rl.control import CylinderController
+from sysid_rl.control.coordinated_motion import motion_limits
+from sysid_rl.control.input_shaper import input_shaper
+from sysid_rl.control.pendulum import pendulum_of
+from sysid_rl.train.environment import Policy
+from sysid_rl.train.paths import Path
+from sysid_rl.train.planned import CoordinatedPolicy, ShapedPolicy
+from sysid_rl.train.tool_figures import TOLERANCE, tool_figures
+from sysid_rl.train.tracking import InversePolicy, TrackingResult, track, track_environment
+from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))

@@ -10,15 +10,15 @@ import pandas as pd
 import pytest
 from crane_model import Perfect, crane_plant
 
-from sysid.control import proportional_tuning
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
-from sysid.rl.kinematic import KinematicEnvironment
-from sysid.rl.paths import Path, helix
-from sysid.rl.record import pictures, table, write_results
-from sysid.rl.task import Task
-from sysid.rl.tracking import InversePolicy, track, track_environment
-from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
+from sysid_rl.control import proportional_tuning
+from sysid_rl.train.kinematic import KinematicEnvironment
+from sysid_rl.train.paths import Path, helix
+from sysid_rl.train.record import pictures, table, write_results
+from sysid_rl.train.task import Task
+from sysid_rl.train.tracking import InversePolicy, track, track_environment
+from sysid_rl.train.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(

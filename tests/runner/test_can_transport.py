@@ -12,7 +12,7 @@ import pytest
 from live_machine import DATABASE, SIGNALS, Live, live_machine
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.can import CanTransport
+from sysid_rl.run.can import CanTransport
 
 pytestmark = pytest.mark.realtime
 
@@ -210,7 +210,7 @@ def test_settings_that_make_no_bus(live: Live, change: dict[str, object], messag
 def test_no_adapter() -> None:
     from live_machine import VALVES
 
-    from sysid.runner.can import CanSettings
+    from sysid_rl.run.can import CanSettings
 
     transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel="/dev/no-such-adapter"))
     with pytest.raises(InputError, match=r"cannot be opened .*; expected a CAN adapter at this computer"):

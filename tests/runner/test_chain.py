@@ -8,10 +8,10 @@ import pytest
 from crane_model import Perfect, crane_plant
 
 from sysid.machine import KnownEffect
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
-from sysid.rl.task import Task
-from sysid.runner.chain import ControlChain
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.train.driven import DrivenEnvironment
+from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
+from sysid_rl.train.task import Task
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))

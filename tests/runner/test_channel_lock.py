@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from sysid.errors import InputError
-from sysid.runner.serial_line import lock_channel
+from sysid_rl.run.serial_line import lock_channel
 
-HOLD = "import sys; from sysid.runner.serial_line import lock_channel; a = lock_channel('slcan', sys.argv[1], 't'); print(1, flush=True); sys.stdin.read()"  # noqa: E501
+HOLD = "import sys; from sysid_rl.run.serial_line import lock_channel; a = lock_channel('slcan', sys.argv[1], 't'); print(1, flush=True); sys.stdin.read()"  # noqa: E501
 
 
 def test_a_second_runner_is_refused_under_any_name_of_the_line(tmp_path: Path) -> None:

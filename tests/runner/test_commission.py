@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from runner_case import DT, MIDDLE, PLANT, Case, Quick, case, true_crane
 
-from sysid.control import tune
 from sysid.errors import SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
-from sysid.runner import faults as f
-from sysid.runner.chain import ControlChain
-from sysid.runner.command_filter import CommandFilter
-from sysid.runner.commissioning import keep_record, record_path, require_commissioned
-from sysid.runner.faults import Fault, Injection
-from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import DIRECTIONS, Commission, CommissionSettings, StrokeResult
-from sysid.runner.modes.hold import Hold
-from sysid.runner.recipe import parse_runner
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import tune
+from sysid_rl.run import faults as f
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.command_filter import CommandFilter
+from sysid_rl.run.commissioning import keep_record, record_path, require_commissioned
+from sysid_rl.run.faults import Fault, Injection
+from sysid_rl.run.limits import Limits
+from sysid_rl.run.modes.commission import DIRECTIONS, Commission, CommissionSettings, StrokeResult
+from sysid_rl.run.modes.hold import Hold
+from sysid_rl.run.recipe import parse_runner
+from sysid_rl.run.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)
 LINKAGES = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]

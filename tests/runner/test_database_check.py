@@ -12,8 +12,8 @@ from live_machine import DATABASE, SIGNALS, VALVES
 from virtual_line import VirtualLine
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import BusSettings, MachineBus
-from sysid.runner.can import CanSettings, CanTransport
+from sysid_rl.run.bus import BusSettings, MachineBus
+from sysid_rl.run.can import CanSettings, CanTransport
 
 #: Without comments and names of values, which a changed signal would contradict.
 TEXT = re.sub(r"^(?:CM_|VAL_) .*\n", "", DATABASE.read_text("utf-8"), flags=re.MULTILINE)

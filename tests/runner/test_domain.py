@@ -11,11 +11,11 @@ from runner_case import DT, MIDDLE, PLANT, case
 
 from sysid.errors import SettingsError
 from sysid.networks.uncertainty import NetworkUncertainty
-from sysid.runner.domain import TrainingDomains
-from sysid.runner.faults import Injection, Scaled
-from sysid.runner.modes.hold import Hold
-from sysid.runner.state_estimator import StateEstimate
-from sysid.runner.transport import RELEASED_INPUTS
+from sysid_rl.run.domain import TrainingDomains
+from sysid_rl.run.faults import Injection, Scaled
+from sysid_rl.run.modes.hold import Hold
+from sysid_rl.run.state_estimator import StateEstimate
+from sysid_rl.run.transport import RELEASED_INPUTS
 
 AXES = PLANT.machine.axis_names
 

@@ -13,13 +13,13 @@ import numpy.typing as npt
 import pytest
 from runner_case import DT, MIDDLE, Case, case, inverse, reopened
 
-from sysid.runner import faults as f
-from sysid.runner.cycle import Cycle
-from sysid.runner.faults import FaultyTransport, Injection
-from sysid.runner.modes.hold import Hold
-from sysid.runner.modes.mode import Goal, Mode
-from sysid.runner.operator import Interruptible, Unattended
-from sysid.runner.policy_thread import PolicyError, PolicyThread
+from sysid_rl.run import faults as f
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.faults import FaultyTransport, Injection
+from sysid_rl.run.modes.hold import Hold
+from sysid_rl.run.modes.mode import Goal, Mode
+from sysid_rl.run.operator import Interruptible, Unattended
+from sysid_rl.run.policy_thread import PolicyError, PolicyThread
 
 Array = npt.NDArray[np.float64]
 AXES = ("slew", "boom", "stick", "telescope")
@@ -130,7 +130,7 @@ def waits(last: Array) -> Array:
 @pytest.mark.realtime
 @pytest.mark.parametrize("fails", [never, waits])
 def test_a_policy_that_hangs_is_left_behind(fails: Callable[[Array], Array], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.2)
+    monkeypatch.setattr("sysid_rl.run.policy_thread.SIMULATED_S", 0.2)
     made = run(Sweep(1.0, aims=True), policy=Policy(fails))
     assert made.loop.outcome.ended == "done"
     running = [cycle for cycle in made.cycles if cycle.state == "running"]
@@ -147,7 +147,7 @@ def test_a_policy_that_hangs_is_left_behind(fails: Callable[[Array], Array], mon
 
 @pytest.mark.realtime
 def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.1)
+    monkeypatch.setattr("sysid_rl.run.policy_thread.SIMULATED_S", 0.1)
     policy = Policy(lambda last: last)
     answer, gate = policy.act, threading.Event()
     requested = 0

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from fault_runs import TOUCH, fault_run
 
-from sysid.runner.command_filter import CommandFilter
+from sysid_rl.run.command_filter import CommandFilter
 
 Array = npt.NDArray[np.float64]
 FAST, SLOW = range(5), range(5, 1005)

@@ -11,19 +11,19 @@ from runner_case import DT, MIDDLE, PLANT, Case, Quick, case
 from test_commission import DRIVEN, STANDS, off
 from test_loop import tracking
 
-from sysid.control import tune
 from sysid.plant import Plant
-from sysid.runner import faults as f
-from sysid.runner.chain import ControlChain
-from sysid.runner.faults import Fault, Injection
-from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import Commission, CommissionSettings
-from sysid.runner.modes.hold import Hold
-from sysid.runner.modes.mode import Goal, Mode
-from sysid.runner.modes.replay import ReplayCommands, ReplayJoints
-from sysid.runner.response_range import ResponseRange
-from sysid.runner.task_clock import TaskClock
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import tune
+from sysid_rl.run import faults as f
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.faults import Fault, Injection
+from sysid_rl.run.limits import Limits
+from sysid_rl.run.modes.commission import Commission, CommissionSettings
+from sysid_rl.run.modes.hold import Hold
+from sysid_rl.run.modes.mode import Goal, Mode
+from sysid_rl.run.modes.replay import ReplayCommands, ReplayJoints
+from sysid_rl.run.response_range import ResponseRange
+from sysid_rl.run.task_clock import TaskClock
+from sysid_rl.run.valves import axis_valves
 
 Array = npt.NDArray[np.float64]
 VALVES = axis_valves(tune(PLANT), DT)

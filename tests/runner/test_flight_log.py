@@ -24,9 +24,9 @@ from sysid.cli import main as sysid
 from sysid.errors import SettingsError, StorageError
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
-from sysid.runner.cycle import Violation
-from sysid.runner.flight_log import WAITING, FlightLog, provenance
-from sysid.runner.mcap_pieces import PieceWriter
+from sysid_rl.run.cycle import Violation
+from sysid_rl.run.flight_log import WAITING, FlightLog, provenance
+from sysid_rl.run.mcap_pieces import PieceWriter
 
 pytestmark = pytest.mark.realtime
 
@@ -82,7 +82,7 @@ def test_a_reading_that_stands_still_is_said_once_and_neutral_is_zero(tmp_path: 
 @contextmanager
 def writing(folder: Path, rate: float, limit: int = 0) -> Iterator[subprocess.Popen[str]]:
     words = [sys.executable, flights.__file__, str(folder), str(rate), str(limit)]
-    environment = os.environ | {"PYTHONPATH": str(flights.ROOT)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(flights.ROOT), str(flights.ROOT / "rl")))}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment) as process:
         try:
             yield process
@@ -146,8 +146,8 @@ def test_a_disk_that_is_nearly_full_is_refused(tmp_path: Path) -> None:
 
 def test_the_loop_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = threading.Event()
-    monkeypatch.setattr("sysid.runner.mcap_pieces.os.fsync", lambda _: stuck.wait(10.0))
-    monkeypatch.setattr("sysid.runner.flight_log.SYNC_EVERY", 0.0)
+    monkeypatch.setattr("sysid_rl.run.mcap_pieces.os.fsync", lambda _: stuck.wait(10.0))
+    monkeypatch.setattr("sysid_rl.run.flight_log.SYNC_EVERY", 0.0)
     stuck.set()
     with FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0) as log:
         stuck.clear()
@@ -194,7 +194,7 @@ def test_how_a_run_ended_stands_in_the_log(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_never_answers_does_not_keep_a_run_from_ending(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.runner.flight_log.CLOSE_S", 0.05)
+    monkeypatch.setattr("sysid_rl.run.flight_log.CLOSE_S", 0.05)
     log = FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0)
     gate = threading.Event()
     monkeypatch.setattr(PieceWriter, "sync", lambda writer: gate.wait(20.0))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from live_machine import DATABASE, ROOT, SIGNALS, VALVES, old_database
 
-from sysid.bench.live import COLUMNS, LiveProcess
-from sysid.bench.live_bus import CanFrame
-from sysid.bench.live_machine import LATE_NS, TIME_OUT_NS, Watchdog
-from sysid.bench.recipe_file import load_recipe
-from sysid.runner.bus import BusSettings, MachineBus
-from sysid.runner.line_delay import MachineClock
+from simulated_bench.live import COLUMNS, LiveProcess
+from simulated_bench.live_bus import CanFrame
+from simulated_bench.live_machine import LATE_NS, TIME_OUT_NS, Watchdog
+from simulated_bench.recipe_file import load_recipe
+from sysid_rl.run.bus import BusSettings, MachineBus
+from sysid_rl.run.line_delay import MachineClock
 
 MS = 1_000_000
 CYCLE = 10 * MS

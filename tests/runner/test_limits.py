@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from runner_case import DT, MIDDLE, PLANT
 
-from sysid.control import tune
 from sysid.errors import SettingsError
-from sysid.runner.limits import AxisLimits, LimitSettings, SetpointLimiter, limits_of
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import tune
+from sysid_rl.run.limits import AxisLimits, LimitSettings, SetpointLimiter, limits_of
+from sysid_rl.run.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)
 LIMITS = limits_of(PLANT, VALVES, LimitSettings(), "runner.toml")

@@ -12,7 +12,7 @@ from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid.runner.line_delay import ANSWERS, DRIFT, CommandRoundTrip, MachineClock
+from sysid_rl.run.line_delay import ANSWERS, DRIFT, CommandRoundTrip, MachineClock
 
 MS = 1_000_000
 

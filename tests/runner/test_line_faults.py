@@ -8,7 +8,7 @@ import pytest
 from live_machine import DATABASE, old_database
 from virtual_line import VirtualLine, VirtualRun
 
-from sysid.runner import serial_line
+from sysid_rl.run import serial_line
 
 
 def without(folder: Path, *signals: str) -> Path:

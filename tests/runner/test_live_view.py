@@ -11,11 +11,11 @@ from rerun_file import curves
 
 from sysid.cli import main as sysid
 from sysid.errors import InputError
-from sysid.runner.cycle import Violation
-from sysid.runner.flight_log import FlightLog
-from sysid.runner.flight_messages import CYCLES, VERDICTS
-from sysid.runner.mcap_pieces import MAGIC
-from sysid.runner.tail import Tail
+from sysid_rl.run.cycle import Violation
+from sysid_rl.run.flight_log import FlightLog
+from sysid_rl.run.flight_messages import CYCLES, VERDICTS
+from sysid_rl.run.mcap_pieces import MAGIC
+from sysid_rl.run.tail import Tail
 
 TOPICS = frozenset((CYCLES, VERDICTS))
 

@@ -14,16 +14,16 @@ import numpy.typing as npt
 import pytest
 from runner_case import DT, MIDDLE, PLANT, Case, Memory, Quick, case, inverse
 
-from sysid.rl.paths import Path as Course
-from sysid.runner import faults as f
-from sysid.runner.chain import ControlChain
-from sysid.runner.faults import FaultyTransport, Injection
-from sysid.runner.limits import AxisLimits, Limits, LimitSettings
-from sysid.runner.modes.hold import Hold, Shadow, Teleop
-from sysid.runner.modes.mode import Mode
-from sysid.runner.modes.replay import ReplayJoints
-from sysid.runner.modes.track import TrackPath
-from sysid.runner.operator import Unattended
+from sysid_rl.run import faults as f
+from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.faults import FaultyTransport, Injection
+from sysid_rl.run.limits import AxisLimits, Limits, LimitSettings
+from sysid_rl.run.modes.hold import Hold, Shadow, Teleop
+from sysid_rl.run.modes.mode import Mode
+from sysid_rl.run.modes.replay import ReplayJoints
+from sysid_rl.run.modes.track import TrackPath
+from sysid_rl.run.operator import Unattended
+from sysid_rl.train.paths import Path as Course
 
 Array = npt.NDArray[np.float64]
 EE = Quick(PLANT).predict(MIDDLE)[0]
@@ -65,7 +65,7 @@ def test_the_line_is_opened_last(monkeypatch: pytest.MonkeyPatch) -> None:
         whole = getattr(made.transport, name)
         monkeypatch.setattr(made.transport, name, lambda *given: (order.append(name), whole(*given))[1])
 
-    monkeypatch.setattr("sysid.runner.loop.real_time", slow)
+    monkeypatch.setattr("sysid_rl.run.loop.real_time", slow)
     for name in ("open", "read", "close"):
         notify(name)
     made.loop.run()
@@ -247,7 +247,7 @@ def test_holding_stays() -> None:
 def test_a_run_loads_no_torch() -> None:
     text = (
         "import sys; sys.path.insert(0, sys.argv[1]); import test_loop as t; t.run(lambda a, b: t.Hold(t.DT, 0.2)); "
-        "import sysid.cli.run, sysid.runner.assemble, sysid.runner.transports, sysid.runner.dry_run; "
+        "import sysid_rl.cli.run, sysid_rl.run.assemble, sysid_rl.run.transports, sysid_rl.run.dry_run; "
         "assert 'torch' not in sys.modules, 'torch is loaded'"
     )
     here = Path(__file__).parent

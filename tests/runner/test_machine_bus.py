@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES, old_database
 
 from sysid.errors import SettingsError
-from sysid.runner.bus import BusSettings, MachineBus, bus_load, coded_commands, frame_bits
-from sysid.runner.can import CanSettings, CanTransport
+from sysid_rl.run.bus import BusSettings, MachineBus, bus_load, coded_commands, frame_bits
+from sysid_rl.run.can import CanSettings, CanTransport
 
 SETTINGS = BusSettings(DATABASE, SIGNALS, VALVES)
 BUS = MachineBus(SETTINGS, "runner.toml")

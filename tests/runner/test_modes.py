@@ -11,21 +11,21 @@ import pandas as pd
 import pytest
 from runner_case import DT, MIDDLE, PLANT, Quick, case
 
-from sysid.control import tune
-from sysid.control.input_shaper import ShaperKind, input_shaper
-from sysid.control.pendulum import Pendulum
-from sysid.control.swing_estimator import SwingEstimator
 from sysid.errors import InputError
 from sysid.gap.experiment import Experiment
-from sysid.rl.paths import Path as Course
-from sysid.rl.paths import circle, eased
-from sysid.runner.command_filter import CommandFilter, outside
-from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
-from sysid.runner.modes.collect import Collect, SafeMoves, draw_poses
-from sysid.runner.modes.mode import Move
-from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
-from sysid.runner.modes.track import TrackLive, TrackPath
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import tune
+from sysid_rl.control.input_shaper import ShaperKind, input_shaper
+from sysid_rl.control.pendulum import Pendulum
+from sysid_rl.control.swing_estimator import SwingEstimator
+from sysid_rl.run.command_filter import CommandFilter, outside
+from sysid_rl.run.limits import AxisLimits, Limits, LimitSettings, limits_of
+from sysid_rl.run.modes.collect import Collect, SafeMoves, draw_poses
+from sysid_rl.run.modes.mode import Move
+from sysid_rl.run.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
+from sysid_rl.run.modes.track import TrackLive, TrackPath
+from sysid_rl.run.valves import axis_valves
+from sysid_rl.train.paths import Path as Course
+from sysid_rl.train.paths import circle, eased
 
 VALVES = axis_valves(tune(PLANT), DT)
 TIP = Quick(PLANT).predict

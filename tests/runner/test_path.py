@@ -9,9 +9,9 @@ from runner_case import DT, Case
 from test_commission import off
 from test_loop import Answers, run, tracking
 
-from sysid.runner.checks.path import PathDistance
-from sysid.runner.checks.settings import PathCheck
-from sysid.runner.modes.mode import Goal
+from sysid_rl.run.checks.path import PathDistance
+from sysid_rl.run.checks.settings import PathCheck
+from sysid_rl.run.modes.mode import Goal
 
 Array = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from flights import cycle
 
-from sysid.runner.dry_run import RangeRecorder
-from sysid.runner.transport import Measurement
+from sysid_rl.run.dry_run import RangeRecorder
+from sysid_rl.run.transport import Measurement
 
 PERIOD = 10_000_000
 SPEED, OFF = np.array([0.2, -0.1, 0.05]), np.array([0.003, 0.0, 0.004])

@@ -7,13 +7,13 @@ import pytest
 from runner_case import DT, MIDDLE, PLANT, case, true_crane
 from test_loop import AT, tracking
 
-from sysid.control import tune
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
-from sysid.runner import faults as f
-from sysid.runner.faults import Injection
-from sysid.runner.response import ResponseMonitor
-from sysid.runner.valves import axis_valves
+from sysid_rl.control import tune
+from sysid_rl.run import faults as f
+from sysid_rl.run.faults import Injection
+from sysid_rl.run.response import ResponseMonitor
+from sysid_rl.run.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)
 LATE = f.Delayed(0.2, stamped=False)

@@ -22,11 +22,11 @@ from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork, policy_to_files
 from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.registry import Registry
-from sysid.rl.reach import joint_limits
-from sysid.runner.checks.settings import BOUNDS, CHECKS, MILDEST, CheckSettings
-from sysid.runner.flight_log import FlightLog
-from sysid.runner.recipe import load_runner, parse_runner
 from sysid.workspace import open_workspace
+from sysid_rl.run.checks.settings import BOUNDS, CHECKS, MILDEST, CheckSettings
+from sysid_rl.run.flight_log import FlightLog
+from sysid_rl.run.recipe import load_runner, parse_runner
+from sysid_rl.train.reach import joint_limits
 
 SHIPPED = Path(__file__).parents[2] / "rl" / "autolog" / "runner.toml"
 
@@ -168,7 +168,7 @@ def test_a_run_of_the_command_and_its_record(workspace: Path) -> None:
 
 
 def test_a_workspace_that_cannot_be_written_does_not_stop_a_run(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.runner.run_record.FOLDER", "../outside")
+    monkeypatch.setattr("sysid_rl.run.run_record.FOLDER", "../outside")
     path = write(workspace, "[hold]\nseconds = 0.5\n[loop]\npriority = 0\nlock_memory = false\n")
     done = invoke(workspace, path, "--log", str(workspace / "flights"))
     assert done.exit_code == 0, done.output
@@ -282,7 +282,7 @@ def test_a_dry_run_checks_the_bus_of_a_machine_without_opening_it(
 
 
 def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from sysid.runner import transports
+    from sysid_rl.run import transports
 
     build = transports.connect
     monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, simulated=False))

@@ -14,8 +14,8 @@ import pytest
 from live_machine import DATABASE, SIGNALS, VALVES
 
 from sysid.errors import InputError
-from sysid.runner.can import CanSettings, CanTransport
-from sysid.runner.serial_line import OtherReaders, device_channel, other_programs, split_channel
+from sysid_rl.run.can import CanSettings, CanTransport
+from sysid_rl.run.serial_line import OtherReaders, device_channel, other_programs, split_channel
 
 OPENS = "import os, sys; f = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print(1, flush=True); sys.stdin.read()"
 

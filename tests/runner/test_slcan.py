@@ -16,9 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES
 
-from sysid.bench.live_bus import CanFrame, LiveBus
-from sysid.runner.can import CanSettings, CanTransport
-from sysid.runner.slcan import WAITING, SlcanBus, parse_line
+from simulated_bench.live_bus import CanFrame, LiveBus
+from sysid_rl.run.can import CanSettings, CanTransport
+from sysid_rl.run.slcan import WAITING, SlcanBus, parse_line
 
 pytestmark = pytest.mark.realtime
 

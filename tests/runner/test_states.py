@@ -10,8 +10,8 @@ import pytest
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from sysid.errors import InputError
-from sysid.runner.cycle import State
-from sysid.runner.states import MOVING, PERSONAL, STATES, TABLE, Event, States
+from sysid_rl.run.cycle import State
+from sysid_rl.run.states import MOVING, PERSONAL, STATES, TABLE, Event, States
 
 EVENTS = get_args(Event)
 

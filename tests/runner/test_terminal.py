@@ -15,8 +15,8 @@ import pytest
 from runner_case import MIDDLE, RealTime, case, reopened
 from test_endings import Sweep
 
-from sysid.runner.cycle import Cycle
-from sysid.runner.terminal import WAITING, Console, Terminal, redirected_output
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.terminal import WAITING, Console, Terminal, redirected_output
 
 pytestmark = pytest.mark.realtime
 

@@ -11,10 +11,10 @@ from run_records import LATE, keep_run
 from sample_workspace import sample_workspace
 
 from sysid.datasets.versions.index import VersionIndex
-from sysid.runner.cycle import Cycle
-from sysid.runner.run_record import EventRecorder, Recorders
 from sysid.site import build_site, inventory
 from sysid.site.inventory import dataset_items
+from sysid_rl.run.cycle import Cycle
+from sysid_rl.run.run_record import EventRecorder, Recorders
 
 
 def test_a_violation_over_consecutive_cycles_is_one_event() -> None:

@@ -68,7 +68,7 @@ def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sysid.cli.run import show_log
+    from sysid_rl.cli.run import show_log
 
     started: list[tuple[list[str], dict[str, str]]] = []
 
@@ -88,7 +88,8 @@ def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) ->
 def test_every_place_that_starts_a_process_is_listed() -> None:
     """Readers that run in a process of their own enter theirs here."""
     found = set()
-    for path in sorted((ROOT / "sysid").rglob("*.py")):
+    folders = ("sysid", "rl/sysid_rl", "pipelines/simulated_bench")
+    for path in sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         modules = {
             name.name if isinstance(node, ast.Import) else str(node.module)
             for node in ast.walk(ast.parse(path.read_text("utf-8")))
@@ -96,8 +97,8 @@ def test_every_place_that_starts_a_process_is_listed() -> None:
             for name in node.names
         }
         if modules & {"subprocess", "multiprocessing", "concurrent.futures", "pty", "runpy"}:
-            found.add(str(path.relative_to(ROOT / "sysid")))
-    starts = {path for path in found if "ThreadPool" not in (ROOT / "sysid" / path).read_text("utf-8")}
+            found.add(path)
+    starts = {path for path in found if "ThreadPool" not in path.read_text("utf-8")}
     for path in sorted(starts):
-        text = (ROOT / "sysid" / path).read_text("utf-8")
+        text = path.read_text("utf-8")
         assert any(word in text for word in ("python_command", "safe_children")), f"{path} starts a process: see sysid.children"

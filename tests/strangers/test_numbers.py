@@ -9,7 +9,7 @@ import pytest
 from sysid.datasets.recipe import stored_recipe
 from sysid.errors import SettingsError
 from sysid.machine import Machine, machine_from_files
-from sysid.rl.recipe import parse_training
+from sysid_rl.train.recipe import parse_training
 
 MACHINE = """schema = 1
 name = "arm"

@@ -1,4 +1,4 @@
-"""The list of 200 cases of MuJoCo and PyBullet, drawn from the seed like those of `sysid.bench`."""
+"""The list of 200 cases of MuJoCo and PyBullet, drawn from the seed like those of `simulated_bench`."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench.joint_machines import write_joint_machine
-from sysid.bench.joint_recipe import Take
-from sysid.bench.torque_arm import Motor, TorqueArm
+from simulated_bench.joint_machines import write_joint_machine
+from simulated_bench.joint_recipe import Take
+from simulated_bench.torque_arm import Motor, TorqueArm
 from sysid.datasets import ingest
 from sysid.gap import GapResult, find_gap
 from sysid.plant import nominal_plant

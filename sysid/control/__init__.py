@@ -1,6 +1,0 @@
-"""Low-level controller between joint setpoints and valve commands, for one machine or many copies; without torch."""
-
-from sysid.control.cylinder import CylinderController
-from sysid.control.tuning import AxisTuning, lookahead_time, proportional_tuning, response_time, tune
-
-__all__ = ["AxisTuning", "CylinderController", "lookahead_time", "proportional_tuning", "response_time", "tune"]
