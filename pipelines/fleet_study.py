@@ -24,8 +24,7 @@ from sysid.datasets import ingest
 from sysid.fleet import fleet_gap
 from sysid.fleet.drift import drifts
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
-from sysid.fleet.estimates import estimate
-from sysid.fleet.names import name_effects
+from sysid.fleet.estimates import estimate, name_effects
 from sysid.fleet.result import FleetMachine
 from sysid.workspace import open_workspace
 

@@ -34,7 +34,7 @@ from sysid.networks import MotionNetwork, NetworkRecipe, fit_history, fit_motion
 from sysid.networks.split import gather, segments
 from sysid.validate import ErrorMetrics, ValidationReport, validate_history, validate_motion
 from sysid.validate.error_analysis import direction_profile, speeds
-from sysid.validate.free_runs import ARX, PLANT, STATIC
+from sysid.validate.validation import ARX, PLANT, STATIC
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sysid.disk import written_to
-from sysid.errors import StorageError
+from sysid.errors import StorageError, written_to
 
 #: Half of a pair of UTF-16, as Python decodes a byte of a file name that is no UTF-8.
 _SURROGATE = re.compile("[\ud800-\udfff]")

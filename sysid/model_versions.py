@@ -29,8 +29,7 @@ from sysid.versions import (
     lineage_of,
     policy_checks,
 )
-from sysid.versions.card_block import CardBlock
-from sysid.versions.card_changes import changes
+from sysid.versions.card import CardBlock, changes
 from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by

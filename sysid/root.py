@@ -21,8 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from sysid.disk import REMEDIES, storage_error
-from sysid.errors import StoreError
+from sysid.errors import REMEDIES, StoreError, storage_error
 from sysid.files import make_folder
 from sysid.foreign import shown
 

@@ -93,7 +93,7 @@ def plain(members: Sequence[EnsembleMember], batch: int, epochs: int) -> tuple[l
     import torch
 
     from sysid.networks.batch import unpack
-    from sysid.networks.shuffle_order import ShuffleOrder, initial_row
+    from sysid.networks.jobs import ShuffleOrder, initial_row
 
     residuals, updates = [], 0
     for member in members:

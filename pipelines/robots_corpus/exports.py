@@ -16,9 +16,8 @@ from typing import Any
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import SysidError
-from sysid.export.export import export_plant
+from sysid.export.export import TARGETS, export_plant
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
 from sysid.workspace import open_workspace

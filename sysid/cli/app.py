@@ -12,8 +12,7 @@ import click
 
 from sysid.children import safe_children
 from sysid.cli import verbs
-from sysid.disk import storage_error
-from sysid.errors import StorageError, SysidError, nearest
+from sysid.errors import StorageError, SysidError, nearest, storage_error
 from sysid.extras import extra_of, install_remedy
 from sysid.foreign import visible
 from sysid.release import __version__

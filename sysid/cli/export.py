@@ -13,7 +13,7 @@ from sysid.cli.output import Printer, json_option, progress_bar, write_json
 if TYPE_CHECKING:
     from sysid.export.export import Export
 
-#: As in :mod:`sysid.export.targets`, which loads the numerical libraries.
+#: As in :mod:`sysid.export.export`, which loads the numerical libraries.
 NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", "json")
 
 
@@ -45,8 +45,7 @@ def export(
     with progress_bar("export") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.errors import StoreError
-        from sysid.export.export import check_folder, export_plant
-        from sysid.export.targets import target_named
+        from sysid.export.export import check_folder, export_plant, target_named
         from sysid.workspace import open_workspace
 
         chosen = target_named(target)

@@ -70,9 +70,8 @@ def gap(
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.execution import open_executor
         from sysid.fleet import fleet_gap
-        from sysid.fleet.machines import described
-        from sysid.fleet.page import fleet_page
-        from sysid.fleet.tables import tables
+        from sysid.fleet.page import fleet_page, tables
+        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 
@@ -147,10 +146,9 @@ def watch(
     out = Printer(json_file)
     with progress_bar("watch") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
-        from sysid.fleet.machines import described
-        from sysid.fleet.page import fleet_page
-        from sysid.fleet.tables import drift_table
+        from sysid.fleet.page import drift_table, fleet_page
         from sysid.fleet.watching import watch as watch_machine
+        from sysid.fleet.workflow import described
         from sysid.reports.pages import write_page
         from sysid.workspace import open_workspace
 

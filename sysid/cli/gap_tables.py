@@ -198,7 +198,7 @@ def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) ->
     """A value with the known one that it replaces, and its interval."""
     from sysid.display import NOTHING, digits_for, interval
     from sysid.effects.units import parameter_unit
-    from sysid.reports.effect_units import shown
+    from sysid.reports.words import shown
 
     machine, units = dataset.machine, dataset.units
     ends = item.interval95.get(key)
@@ -227,7 +227,7 @@ def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
 
 def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
     from sysid.display import digits_for
-    from sysid.reports.effect_units import shown
+    from sysid.reports.words import shown
 
     def text(value: float, digits: int) -> str:
         return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, digits, dataset.units)
@@ -241,7 +241,7 @@ def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
 
 def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
     """The unnamed errors as text."""
-    from sysid.reports.reasons import with_titles
+    from sysid.reports.words import with_titles
 
     return [
         f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"

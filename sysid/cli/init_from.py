@@ -64,8 +64,7 @@ def drafted_files(path: Path, name: str, choices: Choices) -> Drafted:
         InputError: no such file, or neither a URDF nor an MJCF.
         SettingsError: it contains what ``machine.toml`` cannot express.
     """
-    from sysid.machine.sources.draft import RESPONSE
-    from sysid.machine.sources.toml_text import recipe_text
+    from sysid.machine.sources.draft import RESPONSE, recipe_text
 
     if not path.is_file():
         raise InputError(path, "no such file", "a URDF or an MJCF file")
@@ -94,7 +93,7 @@ def _within_bounds(draft: MachineDraft, name: str) -> tuple[MachineDraft, str, M
     """The draft without effects whose values are outside of the catalogue's range, its text, and the machine of it."""
     from sysid.effects.described import check_described, check_known_effect
     from sysid.machine.description import machine_from_files
-    from sysid.machine.sources.toml_text import machine_text
+    from sysid.machine.sources.draft import machine_text
 
     def machine_of(draft: MachineDraft) -> tuple[str, Machine]:
         described = machine_text(draft, name)

@@ -20,7 +20,7 @@ def show_findings(out: Printer, findings: Sequence[Finding]) -> None:
 
     Axes that do not move in a role are left out: :func:`sysid.cli.roles.show_roles` lists all that a role lacks.
     """
-    from sysid.datasets.plausibility.roles import STILL
+    from sysid.datasets.plausibility.check import STILL
 
     findings = [finding for finding in findings if not all(key.endswith(f":{STILL}") for key in finding.keys)]
     if not findings:

@@ -110,7 +110,7 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
 
 def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
     """Flags of the ingest: counts by kind, and the first ones."""
-    from sysid.reports.flags import flag_lines, kinds_of
+    from sysid.reports.dataset_texts import flag_lines, kinds_of
 
     lines = flag_lines(flags)
     if not lines:
@@ -124,7 +124,7 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
 
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:
     """For every effect and location: ready, not enough, or not observable with these sensors."""
-    from sysid.reports.verdicts import amount, by_effect, by_reason, place, request_text, spread
+    from sysid.reports.dataset_texts import amount, by_effect, by_reason, place, request_text, spread
     from sysid.reports.words import effect_title
 
     for note in found.notes:

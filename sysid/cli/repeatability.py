@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine: Machine) -> None:
     """Share of the runs in which each effect was named, and the spread of its values."""
-    from sysid.reports.effect_units import shown
+    from sysid.reports.words import shown
 
     if not repeats:
         out.line("no effect was named in any run")

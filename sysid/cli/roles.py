@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from sysid.datasets import Dataset
-    from sysid.datasets.roles.lacks import Lack
+    from sysid.datasets.roles.needs import Lack
     from sysid.datasets.roles.suggest import SplitSuggestion
 
 #: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
@@ -26,8 +26,7 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
     """
     from dataclasses import asdict
 
-    from sysid.datasets.roles.lacks import role_lacks
-    from sysid.datasets.roles.needs import unmet_need
+    from sysid.datasets.roles.needs import role_lacks, unmet_need
 
     need = unmet_need(dataset)
     if need is not None:
@@ -89,8 +88,7 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
 
 def _show_motion(out: Printer, found: SplitSuggestion) -> None:
     """Seconds of motion per direction, and reversals, of every axis in each role."""
-    from sysid.datasets.roles.needs import ROLE_NAMES
-    from sysid.datasets.roles.shortage import ROLES
+    from sysid.datasets.roles.needs import ROLE_NAMES, ROLES
 
     rows: list[tuple[str, ...]] = []
     for axis in found.before["fit"]:

@@ -55,7 +55,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
 def _show_samples(out: Printer, dataset: Dataset) -> None:
     """For each signal: samples in the files, those that are used, and why others are not."""
     from sysid.display import percent
-    from sysid.reports.samples import sample_lines
+    from sysid.reports.dataset_texts import sample_lines
 
     rows = [
         (line.name, line.counts.samples, line.counts.used, percent(line.filled), f"{line.counts.bridged_s:.1f} s", line.lost)
@@ -180,8 +180,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     from sysid.cli import gap_tables
     from sysid.gap.statement import response_sentences
     from sysid.names import listed
-    from sysid.reports.effect_units import shown_parameters
-    from sysid.reports.words import effect_place, effect_sentence
+    from sysid.reports.words import effect_place, effect_sentence, shown_parameters
 
     machine = dataset.machine
     out.line(f"{result.headline}  [{result.verdict}, {result.seconds:.1f} s]")

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset, Kind, Recording, Role, Source
     from sysid.datasets.versions.append import append
     from sysid.datasets.versions.diff import DatasetDiff, diff
-    from sysid.datasets.versions.entries import Entry
     from sysid.datasets.versions.frame import frame_of, load
+    from sysid.datasets.versions.index import Entry
     from sysid.datasets.versions.lineage import Lineage, lineage
     from sysid.datasets.versions.store import Store
     from sysid.datasets.versions.tables import PartTables
@@ -51,7 +51,7 @@ __getattr__ = lazy_names(
         "versions.append": ["append"],
         "versions.diff": ["DatasetDiff", "diff"],
         "versions.frame": ["frame_of", "load"],
-        "versions.entries": ["Entry"],
+        "versions.index": ["Entry"],
         "versions.lineage": ["Lineage", "lineage"],
         "versions.store": ["Store"],
         "versions.tables": ["PartTables"],

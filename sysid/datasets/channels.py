@@ -17,17 +17,15 @@ from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_or
 from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.flags.sentinel import ends_of, sentinels
-from sysid.datasets.flags.stamps import repaired_stamps
-from sysid.datasets.frames.bodies import find_mounts, joints_and_points
-from sysid.datasets.frames.marker_sets import with_marker_sets
-from sysid.datasets.frames.mistakes import MissingFrames
-from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose
+from sysid.datasets.flags.flag import repaired_stamps
+from sysid.datasets.flags.values import ends_of, sentinels
+from sysid.datasets.frames.bodies import MissingFrames, find_mounts, joints_and_points
+from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose, with_marker_sets
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.datasets.wrapping import continuous, in_range
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
-from sysid.logs.confined import read_confined
+from sysid.logs.reader import read_confined
 from sysid.logs.rosbag import bag_of
 from sysid.logs.table import no_numbers
 from sysid.machine import Machine

@@ -14,12 +14,11 @@ from sysid.datasets.recipe import IngestRecipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.foreign import is_unicode
-from sysid.logs.confined import read_confined
 from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
-from sysid.logs.reader import ReadOptions
+from sysid.logs.reader import ReadOptions, read_confined
 from sysid.logs.readers import is_log, reader_for
-from sysid.logs.sqlite_bag import side_files
+from sysid.logs.rosbag import side_files
 from sysid.names import check_file_name
 from sysid.quoting import toml_value
 

@@ -7,21 +7,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid.datasets.aligned import aligned_recording, stream_signals
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, read_channels, survey_mounts
 from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, by_source
-from sysid.datasets.combined import made_by, notes_of, placed, streams_of, units_of
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_refused, check_sources, count_files, discover
 from sysid.datasets.flags.collect import flag_rows
-from sysid.datasets.joint_units import with_joint_units
-from sysid.datasets.plan import Plan, content_of, plan_of, sources_of
+from sysid.datasets.plan import Plan, content_of, made_by, notes_of, placed, plan_of, sources_of, streams_of, units_of
 from sysid.datasets.quality import describe
-from sysid.datasets.rates import command_notes, rate_notes
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes, split
 from sysid.datasets.tasks.driver import TaskIngest
+from sysid.datasets.tasks.steps import aligned_recording, stream_signals
+from sysid.datasets.unstated_units import command_notes, rate_notes, with_joint_units
 from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store

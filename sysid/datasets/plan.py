@@ -1,19 +1,28 @@
-"""Inputs of an ingest: folders, recipe and machine, and their part of the digest."""
+"""Inputs of an ingest (folders, recipe and machine) with their part of the digest, and what its recordings have in common:
+which are kept, their units, streams, notes and provenance.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts
-from sysid.datasets.discover import RecordingFiles, all_files, sha256
-from sysid.datasets.recipe import IngestRecipe, check_against_machine, load_recipe
-from sysid.datasets.recording import Source
+from sysid.datasets.discover import RecordingFiles, all_files, left_out, sha256, unmatched
+from sysid.datasets.recipe import IngestRecipe, Splits, StreamMap, check_against_machine, load_recipe
+from sysid.datasets.recording import Recording, Source
 from sysid.datasets.resample import GAP_PERIODS
-from sysid.errors import InputError, SettingsError
+from sysid.datasets.versions.manifest import PartRecord
+from sysid.errors import AlignmentError, InputError, SettingsError
 from sysid.machine import Machine, load_machine
+
+Array = npt.NDArray[np.float64]
 
 #: Part of every digest; to be increased when the same logs give another table.
 INGEST_VERSION = 6
@@ -150,3 +159,117 @@ def shared_mounts(found: Sequence[RecordingFiles], mounts: Mounts) -> dict[str, 
             if stream is not None and stream.bodies and stream.reference is not None and stream.reference.recording is not None:
                 shared[stream.key] = {body: pose.tolist() for body, pose in mounts[files.name, stream.key].items()}
     return shared
+
+
+def placed(names: Sequence[str], refused: Mapping[str, AlignmentError], splits: Splits) -> tuple[str, ...]:
+    """The recordings that could be placed in time.
+
+    Args:
+        refused: recording → the error.
+
+    Raises:
+        AlignmentError: none could, or not one that the recipe names in its splits.
+    """
+    named = {*splits.fit, *splits.select, *splits.held_out, *splits.held_out_last}
+    kept = tuple(name for name in names if name not in refused)
+    for name, error in refused.items():
+        if not kept or name in named:
+            raise error
+    return kept
+
+
+def streams_of(pairs: Sequence[tuple[str, str]], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
+    """File stem → its signals in the tables.
+
+    Args:
+        pairs: :func:`~sysid.datasets.tasks.steps.stream_signals` of all recordings.
+    """
+    kept = {signal for table in tables for signal in table.signals}
+    found: dict[str, dict[str, None]] = {}
+    for stream, signal in pairs:
+        if signal in kept:
+            found.setdefault(stream, {})[signal] = None
+    return {stream: tuple(signals) for stream, signals in sorted(found.items())}
+
+
+def units_of(channels: Mapping[str, Sequence[Channel]]) -> dict[str, str]:
+    """Signal → SI unit.
+
+    Raises:
+        InputError: a signal whose unit differs between recordings.
+    """
+    units = {"time": "s"}
+    for name, parts in channels.items():
+        for channel in parts:
+            if units.setdefault(channel.signal, channel.unit) != channel.unit:
+                found, expected = f"[{channel.unit}]", f"[{units[channel.signal]}] as in the recordings before"
+                raise InputError(f"recording {name}: {channel.signal}", found, expected)
+    return units
+
+
+def notes_of(
+    found: Sequence[RecordingFiles],
+    plan: Plan,
+    mounts: Mounts,
+    rates: Iterable[str],
+    refused: Mapping[str, AlignmentError],
+) -> tuple[str, ...]:
+    """Notes on an ingest.
+
+    Args:
+        rates: :func:`sysid.datasets.unstated_units.rate_notes` of all recordings.
+        refused: recordings that could not be placed in time.
+    """
+    streams = plan.rules.streams if plan.rules is not None else ()
+    omitted = [f"left out: {error}" for error in refused.values()]
+    if stated := sorted({key for keys in left_out(plan.roots, plan.rules).values() for key in keys}):
+        omitted.append(f"{len(stated)} file{'s' if len(stated) > 1 else ''} left out by the recipe: {', '.join(stated)}")
+    return (*offset_notes(streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
+
+
+def made_by(found: Sequence[RecordingFiles], plan: Plan, mounts: Mounts) -> PartRecord:
+    """Provenance of the tables of an ingest."""
+    recipe = plan.rules.text if plan.rules is not None else ""
+    return PartRecord(INGEST_VERSION, recipe, settings_of(plan), shared_mounts(found, mounts))
+
+
+#: Least cosine of the angle between an offset and the last link for which they count as parallel.
+ALONG = 0.9
+
+
+def offset_notes(
+    streams: Sequence[StreamMap], mounts: Mapping[tuple[str, str], Mapping[str, Array]], machine: Machine
+) -> list[str]:
+    """A note for every ``ee`` whose surveyed offset is along the last link: its error and a link length error are equivalent.
+
+    Args:
+        mounts: (recording, key of the entry) → body → its pose on its link.
+    """
+    kinematics = machine.kinematics()
+    notes: list[str] = []
+    for mapping in streams:
+        point = mapping.points.get("ee")
+        if kinematics is None or point is None or point.body not in mapping.bodies or mapping.reference is None:
+            continue
+        mount = next(
+            (own[point.body] for (_, files), own in mounts.items() if files == mapping.key and point.body in own), None
+        )
+        if mount is None or not any(point.at):
+            continue
+        poses = kinematics.link_poses(np.array([[mapping.reference.joints[name] for name in machine.axis_names]]))
+        revolute = [joint for joint in kinematics.chain if joint.kind in ("revolute", "continuous")]
+        if not revolute:
+            continue
+        joint = revolute[-1]
+        link = poses[kinematics.tip][0, :3, 3] - poses[joint.child][0, :3, 3]
+        at = (poses[mapping.bodies[point.body]][0] @ mount)[:3, :3] @ np.array(point.at)
+        length = float(np.linalg.norm(link))
+        along = float(at @ link) / length if length > 0.0 else 0.0
+        if length > 0.0 and abs(along) > ALONG * float(np.linalg.norm(at)):
+            axis = machine.axis_names[kinematics.drives[joint.name].column]
+            notes.append(
+                f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and an error "
+                f"of the length of that link (link_length_error of {axis}) are not distinguishable in these data: survey the "
+                "offset as accurately as the length has to be known"
+            )
+    return notes

@@ -15,8 +15,7 @@ from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.datasets.roles.assign import Assignment
 from sysid.datasets.roles.motion import MotionTable, motion_table
-from sysid.datasets.roles.needs import MIN_ROLE_S, cut_advice, least_cut_s
-from sysid.datasets.roles.shortage import ROLES, RoleNeeds
+from sysid.datasets.roles.needs import MIN_ROLE_S, ROLES, RoleNeeds, cut_advice, least_cut_s
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.machine import Machine
 from sysid.scratch import computed, filled, pieces

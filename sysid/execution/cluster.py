@@ -2,24 +2,71 @@
 
 The scheduler repeats a task whose worker was lost, on another worker (``distributed.scheduler.allowed-failures`` times).
 
+Dask sends pickles in both directions: whoever answers at the address of a scheduler runs programs on the computer that calls.
 The TLS settings of Dask (``distributed.comm.tls``) apply to ``tls://`` addresses. Without TLS a scheduler beyond this computer
-is refused unless its network is trusted (:mod:`sysid.execution.scheduler_address`).
+is refused unless its network is trusted.
 """
 
 from __future__ import annotations
 
 import asyncio
+import ipaddress
+import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sysid.execution.executor import Executor, Task, TaskError, failed
-from sysid.execution.scheduler_address import trusted_address
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
     from distributed import Client
+
+
+#: Schemes of connections in which both sides prove who they are, by certificates.
+AUTHENTICATED = ("tls", "wss")
+_EXPECTED = "tls://HOST:PORT, or tcp://HOST:PORT of this computer"
+
+
+def trusted_address(address: str, trusted_network: bool = False) -> str:
+    """The address to connect to: a name that must mean this computer is replaced by what it was resolved to.
+
+    Args:
+        address: as Dask takes it, with or without a scheme.
+        trusted_network: an address beyond this computer needs no authentication.
+
+    Raises:
+        TaskError: no address, or one whose connection is not authenticated.
+    """
+    from distributed.comm.addressing import get_address_host_port, parse_address, unparse_address, unparse_host_port
+
+    where = f"cluster {address}"
+    try:
+        scheme, _ = parse_address(address)
+        host, port = get_address_host_port(address)
+        if trusted_network or scheme in AUTHENTICATED:
+            return address
+        found = sorted({info[4][0] for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}, key=_version)
+    except (ValueError, OSError) as error:
+        raise TaskError(where, f"no address of a scheduler: {error}", _EXPECTED) from None
+    if not all(map(_is_loopback, found)):
+        raise TaskError(
+            where, f"{scheme}:// is not authenticated, and whoever answers there runs programs on this computer", _EXPECTED,
+            "Set up TLS (docs/guide/cluster.md), or add --trusted-network if you trust every computer of the network.",
+        )  # fmt: skip
+    return str(unparse_address(scheme, unparse_host_port(str(found[0]), port)))
+
+
+def _version(host: str | int) -> int:
+    return ipaddress.ip_address(host).version
+
+
+def _is_loopback(host: str | int) -> bool:
+    found = ipaddress.ip_address(host)
+    mapped = found.ipv4_mapped if isinstance(found, ipaddress.IPv6Address) else None
+    return (mapped or found).is_loopback
+
 
 #: Time to wait for the scheduler [s].
 CONNECT_S = 10.0
@@ -30,7 +77,7 @@ class ClusterExecutor:
     """Runs calls on the workers of the scheduler at ``address``, for which it waits ``connect_s`` [s].
 
     Raises:
-        TaskError: the address is none that is trusted, see :func:`~sysid.execution.scheduler_address.trusted_address`.
+        TaskError: the address is none that is trusted, see :func:`~sysid.execution.cluster.trusted_address`.
     """
 
     address: str

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import Effect, effect_named, stiction
+from sysid.effects import effect_named, stiction
 from sysid.effects.base_misalignment import EFFECT as BASE
 from sysid.machine.kinematics import GRAVITY, rotation_about
 from sysid.plant import Model, Plant, chain, compile_plant
@@ -54,7 +54,7 @@ FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smoot
 
 
 def drive_data(plant: Plant, rate_hz: float) -> dict[str, Any]:
-    """The data of :func:`sysid.export.standalone.assembly.assemble` for steps of 1/``rate_hz``."""
+    """The data of :func:`sysid.export.standalone.model.assemble` for steps of 1/``rate_hz``."""
     model = compile_plant(plant)
     sway = effect_slots(plant, "gripper_sway", "tool")
     pump = effect_slots(plant, "pump_flow_limit", "machine")
@@ -211,11 +211,6 @@ def sensor_readings(model: Model) -> dict[str, dict[str, float]]:
         if any(model.theta[place] != neutral[place] for place in places.values()):
             found[signal] = {key: float(model.theta[place]) for key, place in places.items()}
     return found
-
-
-def has_part(effect: Effect) -> bool:
-    """Whether the drive model computes the effect."""
-    return effect.name not in WITHOUT_PART
 
 
 #: Effects that a model in the machine's time, from commands to motion, does not contain, and why.

@@ -1,4 +1,6 @@
-"""Export of a plant: write the files, replay them, keep them if they agree with the plant."""
+"""The list of export targets, and the export of a plant: write the files, replay them, keep them if they agree with the
+plant.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,51 @@ from pathlib import Path
 from typing import Any, cast
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.disk import written_to
-from sysid.errors import SettingsError
-from sysid.export.force_replay import force_replay
+from sysid.errors import SettingsError, nearest, written_to
+from sysid.export.fmu import FmuTarget
+from sysid.export.isaaclab import IsaacLabTarget
+from sysid.export.json_target import JsonTarget
+from sysid.export.lut import LutTarget
+from sysid.export.mjcf import MjcfTarget
 from sysid.export.mjcf_servo import has_servos
 from sysid.export.names import Renamed
+from sysid.export.newton import NewtonTarget
 from sysid.export.page import export_page, lacking, shown, unit_of
 from sysid.export.posterior import posterior, write_posterior
-from sysid.export.replay import Replay, replay
+from sysid.export.replay import Replay, force_replay, replay
+from sysid.export.sdf import SdfTarget
+from sysid.export.simulink import SimulinkTarget
 from sysid.export.target import ForceSimulation, Simulation, Target
-from sysid.export.targets import fallback
+from sysid.export.urdf import UrdfTarget
 from sysid.files import make_folder
 from sysid.gap.prepare.noise import noise_levels
 from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
+
+TARGETS: tuple[Target, ...] = (
+    MjcfTarget(), UrdfTarget(), SdfTarget(), IsaacLabTarget(), NewtonTarget(), FmuTarget(), SimulinkTarget(), LutTarget(),
+    JsonTarget(),
+)  # fmt: skip
+
+
+def target_named(name: str) -> Target:
+    """The target of ``sysid export --to NAME``.
+
+    Raises:
+        SettingsError: no target has that name.
+    """
+    names = [target.name for target in TARGETS]
+    if name not in names:
+        raise SettingsError("sysid export", f"no target {name!r}", nearest(name, names))
+    return TARGETS[names.index(name)]
+
+
+def fallback(target: Target, plant: Plant) -> Target | None:
+    """A variant that leaves more to the drive model, for an export that does not agree with the plant; None without."""
+    if not isinstance(target, MjcfTarget) or target.most == "plugin" or moves_masses(plant.machine):
+        return None
+    return MjcfTarget("native" if target.most == "composed" else "plugin")
+
 
 REPLAY, PAGE = "replay.json", "README.md"
 #: Draws of the parameters that are written.

@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import WITHOUT_PART
-from sysid.export.drive_module import MODULE
+from sysid.export.drive_module import MODULE, write_drive_model
 from sysid.export.names import MachineNames, axis_names
-from sysid.export.shipped_run import write_drive_model
 from sysid.export.target import Simulation, Start, Support
 from sysid.plant import Plant
 

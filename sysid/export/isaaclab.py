@@ -15,8 +15,7 @@ from sysid.export.drive_data import WITHOUT_PART, drive_data
 from sysid.export.names import MachineNames, Names, identifier
 from sysid.export.posterior import posterior
 from sysid.export.target import Simulation, Support
-from sysid.export.urdf import COMPOSED, UrdfSimulation
-from sysid.export.urdf_text import FIXED_WORLD, urdf_names, urdf_of, xml_text
+from sysid.export.urdf import COMPOSED, FIXED_WORLD, UrdfSimulation, urdf_names, urdf_of, xml_text
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 
@@ -50,8 +49,7 @@ class IsaacLabTarget:
         return Support("plugin", f"`{MODEL}`, which the drives of the joints follow")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        from sysid.export.torchscript.assembly import parameter_columns, script_of
-        from sysid.export.torchscript.files import save_script
+        from sysid.export.torchscript.assembly import parameter_columns, save_script, script_of
 
         data, written = drive_data(plant, rate_hz), self.names(plant)
         names = list(parameter_columns(plant))
@@ -113,7 +111,7 @@ class TorchModel:
     def __init__(self, path: Path, offsets: list[float]) -> None:
         import torch
 
-        from sysid.export.torchscript.files import load_script
+        from sysid.export.torchscript.assembly import load_script
 
         self.torch: Any = torch
         self.module = load_script(path)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from sysid.effects import Effect, effect_named
 from sysid.export.drive_data import WITHOUT_PART
-from sysid.export.drive_module import MODULE
+from sysid.export.drive_module import MODULE, DriveModelSimulation, load_module, write_drive_model
 from sysid.export.names import MachineNames, axis_names
-from sysid.export.shipped_run import DriveModelSimulation, load_module, write_drive_model
 from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 

@@ -15,11 +15,10 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import EDGE, drive_data
-from sysid.export.drive_module import PARTS
+from sysid.export.drive_module import PARTS, DriveModelSimulation
 from sysid.export.names import MachineNames, Names, axis_names, same_file
-from sysid.export.shipped_run import DriveModelSimulation
-from sysid.export.standalone.assembly import assemble
 from sysid.export.standalone.command_parts import Part
+from sysid.export.standalone.model import assemble
 from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 

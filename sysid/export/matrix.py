@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from sysid.effects import CATALOGUE
+from sysid.export.export import TARGETS
 from sysid.export.page import KINDS
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS
 
 _NOTICE = "<!-- Written by python -m sysid.export.matrix docs/export.md: change the code instead. -->\n"
 _INTRODUCTION = """# Export targets

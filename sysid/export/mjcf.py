@@ -13,19 +13,17 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
-from sysid.export.drive_module import MODULE
-from sysid.export.link_inertia import NOTE
+from sysid.export.drive_module import MODULE, load_module, write_drive_model
 from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
-from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
+from sysid.export.mjcf_bodies import add_bodies, add_tool, heavier_drive, model_names, moved_by, passive_joints
 from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
-from sysid.export.mjcf_joints import add_tool, heavier_drive, moved_by
 from sysid.export.mjcf_servo import MujocoServos, has_servos, write_servos
 from sysid.export.names import MachineNames
-from sysid.export.shipped_run import load_module, write_drive_model
 from sysid.export.standalone import mujoco_robot
 from sysid.export.target import ForceSimulation, Simulation, Start, Support
+from sysid.export.urdf import NOTE
 from sysid.machine.rigid_body import moves_masses
-from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]

@@ -20,19 +20,19 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
+from sysid.export.drive_module import load_module
 from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
-from sysid.export.shipped_run import load_module
 from sysid.export.standalone import mujoco_arm
-from sysid.export.standalone.force_parts import (
+from sysid.export.standalone.mechanical_parts import (
     CoulombFriction,
     Friction,
+    SensorReading,
     SmoothCoulombFriction,
     StribeckFriction,
     ViscousFriction,
 )
-from sysid.export.standalone.joint_parts import SensorReading
-from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant
 from sysid.plant.arm_inertia import ArmInertia, arm_inertia

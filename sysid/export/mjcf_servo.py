@@ -19,14 +19,14 @@ import numpy.typing as npt
 from sysid.effects import first_order_lag
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
-from sysid.export.link_inertia import LinkInertias
+from sysid.export.drive_module import load_module
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
-from sysid.export.shipped_run import load_module
 from sysid.export.standalone import mujoco_servos
-from sysid.export.standalone.joint_parts import SensorReading
+from sysid.export.standalone.mechanical_parts import SensorReading
 from sysid.export.target import Start
-from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.export.urdf import LinkInertias
+from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Model, Plant, chain, compile_plant
 from sysid.plant.arm_dynamics import mass_ratios

@@ -12,15 +12,23 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
-from sysid.export.drive_module import MODULE
-from sysid.export.effect_table import write_effect_table
-from sysid.export.link_inertia import NOTE
+from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames
-from sysid.export.shipped_run import load_module, true_signals, write_drive_model
 from sysid.export.target import Simulation, Start, Support, support_of
-from sysid.export.urdf_text import END_EFFECTOR, joint_values
-from sysid.export.usd_actuators import actuator_path, is_native, write_drive, write_follower
-from sysid.export.usd_stage import ANCHOR, SCENE, joint_path, link_path, mimics, usd_names, write_bodies
+from sysid.export.urdf import END_EFFECTOR, NOTE, joint_values
+from sysid.export.usd_stage import (
+    ANCHOR,
+    SCENE,
+    actuator_path,
+    is_native,
+    joint_path,
+    link_path,
+    mimics,
+    usd_names,
+    write_bodies,
+    write_drive,
+    write_follower,
+)
 from sysid.plant import Plant
 from sysid.signals import point_signals
 

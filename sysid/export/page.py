@@ -11,10 +11,9 @@ from sysid.display import quantity
 from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
-from sysid.export.force_replay import RUN
 from sysid.export.names import Renamed
 from sysid.export.posterior import RANGES, SAMPLES, WARNING
-from sysid.export.replay import ROUNDING, SHARE, Replay
+from sysid.export.replay import ROUNDING, RUN, SHARE, Replay
 from sysid.export.target import Target
 from sysid.machine import KnownEffect
 from sysid.plant import Plant

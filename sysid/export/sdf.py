@@ -12,13 +12,10 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.errors import SettingsError
-from sysid.export.drive_module import MODULE
-from sysid.export.effect_table import write_effect_table
-from sysid.export.link_inertia import NOTE, link_inertias
+from sysid.export.drive_module import MODULE, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames, Names, scoped
-from sysid.export.shipped_run import write_drive_model
 from sysid.export.target import Simulation, Support, support_of
-from sysid.export.urdf_text import END_EFFECTOR, FIXED_WORLD, WORLD, urdf_names, urdf_of, xml_text
+from sysid.export.urdf import END_EFFECTOR, FIXED_WORLD, NOTE, WORLD, link_inertias, urdf_names, urdf_of, xml_text
 from sysid.foreign import shown
 from sysid.plant import Plant
 

@@ -1,7 +1,7 @@
 """Many machines of one type: differing effects, drifting parameters.
 
-Reading order: ``effects`` (what is compared), ``estimates`` (values in every recording), ``differences`` (between machines),
-``drift`` (over time), ``workflow`` (all of it), ``watching`` (one machine, as its logs arrive), ``result``.
+Reading order: ``effects`` (what is compared), ``estimates`` (names on a machine, values in every recording), ``differences``
+(between machines), ``drift`` (over time), ``workflow`` (all of it), ``watching`` (one machine, as its logs arrive), ``result``.
 """
 
 from sysid.fleet.result import FleetResult

@@ -129,12 +129,6 @@ def standardised(values: Array, deviations: Array) -> Array:
     return out
 
 
-def cumulative_sum(residuals: Array, interval: float) -> int | None:
-    """Recording at which the cumulative sum of either sign first crosses the decision interval; None if it does not."""
-    beyond = np.flatnonzero(cumulative_sums(residuals) > interval)
-    return int(beyond[0]) if len(beyond) else None
-
-
 def cumulative_sums(residuals: Array) -> Array:
     """The larger of both one-sided cumulative sums at every recording, (r,); NaN counts as no recording."""
     sums = np.zeros(len(residuals))

@@ -23,10 +23,9 @@ from sysid.fleet.arrivals import QUIET_S, Arrivals, SeenLogs, take_in
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import Drift, drifts
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
-from sysid.fleet.estimates import estimate
-from sysid.fleet.machines import exact_references
-from sysid.fleet.names import name_effects, plant_sha256
+from sysid.fleet.estimates import estimate, name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
+from sysid.fleet.workflow import exact_references
 from sysid.foreign import MAX_NAME, visible
 from sysid.names import check_dataset_name, uncut_name
 from sysid.numbers import NonNegative

@@ -1,4 +1,6 @@
-"""The gap workflow over the machines of a fleet: names, values by recording, differences, drifts."""
+"""The gap workflow over the machines of a fleet, one dataset each, all of one type: names, values by recording, differences,
+drifts.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,51 @@ from sysid.execution import Executor, LocalExecutor
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import drifts, since_last_change
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
-from sysid.fleet.machines import exact_references
-from sysid.fleet.names import name_effects
+from sysid.fleet.estimates import name_effects
 from sysid.fleet.result import FleetMachine, FleetResult
+from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, part, silent
-from sysid.workspace import open_workspace
+from sysid.workspace import Workspace, open_workspace
+
+
+def exact_references(place: Workspace, references: Sequence[str]) -> list[str]:
+    """The exact dataset versions of machines of one type.
+
+    Raises:
+        SettingsError: no machine, one that is named twice, or machines of different types.
+    """
+    if not references:
+        raise SettingsError("fleet", "no machine", "the dataset of at least one")
+    exact: dict[str, Machine] = {}
+    for reference in references:
+        dataset, machine = described(place, reference)
+        if dataset.partition("@")[0] in {other.partition("@")[0] for other in exact}:
+            raise SettingsError("fleet", f"{dataset.partition('@')[0]} twice", "one dataset for each machine")
+        exact[dataset] = machine
+        first, kind = next(iter(exact.items()))
+        if _type_of(machine) != _type_of(kind):
+            raise SettingsError(
+                f"fleet: {dataset}", f"axes {_words(machine)}", f"those of {first}: {_words(kind)}",
+                "Compare machines of one type.",
+            )  # fmt: skip
+    return list(exact)
+
+
+def described(place: Workspace, reference: str) -> tuple[str, Machine]:
+    """The exact dataset version and its machine, from the manifest: no table is read."""
+    manifest = place.datasets.manifest(reference)
+    exact = f"{manifest['name']}@{manifest['version']}"
+    return exact, machine_from_files(manifest["machine"], f"dataset {exact}")
+
+
+def _type_of(machine: Machine) -> tuple[tuple[str, str, str], ...]:
+    """What machines of one type share: axes with their actuation and what it drives."""
+    return tuple((axis.name, axis.actuation, axis.drives) for axis in machine.axes)
+
+
+def _words(machine: Machine) -> str:
+    return ", ".join(f"{axis.name} ({axis.actuation}, {axis.drives})" for axis in machine.axes)
+
 
 #: Accepted false alarms of drift for each machine, in 1000 hours of recorded motion.
 FALSE_ALARMS = 1.0

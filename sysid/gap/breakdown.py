@@ -24,7 +24,7 @@ from sysid.machine import Machine
 from sysid.plant import Model, free_run, gravity_load
 from sysid.plant.model import measured_point
 from sysid.signals import axis_signal, point_signals, split_signal
-from sysid.validate.binning import SPEED_WINDOW, Cut, direction_of, edges_of, explained, per_second, places_in, speed_of
+from sysid.validate.error_analysis import SPEED_WINDOW, Cut, direction_of, edges_of, explained, per_second, places_in, speed_of
 
 Array = npt.NDArray[np.float64]
 #: (stage, target) → change of the prediction (n, d) when that stage is simulated too.

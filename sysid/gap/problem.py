@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.roles.motion import MOVED_SHARE, travel_of
-from sysid.datasets.roles.needs import MIN_POSES, is_pose_set, measured_together, poses_together
-from sysid.datasets.roles.shortage import ROLES
+from sysid.datasets.roles.needs import MIN_POSES, ROLES, is_pose_set, measured_together, poses_together
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
 from sysid.gap.arm.forces import ArmForces

@@ -18,8 +18,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.ulog import LARGEST_NS, MOST, silent
 from sysid.names import listed
 from sysid.units import si_factor

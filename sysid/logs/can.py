@@ -17,10 +17,8 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.can_frames import Address, FrameLog, Frames, read_frames
-from sysid.logs.can_ranges import is_j1939, measured
-from sysid.logs.can_signals import decode, load_database, selected, switch_of
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.can_signals import decode, is_j1939, load_database, measured, selected, switch_of
+from sysid.logs.reader import ReadOptions, Stream
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal

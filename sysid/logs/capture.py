@@ -15,8 +15,7 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError
-from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ALL, ReadOptions, Stream
 from sysid.logs.table import CUT_ROW, text_chunks, without_line_end
 from sysid.names import listed
 from sysid.units import si_factor

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.logs.growing import GrowingArray
 from sysid.logs.limits import Budget
 from sysid.logs.table import Table
+from sysid.logs.topic_columns import GrowingArray
 from sysid.units import is_unit, si_factor, split_header
 
 #: Lists that are parsed at a time, and the longest unit in a cell.

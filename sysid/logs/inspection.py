@@ -15,9 +15,8 @@ from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
 from sysid.logs.labels import without_repeats
 from sysid.logs.motive import unstated
-from sysid.logs.reader import LogReader, ReadOptions
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.readers import reader_for, reader_named
-from sysid.logs.stream import Stream
 from sysid.logs.table import NO_TIME, TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS

@@ -18,8 +18,7 @@ from sysid.errors import InputError
 from sysid.logs.cells import CellColumn
 from sysid.logs.layout import MAX_ELEMENTS
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.table import Table, is_time, table_stream
 
 #: Character before a value → memory of the objects after it [B].

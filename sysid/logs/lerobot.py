@@ -18,8 +18,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.labels import bracketed
 from sysid.logs.limits import MAX_TEXT
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]

@@ -1,12 +1,15 @@
-"""Limits of reading one log file.
+"""Limits of reading one log file, and detection of files that are cut between two records.
 
-A damaged or hostile file must not fill the memory or take hours, so every size that it states is checked before it is used.
+A damaged or hostile file must not fill the memory or take hours, so every size that it states is checked before it is used. A
+cut is found by the length that the head or other parts of the file state.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -199,3 +202,45 @@ def _checked(data: bytes, size: int, cut_off: bool) -> bytes:
     if len(data) < size and not cut_off:
         raise ValueError(f"{len(data)} bytes instead of the {size} that the file states")
     return data
+
+
+#: Of a BLF file: signature, header size, application and its version, version of the library, size of the file.
+_BLF_HEAD = struct.Struct("<4sL8xQ")
+
+
+def cut_blf(path: Path) -> tuple[str, ...]:
+    """A note where a BLF file is shorter than its head states; a recorder that was killed leaves no length there."""
+    with path.open("rb") as file:
+        head = file.read(_BLF_HEAD.size)
+    if len(head) < _BLF_HEAD.size:
+        return ()
+    _, _, stated = _BLF_HEAD.unpack(head)
+    found = path.stat().st_size
+    return (f"{path.name}: the file is cut off: {found} of {stated} bytes are there",) if found < stated else ()
+
+
+def missing_frames(path: Path, stated: str, found: int) -> tuple[str, ...]:
+    """A note where there are fewer frames than the head states.
+
+    Args:
+        stated: text of the head; empty or no number where it states nothing.
+    """
+    text = stated.strip()
+    if not (text.isascii() and text.isdigit() and len(text) < 16) or int(text) <= found:
+        return ()
+    return (f"{path.name}: the file is cut off: {found} of {int(text)} frames are there",)
+
+
+def uneven_sections(path: Path, last_frames: Iterable[tuple[str, float]]) -> tuple[str, ...]:
+    """A note where one part of a trial ends before another.
+
+    Args:
+        last_frames: name of each part and the number of its last frame.
+    """
+    ends = list(last_frames)
+    latest = max((frame for _, frame in ends), default=0.0)
+    return tuple(
+        f"{path.name}: the file is cut off: {name} ends at frame {frame:.0f}, other sections at {latest:.0f}"
+        for name, frame in ends
+        if frame < latest
+    )

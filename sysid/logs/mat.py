@@ -17,8 +17,7 @@ from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.mat_file import MatError, MatVariable, find_variables, read_variables
-from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ALL, ReadOptions, Stream
 from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
 
 _WHAT = "a MATLAB file"

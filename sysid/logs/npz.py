@@ -19,8 +19,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ALL, ReadOptions, Stream
 from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
 from sysid.parse import parse_json
 

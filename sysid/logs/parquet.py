@@ -12,8 +12,7 @@ import numpy.typing as npt
 from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ALL, ReadOptions, Stream
 from sysid.logs.table import Columns, Table, is_time, is_wanted, table_stream
 from sysid.units import split_header
 

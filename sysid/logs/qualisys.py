@@ -27,8 +27,7 @@ from sysid.logs.capture import (
     unique_names,
     without_lost,
 )
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 _WHAT = "a Qualisys TSV export"

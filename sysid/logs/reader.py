@@ -1,15 +1,70 @@
-"""The interface of a log reader, and its options."""
+"""The interface of a log reader: its options, the streams that it gives, and reading in a process of its own
+(:mod:`sysid.confined`), with the memory and processor time of the log's budget.
+
+A stream is the samples of one sensor or controller in one file, with their own stamps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+import numpy.typing as npt
+
+from sysid.confined import confined
 from sysid.errors import InputError, nearest
 from sysid.logs.limits import MAX_TEXT, Budget, check_file
-from sysid.logs.stream import Stream
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One table of one log file, before any alignment.
+
+    Args:
+        name: topic, rigid body, or file stem; unique within its file.
+        source: the file it was read from.
+        stamps: clock name (``log``, ``publish``, ``header``, ``capture``) → int64 nanoseconds, each (n,).
+        columns: field name → float64 values (n,), NaN where the file has none.
+        units: field name → unit as the file states it; a field without an entry has none stated.
+        losses: what could not be read, as sentences for the quality report.
+        fields: every field of the file, where only some were read; empty where all were.
+        kind: message type, where the file names one.
+        unread: name of a column of a table that has no numbers → what it has instead.
+    """
+
+    name: str
+    source: Path
+    stamps: Mapping[str, npt.NDArray[np.int64]]
+    columns: Mapping[str, npt.NDArray[np.float64]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    losses: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    kind: str = ""
+    unread: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.stamps.values())))
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The columns without numbers, as sentences; of many the first three and the number of the others."""
+        found = tuple(f"column {name!r} left out: {reason}" for name, reason in self.unread.items())
+        return found if len(found) <= 4 else (*found[:3], f"{len(found) - 3} more columns without numbers left out")
+
+    def on_clock(self, clock: str | None) -> npt.NDArray[np.int64]:
+        """The stamps of a clock, (n,) [ns]; None: of the first.
+
+        Raises:
+            InputError: the stream does not have that clock.
+        """
+        if clock is not None and clock not in self.stamps:
+            why = next((f" ({loss})" for loss in self.losses if f"no clock {clock!r}" in loss), "")
+            remedy = f'Set `clock = "{next(iter(self.stamps))}"` in the recipe.'
+            raise InputError(f"{self.source}: {self.name}", f"no {clock!r} stamps{why}", nearest(clock, self.stamps), remedy)
+        return self.stamps[clock if clock is not None else next(iter(self.stamps))]
 
 
 @dataclass(frozen=True)
@@ -101,3 +156,15 @@ class LogReader(Protocol):
             InputError: the file is empty, not of this format or version, or takes more than its budget.
         """
         ...
+
+
+def read_confined(reader: LogReader, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+    """``reader.read(path, options)`` in a process of its own.
+
+    Raises:
+        InputError: as of the reader; it took more than its budget, or crashed.
+    """
+    limits = options.budget_of(path, "a log file", None).limits
+    return confined(
+        lambda report: reader.read(path, replace(options, progress=report)), path, limits, (Stream,), options.progress
+    )

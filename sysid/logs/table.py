@@ -14,8 +14,7 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError, nearest
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.time_unit import FEWEST, SECONDS, TimeUnit, as_unit, days_origin, likely_units
 from sysid.units import si_factor, split_header
 

@@ -11,15 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, nearest
-from sysid.logs.cdr import ColumnDecoder
-from sysid.logs.growing import GrowingArray
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions
+from sysid.logs.messages import ColumnDecoder, RowDecoder, parse_json, protobuf_parser
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.rosmsg import parse_definition, parse_idl
-from sysid.logs.rows import RowDecoder, parse_json, protobuf_parser
-from sysid.logs.stream import Stream
-from sysid.logs.topic_columns import TopicColumns
+from sysid.logs.topic_columns import GrowingArray, TopicColumns
 
 #: Number of messages of each topic of which ``preview`` reads the values; of later ones it reads only the stamps.
 PREVIEW = 20_000

@@ -15,8 +15,7 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import length_factor, number_rows, separator_of, text_lines, unique_names, without_lost
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 _WHAT = "a TRC file of motion capture"

@@ -22,8 +22,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.names import listed
 
 MAGIC = b"ULog\x01\x12\x35"

@@ -17,9 +17,8 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import Array, number_of, number_rows, separator_of, text_lines, without_lost
-from sysid.logs.cut_off import uneven_sections
-from sysid.logs.reader import ReadOptions
-from sysid.logs.stream import Stream
+from sysid.logs.limits import uneven_sections
+from sysid.logs.reader import ReadOptions, Stream
 from sysid.logs.table import to_ns
 from sysid.units import si_factor
 

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
-from sysid.machine.mimic import Mimic, followed, parse_mimic, resolved
-from sysid.machine.urdf_tree import ENDS, KINDS, MOVING, urdf_tree
+from sysid.machine.urdf_tree import ENDS, KINDS, MOVING, Mimic, followed, parse_mimic, resolved, urdf_tree
 from sysid.numbers import Finite, NonNegative, end_stops, number
 
 Array = npt.NDArray[np.float64]

@@ -1,7 +1,11 @@
-"""Checked parsing of a URDF: joints form one tree, size is bounded, numbers are valid, data without meaning is removed.
+"""Checked parsing of a URDF: joints form one tree, size is bounded, numbers are valid, data without meaning is removed; and
+passive joints, ``<mimic joint="m" multiplier="r" offset="z"/>``, which make a joint follow another, ``q = r·q_m + z``.
 
 Readers of parts of it (kinematics, bodies of the PyBullet world, drawn shapes, exports) rely on these checks. Prefixes of names
 (``gazebo:``, ``drake:``) are part of the name whether they are declared or not, as in ``urdfdom``.
+
+Parallel linkages (palletisers, excavator buckets) are written with passive joints in a URDF, which only has trees. A passive
+joint may follow another passive one.
 
 Source: URDF specification (ROS wiki, ``urdf/XML``): a fixed joint has neither axis, limits, dynamics nor mimic, a continuous
 one no end stops.
@@ -9,8 +13,10 @@ one no end stops.
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NoReturn
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -18,7 +24,7 @@ from xml.parsers import expat
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.names import listed
 from sysid.numbers import LARGEST, Finite, NonNegative, Positive, number
@@ -285,3 +291,64 @@ def _check_tree(root: Element) -> None:
         raise SettingsError("urdf", without, "one root link", remedy)
     if not roots:
         raise SettingsError("urdf", "no link", "the links of a machine")
+
+
+#: Attributes of the element and their default values.
+_NUMBERS = (("multiplier", "1"), ("offset", "0"))
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """``q = ratio·q_master + offset`` [rad or m]."""
+
+    master: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
+def parse_mimic(element: Element, joint: str) -> Mimic | None:
+    """The ``mimic`` of a joint element; None without one.
+
+    Raises:
+        SettingsError: no master, or a multiplier or offset that is not a finite number.
+    """
+    found = element.find("mimic")
+    if found is None:
+        return None
+    where = f"urdf: joint {joint!r}: mimic"
+    if not found.get("joint"):
+        raise SettingsError(where, "no joint", 'joint="<the joint that it follows>"')
+    ratio, offset = (number(found.get(key, default), Finite, f"{where}: {key}") for key, default in _NUMBERS)
+    return Mimic(str(found.get("joint")), ratio, offset)
+
+
+def resolved(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic:
+    """The joint that moves by itself and that ``joint`` finally follows; itself where it is not passive.
+
+    Args:
+        mimics: of all joints of the URDF.
+
+    Raises:
+        SettingsError: an unknown master, or joints that follow each other in a cycle.
+    """
+    name, ratio, offset, seen = joint, 1.0, 0.0, [joint]
+    while (step := mimics[name]) is not None:
+        where = f"urdf: joint {name!r}: mimic"
+        if step.master not in mimics:
+            close = difflib.get_close_matches(step.master, mimics, n=1, cutoff=0.0)[0]
+            remedy = f'Write joint="{close}", if that is the one, or remove the <mimic>.'
+            raise SettingsError(where, f"unknown joint {step.master!r}", nearest(step.master, mimics), remedy)
+        ratio, offset = ratio * step.ratio, ratio * step.offset + offset
+        name = step.master
+        if name in seen:
+            raise SettingsError(where, f"a cycle: {' → '.join([*seen, name])}", "a joint that an axis moves at the end")
+        seen.append(name)
+    return Mimic(name, ratio, offset)
+
+
+def followed(joint: str, mimics: Mapping[str, Mimic | None]) -> Mimic | None:
+    """As :func:`resolved`; None where it follows a joint that does not exist, or a cycle."""
+    try:
+        return resolved(joint, mimics)
+    except SettingsError:
+        return None

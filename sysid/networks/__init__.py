@@ -4,11 +4,10 @@ from sysid.networks.actuator import ActuatorNetwork, fit_actuator
 from sysid.networks.artifacts import Model, from_files, history_networks, motion_networks, static_networks, to_files
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
-from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import ForwardModel, ForwardNetwork, fit_forward_network
 from sysid.networks.geometry import Geometry
 from sysid.networks.history import HistoryNetwork, fit_history
-from sysid.networks.member import EnsembleMember, TrainedMember, TrainingSettings
+from sysid.networks.member import Checkpoints, EnsembleMember, TrainedMember, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.motion import MotionNetwork, fit_motion
 from sysid.networks.recipe import (

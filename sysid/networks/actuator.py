@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
-from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
+from sysid.networks.member import Checkpoints, EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import SignalRows, gather, joined, measures, segments, stratified_sample, thin

@@ -16,8 +16,7 @@ from sysid.errors import StoreError, nearest
 from sysid.machine.kinematics import Kinematics
 from sysid.networks import cell
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
-from sysid.networks.calibration import Calibration
-from sysid.networks.calibration_files import put_result, take_result
+from sysid.networks.calibration import Calibration, put_result, take_result
 from sysid.networks.chain import FittedChain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry

@@ -1,17 +1,25 @@
 """Kinematic calibration from poses: geometry, elasticity, frame and markers of a URDF, with intervals and identifiability.
 
 All parameters are estimated together. Geometry, frame and markers are always free; scales of readings, joint compliances and
-lateral compliances only where the evidence of the poses supports them (:mod:`sysid.networks.geometry_evidence`). The posterior
-covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not determined.
+lateral compliances only where the evidence of the poses supports them (:mod:`sysid.networks.pose_fit`). The posterior
+covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not determined. Beside the
+selected model stand others with their evidence, and their errors on poses that the fit has not seen: every model is fitted anew
+in each of :data:`FOLDS` folds of the poses, the selection of optional parameters included.
+
+Combinations of parameters that poses do not determine follow from the Jacobian, scaled by noise and prior. A right singular
+vector whose singular value is below one is a combination about which the poses contain less information than the prior: only
+sums that are orthogonal to it are determined.
 
 Sources: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016); geometric and elastic parameters together:
 Khalil and Besnard, IEEE Trans. Robot. Autom. 18 (2002), 915–922; Nubiola and Bonev, Robot. Comput.-Integr. Manuf. 29 (2013),
-236–245.
+236–245; singular values of the scaled identification Jacobian as measure of identifiability: Hollerbach and Wampler, Int. J.
+Robot. Res. 15 (1996), 573–591.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -19,17 +27,164 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import ExcitationError
-from sysid.networks.calibration_models import ComparedModel, compared, selected_fit
-from sysid.networks.folded import FoldedChain
+from sysid.networks.calibrated_chain import FoldedChain, GeometryParameter
 from sysid.networks.geometry import Geometry
-from sysid.networks.geometry_evidence import Support
-from sysid.networks.geometry_parameters import GeometryParameter
-from sysid.networks.identifiability import Combination, non_identifiable
-from sysid.networks.pose_fit import PoseSet
-from sysid.networks.registration import registered
+from sysid.networks.pose_fit import PoseFit, PoseSet, SubsetEvidence, Support, fit_poses, registered
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class ComparedModel:
+    """A model beside others.
+
+    Args:
+        parameters: number of its parameters.
+        log_evidence: relative to the selected model [nats]; None where its parameters are not among the compared subsets.
+        held_out_rmse, held_out_median: distance between measured and predicted points of poses that the fit has not seen [m].
+        worse, standard_error: mean over poses of its squared held-out error less the selected model's [m²].
+    """
+
+    name: str
+    parameters: int
+    log_evidence: float | None
+    held_out_rmse: float
+    held_out_median: float
+    worse: float
+    standard_error: float
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @staticmethod
+    def from_json(entry: Mapping[str, Any]) -> ComparedModel:
+        return ComparedModel(**entry)
+
+
+def selected_fit(
+    geometry: Geometry, poses: PoseSet, elastic: bool = True, start: PoseFit | None = None
+) -> tuple[PoseFit, SubsetEvidence]:
+    """The fit with the optional parameters that the poses support, and the evidence that selected them.
+
+    Args:
+        start: fit to begin at, of other poses of the same machine.
+    """
+    allowed = np.ones(len(geometry.parameters), dtype=bool) if elastic else ~geometry.elastic
+    stated = bool(np.isfinite(poses.point_noise).all())
+    first = fit_poses(geometry, poses, ~geometry.optional) if start is None else start
+    fit = fit_poses(geometry, poses, allowed, first.values, first.scale)
+    evidence = SubsetEvidence(fit, stated)
+    free = ~geometry.optional
+    free[list(evidence.selected())] = True
+    return fit_poses(geometry, poses, free, fit.values, fit.scale), evidence
+
+
+def compared(fit: PoseFit, poses: PoseSet, evidence: SubsetEvidence, elastic: bool) -> tuple[ComparedModel, ...]:
+    """The selected model first, then the others from the smallest to the largest."""
+    geometry = fit.geometry
+    best = _members(fit.free, geometry)
+    errors = {"selected": _held_out(poses, lambda part: selected_fit(geometry, part, elastic, fit)[0])}
+    subsets: dict[str, tuple[int, float | None]] = {"selected": (int(fit.free.sum()), 0.0)}
+    for name, free in _alternatives(geometry, elastic).items():
+        errors[name] = _held_out(poses, lambda part, free=free: fit_poses(geometry, part, free, fit.values, fit.scale))  # type: ignore[misc]
+        whole = bool((free | geometry.optional).all())
+        relative = evidence(_members(free, geometry)) - evidence(best) if whole else None
+        subsets[name] = (int(free.sum()), relative)
+    own = np.nansum(errors["selected"] ** 2, axis=(1, 2))
+    found = []
+    for name, each in errors.items():
+        distance = np.sqrt((each**2).sum(axis=2))
+        worse = np.nansum(each**2, axis=(1, 2)) - own
+        found.append(
+            ComparedModel(
+                name,
+                *subsets[name],
+                float(np.sqrt(np.nanmean(distance**2))),
+                float(np.nanmedian(distance)),
+                float(worse.mean()),
+                float(worse.std() / np.sqrt(len(worse))),
+            )
+        )
+    return tuple(found)
+
+
+def _alternatives(geometry: Geometry, elastic: bool) -> dict[str, Mask]:
+    """Parameters of the models that are compared with the selected one."""
+    kinds = np.array([parameter.kind for parameter in geometry.parameters])
+    frame = np.array([p.kind == "point" or (p.kind == "displacement" and p.joint == 0) for p in geometry.parameters])
+    rigid = ~geometry.optional
+    found = {"frame and markers": frame, "geometry": rigid, "geometry, scales": rigid | (kinds == "scale")}
+    if elastic:
+        found["geometry, compliance"] = rigid | (kinds == "compliance")
+    return found
+
+
+def _members(free: Mask, geometry: Geometry) -> frozenset[int]:
+    return frozenset(np.flatnonzero(free & geometry.optional).tolist())
+
+
+def _held_out(poses: PoseSet, fitted: Callable[[PoseSet], PoseFit]) -> Array:
+    """Measured − predicted points (n, points, 3) [m], each pose predicted by a fit of the other folds."""
+    errors = np.empty_like(poses.points)
+    fold = np.random.default_rng(0).permutation(len(poses)) % FOLDS
+    for number in range(FOLDS):
+        held = np.flatnonzero(fold == number)
+        fit = fitted(poses.take(np.flatnonzero(fold != number)))
+        errors[held] = poses.points[held] - fit.geometry.points(poses.q[held], fit.values)
+    return errors
+
+
+Combination = tuple[tuple[str, float], ...]
+
+#: A combination is non-identifiable where the information of the poses is less than that of the prior.
+MAX_INFORMATION = 1.0
+#: Components of a combination below this share of the largest are not listed.
+MIN_COMPONENT = 0.1
+
+
+def non_identifiable(parameters: Sequence[GeometryParameter], information: Array) -> tuple[Combination, ...]:
+    """Basis of the non-identifiable combinations, in reduced echelon form so that each has few parameters.
+
+    Args:
+        parameters: estimated ones; ``information``: of the poses about them, in units of their priors.
+
+    Returns:
+        Of each combination the parameters and their weights in SI.
+    """
+    strengths, directions = np.linalg.eigh(information)
+    basis = directions[:, strengths < MAX_INFORMATION].T.copy()
+    found = []
+    for row in _reduced_echelon(basis):
+        found.append(
+            tuple(
+                (parameter.key, float(part * parameter.prior))
+                for parameter, part in zip(parameters, row, strict=True)
+                if abs(part) >= MIN_COMPONENT * np.abs(row).max()
+            )
+        )
+    return tuple(found)
+
+
+def _reduced_echelon(basis: Array) -> Array:
+    """Reduced row echelon form with pivots by size: each row has a parameter that no other row has."""
+    rows = basis.copy()
+    taken: list[int] = []
+    for at in range(len(rows)):
+        size = np.abs(rows[at:]).copy()
+        size[:, taken] = 0.0
+        pivot_row, pivot = np.unravel_index(int(np.argmax(size)), size.shape)
+        rows[[at, at + int(pivot_row)]] = rows[[at + int(pivot_row), at]]
+        rows[at] /= rows[at, pivot]
+        for other in range(len(rows)):
+            if other != at:
+                rows[other] -= rows[other, pivot] * rows[at]
+        taken.append(int(pivot))
+    return rows
+
+
 Status = Literal["determined", "partly determined", "not determined"]
 
 #: Least number of poses.
@@ -197,3 +352,25 @@ def calibrate_poses(geometry: Geometry, poses: PoseSet, elastic: bool = True, co
     combinations = non_identifiable(estimated, information)
     models = compared(fit, poses, evidence, elastic) if compare else ()
     return Calibration(geometry, fit.values, covariance, noise, combinations, fit.free, evidence.support(members), models)
+
+
+def put_result(calibration: Calibration) -> dict[str, Any]:
+    """Entries for JSON: combinations, parameters of the model, their supports, comparison with other models."""
+    keys = [parameter.key for parameter in calibration.geometry.parameters]
+    supports = calibration.supports or {}
+    return {
+        "open": [[list(part) for part in combination] for combination in calibration.non_identifiable],
+        "free": [key for key, free in zip(keys, calibration.estimated, strict=True) if free],
+        "supports": {keys[index]: [support.gain, support.alternative] for index, support in supports.items()},
+        "models": [model.to_json() for model in calibration.models],
+    }
+
+
+def take_result(entry: Mapping[str, Any], calibration: Calibration) -> Calibration:
+    """The calibration with the entries of :func:`put_result`; a version of an earlier release has only the combinations."""
+    keys = [parameter.key for parameter in calibration.geometry.parameters]
+    combinations = tuple(tuple((str(key), float(weight)) for key, weight in part) for part in entry["open"])
+    free = np.isin(keys, entry["free"]) if "free" in entry else calibration.estimated
+    supports = {keys.index(key): Support(float(gain), other) for key, (gain, other) in entry.get("supports", {}).items()}
+    models = tuple(ComparedModel.from_json(model) for model in entry.get("models", ()))
+    return replace(calibration, non_identifiable=combinations, free=free, supports=supports, models=models)

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
 from sysid.networks.chain import product_names, products
-from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import EnsembleMember, LearningCurve
+from sysid.networks.member import Checkpoints, EnsembleMember, LearningCurve
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import SignalRows, gather, segments, thin

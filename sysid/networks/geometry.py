@@ -24,11 +24,21 @@ import numpy.typing as npt
 from scipy.stats import qmc
 
 from sysid.machine.kinematics import GRAVITY, Kinematics
-from sysid.networks import geometry_parameters as sizes
-from sysid.networks.elastic_chain import ElasticChain, ElasticJoint
-from sysid.networks.folded import FoldedChain, FoldedJoint
-from sysid.networks.geometry_parameters import GeometryParameter
-from sysid.networks.moving_joint import MovingJoint, cross, exp, exps, left_jacobian, moving_joints, point_on
+from sysid.networks import calibrated_chain as sizes
+from sysid.networks.calibrated_chain import (
+    ElasticChain,
+    ElasticJoint,
+    FoldedChain,
+    FoldedJoint,
+    GeometryParameter,
+    MovingJoint,
+    cross,
+    exp,
+    exps,
+    left_jacobian,
+    moving_joints,
+    point_on,
+)
 
 Array = npt.NDArray[np.float64]
 

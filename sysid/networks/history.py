@@ -16,8 +16,8 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError, fit_actuator
-from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.history_correction import HistoryCorrection
+from sysid.networks.member import Checkpoints
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.networks.split import RowRange, segments

@@ -16,9 +16,8 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
 from sysid.machine.description import Axis
-from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import is_angle
-from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
+from sysid.networks.member import Checkpoints, EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.motion_inputs import MotionBounds, MotionStretch, Window, horizon_errors, roll, whole_run, window_of
 from sysid.networks.recipe import MotionRecipe, NetworkRecipe

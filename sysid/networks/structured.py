@@ -18,7 +18,6 @@ from sysid.errors import SettingsError
 from sysid.networks import calibration
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
-from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import (
     MIN_POSES,
     ForwardModel,
@@ -31,7 +30,7 @@ from sysid.networks.forward import (
     training_rows,
 )
 from sysid.networks.geometry import Geometry
-from sysid.networks.member import EnsembleMember, LearningCurve
+from sysid.networks.member import Checkpoints, EnsembleMember, LearningCurve
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.training import train

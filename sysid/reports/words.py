@@ -1,13 +1,24 @@
-"""Texts of stages, verdicts, signals and named effects, for reports and the console."""
+"""Texts for reports and the console: stages, verdicts, signals, named effects with their parameters and units, and the reasons
+why an effect was named and its alternatives were rejected.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 import string
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+from sysid import display
 from sysid.effects import BY_NAME
+from sysid.effects.units import parameter_unit
 from sysid.effects.wording import sentences_of, title_of
 from sysid.machine import Machine
+
+if TYPE_CHECKING:
+    from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 
 #: Stage → what is compared, in the order of the signal chain.
 STAGES: dict[str, tuple[str, str]] = {
@@ -77,3 +88,176 @@ def localised(places: list[str]) -> str:
     """The places of the stages with errors, as a sentence."""
     listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")
     return f"Simulation and machine disagree at: {listed}."
+
+
+#: Text for a parameter that the recordings do not determine.
+UNDETERMINED = "not determined"
+_NONE: Mapping[str, str] = {}
+
+
+def shown(
+    effect: str,
+    parameter: str,
+    target: str,
+    value: Any,
+    machine: Machine,
+    digits: int = 3,
+    units: Mapping[str, str] = _NONE,
+) -> str:
+    """A parameter's value with its unit as text; vectors component by component."""
+    unit = parameter_unit(effect, parameter, target, machine, units)
+    if isinstance(value, (list, tuple)):
+        return "(" + ", ".join(display.quantity(float(item), unit, digits) for item in value) + ")"
+    return display.quantity(float(value), unit, digits)
+
+
+def shown_parameters(
+    effect: str, target: str, parameters: Mapping[str, Any], machine: Machine, units: Mapping[str, str] = _NONE
+) -> dict[str, str]:
+    """All parameters of an effect as text."""
+    return {name: shown(effect, name, target, value, machine, units=units) for name, value in parameters.items()}
+
+
+def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str, str]) -> str:
+    """Unit of the unnamed error of a stage: that of the signal that the stage predicts."""
+    if stage == "free_run":
+        return units.get(target) or machine.expected_unit(target) or "1"
+    if target not in machine.axis_names:
+        return units.get(f"{target}.x", "m")
+    if stage == "force":
+        return units.get(f"{target}.command", "N")
+    if stage == "joint":
+        return units.get(f"{target}.joint", "rad")
+    return units.get(machine.axis(target).driven, "m")
+
+
+#: ``backlash(slew, drive)``: effect, target and further qualifiers; ``~`` marks effects that are only refitted.
+LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)(?P<refitted> ~)?")
+_EVIDENCE = re.compile(r"ΔBIC (?P<bic>-?[\d.]+)")
+#: Ratio of errors on selection recordings from which an alternative is worse, and clearly worse.
+WORSE, CLEARLY_WORSE = 1.05, 1.5
+
+
+@dataclass(frozen=True)
+class RejectedEffect:
+    """A rejected alternative; ``times`` is its error on selection recordings over that of the named effect, or NaN."""
+
+    title: str
+    target: str
+    times: float
+    why: str
+
+
+def label_of(text: str) -> tuple[str, str, str, bool]:
+    """``(effect, target, rest, refitted)`` of a candidate's label."""
+    match = LABEL.fullmatch(text)
+    if match is None:
+        return text, "", "", False
+    return match["name"], match["target"], match["rest"] or "", bool(match["refitted"])
+
+
+def with_titles(text: str, machine: Machine) -> str:
+    """The text with ``Servo lag of pitch`` in the place of the label ``first_order_lag(pitch)``."""
+
+    def title(match: re.Match[str]) -> str:
+        return effect_place(match["name"], match["target"], machine) if match["name"] in BY_NAME else match[0]
+
+    return LABEL.sub(title, text)
+
+
+def holds(row: ComparedModel, name: str, target: str) -> bool:
+    """Whether a fitted set contains the effect, not only refitted."""
+    return any(label_of(text)[:2] == (name, target) and not label_of(text)[3] for text in row.effects)
+
+
+def least_error(rows: Iterable[ComparedModel]) -> float:
+    """Smallest error on selection recordings, in noise floors; NaN if nothing was fitted."""
+    errors = [row.selection_rmse for row in rows if math.isfinite(row.selection_rmse)]
+    return min(errors, default=math.nan)
+
+
+def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel], machine: Machine | None = None) -> list[RejectedEffect]:
+    """Every alternative of a named effect, the one with the smallest error first."""
+    stages = {(row.stage, row.target) for row in candidates if holds(row, effect.name, effect.target)}
+    rows = [row for row in candidates if (row.stage, row.target) in stages]
+    smallest = least_error(row for row in rows if holds(row, effect.name, effect.target))
+    found = []
+    for other in effect.alternatives:
+        without = [row for row in rows if not holds(row, effect.name, effect.target)]
+        times = least_error(row for row in without if holds(row, other.name, other.target)) / smallest
+        title, target = effect_title(other.name, other.target, machine), owner_name(other.target)
+        found.append(RejectedEffect(title, target, times, _why(times, other)))
+    return sorted(found, key=lambda item: item.times if math.isfinite(item.times) else math.inf)
+
+
+def _why(times: float, other: Alternative) -> str:
+    if other.rejected_by.startswith("predicts"):
+        return other.rejected_by
+    match = _EVIDENCE.search(other.rejected_by)
+    if match is None and not math.isfinite(times):
+        return other.rejected_by
+    if times >= CLEARLY_WORSE:
+        return f"its best fit leaves {display.ratio(times)} the error on other recordings"
+    if times >= WORSE:
+        return f"its best fit leaves {display.percent(times - 1.0)} more error on other recordings"
+    if match is None:
+        return other.rejected_by
+    against = f"evidence ΔBIC {match['bic']}, where 10 is strong"
+    if math.isfinite(times):
+        return f"similar error over whole recordings, but a worse prediction of blocks ({against})"
+    return f"worse prediction of blocks ({against})"
+
+
+def outcome(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
+    """The result of a fitted set, and whether it was accepted; ``best`` is the smallest error at its stage."""
+    ordinary = {label_of(text)[:2] for text in row.effects if not label_of(text)[3]}
+    times = row.selection_rmse / best if best > 0.0 else math.nan
+    if row.verdict.startswith(("rejected", "no effect", "named", "kept")):
+        return row.verdict, row.verdict.startswith(("named", "kept"))
+    if row.verdict.endswith("nats worse"):
+        return f"predicts {row.verdict}", False
+    if ordinary and ordinary <= set(named) and times < 1.02 and row.verdict.startswith("drops "):
+        name, target, _, _ = label_of(row.verdict.removeprefix("drops "))
+        what = name.replace("_", " ") + (f" of the {owner_name(target)}" if target else "")
+        return f"kept: no worse without {what}", True
+    if ordinary and ordinary <= set(named) and times < 1.02:
+        return "explains it", True
+    if times >= CLEARLY_WORSE:
+        return f"leaves {display.ratio(times)} the error of the best", False
+    if times >= WORSE:
+        return f"leaves {display.percent(times - 1.0)} more error than the best", False
+    if math.isfinite(times):
+        return "about as good, with more effects" if ordinary - set(named) else "about as good", False
+    return "could not be fitted", False
+
+
+def confidence(effect: NamedEffect, candidates: Sequence[ComparedModel], machine: Machine | None = None) -> list[str]:
+    """Evidence for a name, and relative width of its intervals, as sentences."""
+    sentences = []
+    others = rejected(effect, candidates, machine)
+    if others:
+        nearest = others[0]
+        text = f"{len(others)} alternative{'s were' if len(others) > 1 else ' was'} tested"
+        if math.isfinite(nearest.times) and nearest.times >= WORSE:
+            text += f"; the best, {nearest.title.lower()}, leaves {display.ratio(nearest.times)} the error on other recordings"
+        sentences.append(text + ".")
+    width = relative_width(effect)
+    if math.isfinite(width):
+        sentences.append(f"Its value{'s are' if len(effect.given) > 1 else ' is'} known to within ±{_percent(width)}.")
+    return sentences
+
+
+def relative_width(effect: NamedEffect) -> float:
+    """Largest half width of a 95 % interval relative to its value; NaN for values near zero."""
+    widths = []
+    for name, value in effect.given.items():
+        low, high = effect.interval95.get(name, (math.nan, math.nan))
+        if isinstance(value, tuple) or isinstance(low, tuple) or isinstance(high, tuple) or value == 0.0:
+            return math.nan
+        widths.append(0.5 * (float(high) - float(low)) / abs(float(value)))
+    widest = max(widths, default=math.nan)
+    return widest if widest < 1.0 else math.nan
+
+
+def _percent(share: float) -> str:
+    return f"{display.number(100.0 * share, 2)}{display.NARROW_SPACE}%"

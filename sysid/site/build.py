@@ -26,14 +26,10 @@ from sysid.reports.pages import FOLDER as REPORTS
 from sysid.reports.pages import SiteBar, write_page
 from sysid.reports.report import build_report, plot_library
 from sysid.root import Root
-from sysid.site.dataset_page import dataset_page
-from sysid.site.drawing import drawing
-from sysid.site.flight_items import read_flight
-from sysid.site.flight_page import flight_page
-from sysid.site.graph import around, lineage_graph
-from sysid.site.inventory import inventory, manifest_of
+from sysid.site.inventory import inventory, manifest_of, read_flight
 from sysid.site.item import Item
-from sysid.site.workspace_pages import compare_page, index_page, lineage_page
+from sysid.site.lineage import around, drawing, lineage_graph
+from sysid.site.pages import compare_page, dataset_page, flight_page, index_page, lineage_page
 from sysid.workspace import Workspace
 
 #: File of the site that states from what each page was made.

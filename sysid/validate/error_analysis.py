@@ -1,9 +1,14 @@
-"""Error profiles against position, speed and direction, and spikes with their nearest cause."""
+"""Error profiles against position, speed and direction; errors over two variables at a time (two joints, or a joint and its
+speed) in a table of bins with their counts; and spikes with their nearest cause. Bins of a variable, and the share of an
+error's variance that they explain, are also those of the maps of the gap.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +16,66 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.names import uncut_name
 from sysid.networks.split import SignalRows
-from sysid.validate.binning import speed_of
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+#: ``range``: equal bins; ``signed``: symmetric bins, one of which contains zero; ``sign``: a direction, −1, 0 or +1.
+Cut = Literal["range", "signed", "sign"]
+
+#: Number of bins of a signed variable (odd: one of them contains zero), and of others.
+SIGNED_BINS, BINS = 31, 20
+#: Speeds are differences over this time [s]: long against sensor noise, short against a stroke.
+SPEED_WINDOW = 0.2
+#: Below this share of the largest speed an axis counts as at rest.
+STANDING = 0.02
+
+
+def edges_of(values: Array, cut: Cut = "range", bins: int | None = None) -> Array | None:
+    """Edges of the bins, (bins + 1,); None where ``values`` (n,) do not vary.
+
+    Values beyond the 0.5 and 99.5 % percentiles belong to the bins at the ends.
+    """
+    if cut == "sign":
+        return np.array([-1.5, -0.5, 0.5, 1.5])
+    low, high = np.quantile(values, (0.005, 0.995))
+    if cut == "signed":
+        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
+    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
+        return None
+    return np.linspace(low, high, (bins or (SIGNED_BINS if cut == "signed" else BINS)) + 1)
+
+
+def places_in(edges: Array, values: Array) -> Index:
+    """Index of the bin of every value, (n,)."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def explained(error: Array, place: Index, count: Index) -> float:
+    """Share of the variance of the error that the means of the bins explain (correlation ratio η², 0 … 1)."""
+    sums = np.bincount(place, weights=error, minlength=len(count))
+    total = float(np.sum((error - error.mean()) ** 2))
+    between = float(np.sum(sums**2 / np.maximum(count, 1)) - error.sum() ** 2 / len(error))
+    return min(max(between / total, 0.0), 1.0) if total > 0.0 else 0.0
+
+
+def speed_of(values: Array, rate_hz: float, window: float = SPEED_WINDOW) -> Array:
+    """Central differences (n, …) over ``window`` [s], NaN at the ends and beside gaps."""
+    half = max(1, round(0.5 * window * rate_hz))
+    out = np.full(values.shape, np.nan)
+    if len(values) > 2 * half:
+        out[half:-half] = (values[2 * half :] - values[: -2 * half]) * (rate_hz / (2 * half))
+    return out
+
+
+def direction_of(speed: Array) -> Array:
+    """−1, 0 (at rest) or +1; NaN where the speed is NaN."""
+    least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
+    return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
+
+
+def per_second(unit: str) -> str:
+    return f"{unit}/s" if unit != "1" else "1/s"
+
 
 #: Signal → (lower, upper) end [SI].
 Ranges = Mapping[str, tuple[float, float]]
@@ -202,3 +264,85 @@ def _reverses(steps: Array) -> bool:
     travel = np.cumsum(steps)
     turn = float(max(travel.max(), 0.0) - min(travel.min(), 0.0)) - abs(float(travel[-1]))
     return turn > 0.1 * (up + down) and min(up, down) > 0.2 * max(up, down)
+
+
+#: Largest number of bins per variable, and least average number of rows per bin.
+MAX_BINS, ROWS_A_BIN = 10, 6
+#: Largest number of maps of an output: those that explain most.
+MAX_MAPS = 6
+
+
+@dataclass(frozen=True)
+class MapAxis:
+    """One variable of a map: its unit, its values (n,) with NaN where unknown, and its kind of bins."""
+
+    name: str
+    unit: str
+    values: Array
+    cut: Cut = "range"
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """Errors of one output in bins of two variables.
+
+    Args:
+        over, units: the two variables, and their units.
+        edges: of the bins of each, (a + 1,) and (b + 1,).
+        count, rmse, bias: a rows of b bins; NaN in an empty bin, in the unit of the output.
+        explains: share of the error's variance that the means of the bins explain, 0 … 1.
+    """
+
+    over: tuple[str, str]
+    units: tuple[str, str]
+    edges: tuple[tuple[float, ...], tuple[float, ...]]
+    count: tuple[tuple[int, ...], ...]
+    rmse: tuple[tuple[float, ...], ...]
+    bias: tuple[tuple[float, ...], ...]
+    explains: float
+
+    @property
+    def worst(self) -> tuple[int, int]:
+        """The bin with the largest RMSE among those with several rows."""
+        sizes = np.where(np.array(self.count) >= 3, np.array(self.rmse), -1.0)
+        row, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        return int(row), int(column)
+
+
+def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
+    """Maps of ``errors`` (n,) over pairs of axes, those that explain most first, at most :data:`MAX_MAPS`.
+
+    Args:
+        pairs: names of the axes to pair; default: all pairs. A constant variable has no map.
+    """
+    named: Mapping[str, MapAxis] = {axis.name: axis for axis in axes}
+    chosen = list(combinations(named, 2)) if pairs is None else pairs
+    found = [item for a, b in chosen if (item := error_map(errors, named[a], named[b])) is not None]
+    return tuple(sorted(found, key=lambda item: -item.explains)[:MAX_MAPS])
+
+
+def error_map(errors: Array, first: MapAxis, second: MapAxis) -> ErrorMap | None:
+    """Errors over two variables; None where one of them is constant or too few rows have both."""
+    there = np.isfinite(first.values) & np.isfinite(second.values)
+    bins = min(MAX_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))
+    if bins < 2:
+        return None
+    edges = [edges_of(axis.values[there], axis.cut, bins) for axis in (first, second)]
+    if edges[0] is None or edges[1] is None:
+        return None
+    shape = (len(edges[0]) - 1, len(edges[1]) - 1)
+    place = places_in(edges[0], first.values[there]) * shape[1] + places_in(edges[1], second.values[there])
+    own = errors[there]
+    count = np.bincount(place, minlength=shape[0] * shape[1])
+    filled = np.where(count > 0, count, np.nan)
+    bias = np.bincount(place, weights=own, minlength=len(count)) / filled
+    rmse = np.sqrt(np.bincount(place, weights=own**2, minlength=len(count)) / filled)
+    return ErrorMap(
+        over=(first.name, second.name),
+        units=(first.unit, second.unit),
+        edges=(tuple(edges[0].tolist()), tuple(edges[1].tolist())),
+        count=tuple(map(tuple, count.reshape(shape).tolist())),
+        rmse=tuple(map(tuple, rmse.reshape(shape).tolist())),
+        bias=tuple(map(tuple, bias.reshape(shape).tolist())),
+        explains=explained(own, place, count),
+    )

@@ -18,11 +18,19 @@ from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
 from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
-from sysid.validate.binning import per_second
-from sysid.validate.coverage import LEVEL, Coverage, coverage_of
-from sysid.validate.error_analysis import Profile, Ranges, profile, speed_profiles, speeds, spikes
-from sysid.validate.error_maps import ErrorMap, MapAxis, error_maps
-from sysid.validate.metrics import error_metrics
+from sysid.validate.error_analysis import (
+    ErrorMap,
+    MapAxis,
+    Profile,
+    Ranges,
+    error_maps,
+    per_second,
+    profile,
+    speed_profiles,
+    speeds,
+    spikes,
+)
+from sysid.validate.metrics import LEVEL, Coverage, coverage_of, error_metrics
 from sysid.validate.report import OutputReport, Trace
 
 Array = npt.NDArray[np.float64]

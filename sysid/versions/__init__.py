@@ -1,7 +1,6 @@
 """Operations on model versions: promotion by a policy, drift, differences, lineage, cards, ONNX."""
 
-from sysid.versions.card import card_of
-from sysid.versions.card_block import Card
+from sysid.versions.card import Card, card_of
 from sysid.versions.diff import ModelDiff, diff_versions
 from sysid.versions.drift import DriftReport, OutputDrift, drift_of
 from sysid.versions.lineage import ModelLineage, lineage_of

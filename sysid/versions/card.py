@@ -1,36 +1,309 @@
-"""The card of a model version: purpose, errors beside simple models, ranges, limits, provenance, loading.
-
-The blocks are defined in ``card_block``; those of networks and policies are made in ``card_network``, those of error reports in
-``card_report``.
+"""The card of a model version: purpose, errors beside simple models, ranges, limits, provenance, loading; and what it changes
+against the version before, in its predictions or its effects. As Markdown (as HTML: :mod:`sysid.reports.model_pages`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sysid.display import percent
+from sysid.display import interval, percent, quantity
 from sysid.effects import BY_NAME
 from sysid.effects.wording import title_of
-from sysid.networks import Model
+from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
+from sysid.networks.uncertainty import FALSE_FLAGS
+from sysid.quoting import markdown
 from sysid.registry import NETWORKS, ModelVersion
 from sysid.registry.decision import decision_row
-from sysid.registry.effect_changes import effect_value
-from sysid.validate import ValidationReport
-from sysid.versions.card_block import Card, CardBlock
-from sysid.versions.card_network import (
-    network_limits,
-    network_ranges,
-    policy_limits,
-    policy_ranges,
-    what_network,
-    what_policy,
-)
-from sysid.versions.card_report import baselines, error_maps, figures, uncertainty
+from sysid.registry.effect_changes import EffectChange, effect_interval, effect_value
+from sysid.validate import ErrorMap, OutputReport, ValidationReport
+from sysid.versions.diff import ModelDiff, PredictionChange
 from sysid.versions.lineage import ModelLineage
+from sysid.versions.outputs import output_maps
+from sysid.versions.policy import ROWS
+
+
+@dataclass(frozen=True)
+class CardBlock:
+    """One section of a card: paragraphs, a table, code, error maps (output, unit, map); any of them may be empty."""
+
+    title: str
+    text: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    code: str = ""
+    maps: tuple[tuple[str, str, ErrorMap], ...] = ()
+
+
+@dataclass(frozen=True)
+class Card:
+    """A card; ``facts`` is the line under its title."""
+
+    title: str
+    facts: str
+    blocks: tuple[CardBlock, ...]
+
+    def markdown(self) -> str:
+        """The card as Markdown."""
+        parts = [f"# {self.title}", self.facts]
+        for block in self.blocks:
+            parts += [f"## {block.title}", *block.text]
+            if block.rows:
+                lines = [block.header, tuple("---" for _ in block.header), *block.rows]
+                parts.append("\n".join("| " + " | ".join(markdown(cell) for cell in line) + " |" for line in lines))
+            if block.code:
+                parts.append(f"```python\n{block.code}\n```")
+        return "\n\n".join(parts) + "\n"
+
+
+#: Maps per output on the page.
+MAPS_SHOWN = 2
+#: Fewest rows of a region whose coverage is given.
+MIN_REGION_ROWS = 20
+
+
+def figures(report: ValidationReport) -> CardBlock:
+    rows = []
+    for entry in report.outputs:
+        unit, metrics = entry.unit, entry.metrics
+        best = best_simple(entry)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                quantity(metrics.rmse, unit),
+                quantity(metrics.p95, unit),
+                quantity(metrics.max, unit),
+                "–" if entry.noise_floor is None else quantity(entry.noise_floor, unit),
+                "–" if best is None else f"{best}: {quantity(entry.baselines[best].rmse, unit)}",
+            )
+        )
+    recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
+    text = f"On held-out rows of {report.dataset} ({', '.join(recordings)})."
+    texts = (text, report.recommendation) if report.recommendation else (text,)
+    return CardBlock(
+        "Figures", texts, ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows)
+    )
+
+
+def baselines(report: ValidationReport) -> Iterator[CardBlock]:
+    """The RMSE of the network and of every simple model."""
+    names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
+    if not names:
+        return
+    rows = tuple(
+        (
+            f"{entry.output} {ROWS[entry.rows]}",
+            quantity(entry.metrics.rmse, entry.unit),
+            *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
+        )
+        for entry in report.outputs
+    )
+    yield CardBlock("Beside simple models", ("RMSE; all fitted on the same rows.",), ("output", "this version", *names), rows)
+
+
+def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
+    """The worst bin of the first map of each output; the maps are shown on the page."""
+    rows, maps = [], []
+    for entry in report.outputs:
+        for item in entry.maps[:MAPS_SHOWN]:
+            maps.append((f"{entry.output} {ROWS[entry.rows]}", entry.unit, item))
+        if entry.maps:
+            first = entry.maps[0]
+            a, b = first.worst
+            ends = (
+                f"{name} {interval(edges[k], edges[k + 1], unit)}"
+                for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
+            )
+            size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
+            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, percent(first.explains)))
+    if rows:
+        header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
+        yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
+
+
+def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
+    """Coverage of its intervals, and how often it flags extrapolation."""
+    rows = []
+    for entry in report.outputs:
+        if entry.coverage is None:
+            continue
+        found = entry.coverage
+        crowded = [region for region in found.regions if region.count >= MIN_REGION_ROWS]
+        worst = min(crowded, key=lambda region: region.covered, default=None)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                f"± {quantity(found.half_width, entry.unit)}",
+                f"{100.0 * found.covered:.1f} %",
+                "–" if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
+                f"{100.0 * found.flagged:.1f} %",
+            )
+        )
+    if rows:
+        level = next(entry.coverage.level for entry in report.outputs if entry.coverage is not None)
+        text = (
+            f"Its {100.0 * level:g} % intervals (`predict_interval`) on held-out rows, and the share of rows that it flags as "
+            f"extrapolation (`inside`; of rows from the training distribution {100.0 * FALSE_FLAGS:g} %)."
+        )
+        header = ("output", "half width, median", "coverage", "lowest coverage", "flagged")
+        yield CardBlock("Uncertainty", (text,), header, tuple(rows))
+
+
+def best_simple(entry: OutputReport) -> str | None:
+    return min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
+
+
+#: Rectifier → text.
+RECTIFIERS = {"relu": "", "smooth": ", with smooth rectifiers"}
+#: Inputs of a forward network → text.
+FEATURES = {
+    "joints": "joint values",
+    "sincos": "sines and cosines of the angles",
+    "products": "products of sines and cosines of the angles",
+}
+
+
+def what_network(model: Model | None) -> Iterator[str]:
+    if isinstance(model, StructuredForward):
+        from sysid.networks import Calibration
+
+        known = isinstance(model.structure, Calibration)
+        yield (
+            "The URDF's kinematics with its geometry calibrated." if known else "The products of an open chain, without a URDF."
+        )
+        if isinstance(model.structure, Calibration) and model.structure.elastic:
+            yield "Its joints deflect under the weight of the links."
+        if model.members:
+            size = "-".join(map(str, model.members[0].hidden))
+            yield f"{len(model.members)} perceptrons ({size}) correct its position by at most {quantity(model.bound, 'm')}."
+    elif isinstance(model, ForwardNetwork):
+        size = "-".join(map(str, model.members[0].hidden))
+        many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
+        yield f"It is {many} ({size}) of {FEATURES[model.features]}{RECTIFIERS[model.members[0].rectifier]}."
+    elif motions := motion_networks(model) if model is not None else {}:
+        for axis, network in motions.items():
+            seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.members[0].hidden))
+            many = f"the mean of {len(network.members)} perceptrons" if len(network.members) > 1 else "one perceptron"
+            past = "and past speeds" if len(network.window.edges) > 1 else "alone"
+            yield (
+                f"{axis}: {many} ({size}), steps of {network.window.step:g} s, {seconds:g} s of commands {past}. "
+                "Its inputs are those with the smaller free-run error on the selection recordings."
+            )
+    elif model is not None:
+        for axis, item in history_networks(model).items():
+            memories = (item.to_joint, item.to_cylinder)
+            unused = [way for way, memory in zip(("joint", "cylinder"), memories, strict=True) if memory.inactive]
+            note = f"; not used for {' and '.join(unused)}, where it did not reduce the error" if unused else ""
+            yield f"{axis}: a recurrent part of {memories[0].units} units with steps of {memories[0].interval:g} s{note}."
+        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in static_networks(model).items())
+        yield f"Hidden layers: {', '.join(sizes)}."
+
+
+def network_ranges(model: Model) -> CardBlock:
+    found: dict[str, tuple[str, ...]] = {}
+    for answer in output_maps(model):
+        for signal, unit, low, high in zip(answer.inputs, answer.units, answer.low, answer.high, strict=True):
+            found[signal] = (signal, quantity(low, unit, 4), quantity(high, unit, 4))
+    return CardBlock("Ranges that it was fitted on", (), ("input", "from", "to"), tuple(found.values()))
+
+
+def network_limits(model: Model | None, report: ValidationReport | None) -> Iterator[str]:
+    if isinstance(model, StructuredForward):
+        yield "Beyond its ranges the geometry extrapolates; the correction by the perceptrons is bounded."
+        yield "`spread` gives the uncertainty that the poses leave."
+    elif isinstance(model, ForwardNetwork):
+        yield "Beyond its ranges it extrapolates without a bound on the error. " + (
+            "`spread`, the standard deviation of its members, increases there."
+            if len(model.members) > 1
+            else "A single member has no spread: its intervals have the same width everywhere."
+        )
+    elif model is not None and motion_networks(model):
+        yield "A free run stays within the fitted speeds and positions; at a new load or speed its error is unknown."
+        yield "Its parameters have no physical meaning; for named effects use `sysid gap`."
+    elif model is not None and history_networks(model):
+        yield "It needs the motion that led to a position; after a gap its state is reset."
+        yield "Beyond its ranges its static part extrapolates linearly, and its recurrent part is bounded."
+    elif model is not None:
+        yield "It is a static map: effects of direction or speed (backlash, hysteresis) are averaged."
+        yield "Beyond its ranges it extrapolates linearly."
+    if report is not None:
+        worse = [
+            f"{entry.output} {ROWS[entry.rows]} ({best})"
+            for entry in report.outputs
+            if (best := best_simple(entry)) is not None and entry.baselines[best].rmse < entry.metrics.rmse
+        ]
+        if worse:
+            yield f"A simple model has a smaller error in: {', '.join(worse)}."
+        spikes = sorted(((e, s) for e in report.outputs for s in e.spikes), key=lambda pair: -pair[1].sigmas)
+        for entry, spike in spikes[:3]:
+            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause.replace('_', ' ')})"
+            yield f"Among its largest errors: {entry.output} {quantity(spike.error, entry.unit)} at {where}."
+    yield "The evaluation is of the machine at that time: `sysid validate` with newer recordings tests whether it still fits."
+
+
+def what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
+    size = "-".join(map(str, policy.mlp.hidden))
+    yield f"It is a perceptron ({size}) whose tanh outputs are scaled to the limits of the setpoints."
+    recipe = version.lineage.get("recipe", {})
+    exploration, learning = recipe.get("exploration", {}), recipe.get("learning", {})
+    candidates = exploration.get("candidates", 1)
+    how = f"the best of {candidates} candidates by the forward model" if candidates > 1 else "one noisy action a step"
+    yield (
+        f"DDPG, {learning.get('episodes')} episodes, γ {learning.get('discount')}, batch {learning.get('batch')}, "
+        f"explored with {how}; seed {recipe.get('seed')}."
+    )
+
+
+def policy_ranges(policy: PolicyNetwork) -> CardBlock:
+    middle, half = policy.mlp.inputs.mean, policy.mlp.inputs.scale
+    rows = [
+        ("observed", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.inputs, middle - half, middle + half, strict=True)
+    ]
+    rows += [
+        ("setpoint", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.outputs, policy.low, policy.high, strict=True)
+    ]
+    return CardBlock("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
+
+
+def policy_limits(policy: PolicyNetwork) -> Iterator[str]:
+    yield "Setpoints stay within their limits for any observation; beyond the ranges their quality is unknown."
+    if not policy.full:
+        yield "It was trained with joints that follow at once and without sway: delay, lag and sway of the machine add errors."
+    yield "Its baseline is bounded least-squares inverse kinematics on the calibrated geometry: `sysid track` compares them."
+
+
+def changes(found: ModelDiff) -> CardBlock | None:
+    """Predictions of networks, effects of plants; None for other kinds."""
+    title = f"Changed since {found.before}"
+    if found.predictions:
+        about = "Difference of the predictions over the range that both versions were fitted on."
+        header: tuple[str, ...] = ("output", "largest difference", "RMS", "largest at")
+        return CardBlock(title, (about,), header, tuple(map(_prediction, found.predictions)))
+    if found.kind == "plant":
+        header = ("effect", "on", "parameter", "before", "after", "95 % interval")
+        same = () if found.effects else ("The effects are the same.",)
+        return CardBlock(title, same, header, tuple(map(_effect, found.effects)))
+    return None
+
+
+def _prediction(entry: PredictionChange) -> tuple[str, ...]:
+    at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
+    where = at if entry.points else "the fitted ranges do not overlap"
+    return entry.output, quantity(entry.largest, entry.unit), quantity(entry.rms, entry.unit), where
+
+
+def _effect(change: EffectChange) -> tuple[str, ...]:
+    title = title_of(BY_NAME[change.effect], change.target, None) if change.effect in BY_NAME else change.effect
+    before, after = (effect_value(value, change.unit) for value in (change.before, change.after))
+    ends = effect_interval(change.interval95, change.unit)
+    return title, change.target, change.parameter.replace("_", " "), before, after, ends
+
 
 #: Kinds that `sysid models export` writes: networks without history.
 EXPORTED = ("actuator", "motion", "forward")

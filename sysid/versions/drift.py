@@ -3,7 +3,7 @@
 First, rows outside of the fitted ranges are counted and excluded. On the others an output has drifted if its RMSE is
 significantly larger than on the held-out rows, and more than 10 % larger than on the worst recording of its own dataset
 (recordings differ in difficulty, which the significance test does not include). Significance is computed by a block bootstrap
-(:mod:`sysid.validate.bootstrap`) of both sides, because errors of neighbouring rows are correlated, with Holm's correction over
+(:mod:`sysid.validate.metrics`) of both sides, because errors of neighbouring rows are correlated, with Holm's correction over
 the outputs (Scandinavian Journal of Statistics 6 (1979)).
 """
 
@@ -24,7 +24,7 @@ from sysid.names import uncut_name
 from sysid.networks import Model
 from sysid.networks.split import RowRange, SignalRows, gather, measures, segments
 from sysid.networks.uncertainty import within
-from sysid.validate.bootstrap import bootstrap_means
+from sysid.validate.metrics import bootstrap_means
 from sysid.versions.outputs import OutputMap, output_maps
 
 Array = npt.NDArray[np.float64]

@@ -15,9 +15,8 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, link_entity, log_shapes, saved, sdk
+from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, link_entity, link_shapes, log_shapes, saved, sdk
 from sysid.view.layout import blueprint
-from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
 
 #: Camera pictures per second of the machine's time, and their size.

@@ -25,9 +25,7 @@ from sysid.view.drawing import (
     send_piece,
     styles_of,
 )  # fmt: skip
-from sysid.view.findings import WorstMoment, findings_text, log_findings, worst_moments
-from sysid.view.layout import blueprint
-from sysid.view.maps import log_maps
+from sysid.view.layout import WorstMoment, blueprint, findings_text, log_findings, log_maps, worst_moments
 
 
 def write_rerun(

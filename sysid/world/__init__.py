@@ -1,6 +1,5 @@
 """PyBullet simulation of a plant version: rigid bodies with a hanging tool, contact with ground and logs, and a camera."""
 
-from sysid.world.scene import Log
-from sysid.world.world import World, WorldState
+from sysid.world.world import Log, World, WorldState
 
 __all__ = ["Log", "World", "WorldState"]

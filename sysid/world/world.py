@@ -1,14 +1,18 @@
-"""A plant version in PyBullet: the compiled chain moves the driven joints, rigid-body dynamics the tool and the logs."""
+"""A plant version in PyBullet: the compiled chain moves the driven joints, rigid-body dynamics the tool and the logs.
+
+The surroundings of the machine are ground and logs, as simple bodies.
+"""
 
 from __future__ import annotations
 
+import math
 import tempfile
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +25,59 @@ from sysid.plant.layout import AT, base_place
 from sysid.plant.plant import LINKAGE
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
-from sysid.world.bodies import Gripper, build_bodies
+from sysid.world.bodies import Gripper, build_bodies, passive_joints
 from sysid.world.client import connect, disconnect, pybullet
-from sysid.world.hanging import passive_joints
-from sysid.world.scene import Log, add_ground, add_log
 
 Array = npt.NDArray[np.float64]
+
+#: Half side and thickness of the ground [m].
+GROUND = (25.0, 0.05)
+
+
+@dataclass(frozen=True)
+class Log:
+    """A loose horizontal log; a cylinder of constant density.
+
+    Args:
+        position: its centre in the machine's frame [m].
+        yaw: direction of its axis about the vertical [rad].
+        density: [kg/m³]; 700 is fresh pine.
+    """
+
+    position: tuple[float, float, float]
+    yaw: float = 0.0
+    length: float = 0.6
+    radius: float = 0.03
+    density: float = 700.0
+
+    @property
+    def mass(self) -> float:
+        return self.density * math.pi * self.radius**2 * self.length
+
+
+def add_ground(p: Any, client: int, height: float) -> int:
+    """Add a wide flat box whose top is at ``height`` [m]; returns the body."""
+    side, thick = GROUND
+    half = [side, side, 0.5 * thick]
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client)
+    look = p.createVisualShape(p.GEOM_BOX, halfExtents=half, rgbaColor=[0.80, 0.82, 0.78, 1.0], physicsClientId=client)
+    body = p.createMultiBody(0.0, shape, look, [0.0, 0.0, height - 0.5 * thick], physicsClientId=client)
+    p.changeDynamics(body, -1, lateralFriction=0.8, physicsClientId=client)
+    return int(body)
+
+
+def add_log(p: Any, client: int, log: Log) -> int:
+    """Add a log at rest; returns the body."""
+    shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=log.radius, height=log.length, physicsClientId=client)
+    look = p.createVisualShape(
+        p.GEOM_CYLINDER, radius=log.radius, length=log.length, rgbaColor=[0.55, 0.40, 0.25, 1.0], physicsClientId=client
+    )
+    turn = p.getQuaternionFromEuler([0.0, 0.5 * math.pi, log.yaw])
+    body = p.createMultiBody(log.mass, shape, look, list(log.position), turn, physicsClientId=client)
+    p.changeDynamics(body, -1, lateralFriction=0.7, rollingFriction=1e-3, physicsClientId=client)
+    return int(body)
+
+
 Mode = Literal["kinematic", "dynamic"]
 
 #: Force of a drive without limit [N or N·m].

@@ -14,8 +14,7 @@ from command_line import run
 from sample_workspace import sample_workspace
 
 from sysid.cli.app import run_command
-from sysid.disk import REMEDIES, written_to
-from sysid.errors import StorageError
+from sysid.errors import REMEDIES, StorageError, written_to
 from sysid.files import written_whole
 from sysid.root import Root
 

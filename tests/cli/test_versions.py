@@ -166,7 +166,7 @@ def test_a_disk_that_fails_is_no_mistake_of_the_user(
         raise OSError(28, "No space left on device")
 
     record(place / "logs/r3", 3)
-    monkeypatch.setattr("sysid.datasets.versions.local_files.LocalFiles.publish", full)
+    monkeypatch.setattr("sysid.datasets.versions.files.LocalFiles.publish", full)
     capsys.readouterr()
     assert run("--workspace", place / "ws", "ingest", place / "logs", "--append", "demo") == 1
     error = capsys.readouterr().err

@@ -19,7 +19,7 @@ BENCH = ROOT / "pipelines" / "simulated_bench"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("release", "current_folder", "errors", "foreign", "parse", "children", "lazy", "extras"),
-    ("disk", "location"),
+    ("location",),
     ("units", "signals", "progress", "scratch", "files", "compiled", "cores", "pictures", "names", "numbers", "display"),
     ("config", "root", "execution", "confined", "quoting"),
     ("logs", "machine"),

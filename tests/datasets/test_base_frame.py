@@ -15,12 +15,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.cli.app import run_verb
-from sysid.datasets.frames.base_frame import frame_of
-from sysid.datasets.frames.base_markers import from_markers
-from sysid.datasets.frames.base_turn import from_turn
-from sysid.datasets.frames.degenerate import offset_notes
+from sysid.datasets.frames.base_frame import frame_of, from_markers, from_turn
 from sysid.datasets.frames.rigid import frame_pose, inverse
 from sysid.datasets.frames.survey import axis_line
+from sysid.datasets.plan import offset_notes
 from sysid.datasets.recipe import FramePose, PointMap, Reference, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.channels import read_streams
-from sysid.datasets.frames.bodies import CaptureSignal, find_mounts, joints_and_points
-from sysid.datasets.frames.mistakes import without_mistakes
+from sysid.datasets.frames.bodies import CaptureSignal, find_mounts, joints_and_points, without_mistakes
 from sysid.datasets.frames.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.datasets.recipe import FramePose, PointMap, Reference, SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import butter, cheby2, sosfiltfilt
 
 from sysid.datasets import chunked, resample
-from sysid.datasets.reversals import turning_points
+from sysid.datasets.quality.use import turning_points
 from sysid.scratch import PIECE
 
 Array = npt.NDArray[np.float64]

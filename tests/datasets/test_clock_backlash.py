@@ -15,7 +15,7 @@ from scipy.stats import t
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.alignment import Pair, estimate
-from sysid.datasets.clocks.backlash import directions, turning_rows
+from sysid.datasets.clocks.measured_motion import directions, turning_rows
 from sysid.datasets.clocks.records import RecordingClocks, align
 from sysid.datasets.clocks.resets import pieces
 from sysid.datasets.clocks.residual import clock_residuals

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from sysid.datasets import ingest
 from sysid.datasets.quality import evidence_of
 from sysid.datasets.quality.noise import noise_of, table_noise
-from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, use_of
+from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, turning_points, use_of
 from sysid.datasets.recording import Dataset, Kind, Recording
-from sysid.datasets.reversals import turning_points
 from sysid.machine import Machine, machine_from_files
 
 Array = npt.NDArray[np.float64]
@@ -124,7 +123,7 @@ def most_turning_points(values: list[float], least: float) -> int:
 )
 def test_turning_points_are_those_of_the_definition(values: list[int], least: float, few: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sysid.datasets.reversals._FEW", few)  # pieces shorter than the signal
+        patch.setattr("sysid.datasets.quality.use._FEW", few)  # pieces shorter than the signal
         found = turning_points(np.array(values, dtype=float), least)
     assert found == most_turning_points([float(v) for v in values], least)
 
@@ -221,7 +220,7 @@ def test_the_same_commands_again_show_what_does_not_repeat(most: int, monkeypatc
     Args:
         most: rows above which a shift is first searched on means.
     """
-    monkeypatch.setattr("sysid.datasets.quality.repeats.MOST", most)
+    monkeypatch.setattr("sysid.datasets.quality.evidence.MOST", most)
     rng = np.random.default_rng(3)
     command = np.repeat(rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], 30), 40)
     late = np.concatenate([np.zeros(50), command])

@@ -14,10 +14,17 @@ from scipy.signal import lfilter
 
 from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
-from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag
-from sysid.datasets.flags.stamps import dropouts, jitter, repaired_stamps
-from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
-from sysid.datasets.flags.values import SPIKE_SAMPLES, jumps, noise_scale, outliers, sensor_step
+from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag, dropouts, jitter, repaired_stamps
+from sysid.datasets.flags.values import (
+    SPIKE_SAMPLES,
+    SensorContext,
+    jumps,
+    noise_scale,
+    outliers,
+    saturation,
+    sensor_step,
+    stuck,
+)
 
 Array = npt.NDArray[np.float64]
 SIGMA = 1e-3

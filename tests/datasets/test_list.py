@@ -9,7 +9,7 @@ import pytest
 from stored import small_dataset
 
 from sysid.datasets import Store
-from sysid.datasets.versions import entries, index
+from sysid.datasets.versions import index
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import PartRecord
 
@@ -19,7 +19,7 @@ MANIFEST = "datasets/demo/versions/000001.json"
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(entries, "TICK_NS", -1)
+    monkeypatch.setattr(index, "TICK_NS", -1)
     return tmp_path / "cache/sysid/versions"
 
 
@@ -101,7 +101,7 @@ def test_a_manifest_of_just_now_is_not_kept(
     workspace: Path, cache: Path, read: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It may change again within a tick of the system's clock."""
-    monkeypatch.setattr(entries, "TICK_NS", 60_000_000_000)
+    monkeypatch.setattr(index, "TICK_NS", 60_000_000_000)
     VersionIndex(workspace).list()
     VersionIndex(workspace).list()
     assert read == [1, 2, 1, 2]

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.frames.bodies import joints_and_points
-from sysid.datasets.frames.marker_sets import rigid_body, with_marker_sets
-from sysid.datasets.frames.rigid import body_poses
+from sysid.datasets.frames.rigid import body_poses, rigid_body, with_marker_sets
 from sysid.datasets.recipe import FramePose, PointMap, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream

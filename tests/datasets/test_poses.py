@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks.bursts import match_bursts
-from sysid.datasets.poses import pose_table, still_phases
+from sysid.datasets.poses import match_bursts, pose_table, still_phases
 from sysid.datasets.recipe import StillPhases
 from sysid.errors import InputError
 

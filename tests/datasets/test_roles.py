@@ -14,12 +14,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Dataset, Recording, ingest
+from sysid.datasets.quality.use import turning_points, turning_rows
 from sysid.datasets.recipe import Splits
-from sysid.datasets.reversals import turning_points, turning_rows
-from sysid.datasets.roles import shortage
-from sysid.datasets.roles.lacks import lacks_of, role_amounts, role_lacks
 from sysid.datasets.roles.motion import motion_table
-from sysid.datasets.roles.needs import check_needs, unmet_need
+from sysid.datasets.roles.needs import (
+    NEEDED,
+    ROLES,
+    RoleNeeds,
+    check_needs,
+    lacks_of,
+    levels,
+    role_amounts,
+    role_lacks,
+    unmet_need,
+)
 from sysid.datasets.roles.suggest import recipe_splits, suggest_split
 from sysid.datasets.splits import split
 from sysid.effects import CATALOGUE
@@ -153,8 +161,8 @@ def test_properties_of_every_assignment(lift: Machine, sets: list[tuple[str, ...
         own, given_roles = split(named, Splits(), "test", lift)
         found = motion_table(own, lift)
         amounts = role_amounts(found, given_roles)
-        needs = shortage.RoleNeeds.of(shortage.ROLES, motion_table(named, lift).of([r.name for r in named]))
-        steps = shortage.levels(needs.shortages(amounts).max(axis=-1))
+        needs = RoleNeeds.of(ROLES, motion_table(named, lift).of([r.name for r in named]))
+        steps = levels(needs.shortages(amounts).max(axis=-1))
         return tuple(int(np.sum(steps == level)) for level in (3,))
 
     order = data.draw(st.permutations(range(len(runs))))
@@ -182,10 +190,10 @@ def test_a_thousand_recordings_take_about_a_second(lift: Machine) -> None:
 
 def test_roles_need_what_the_catalogue_needs() -> None:
     needs = {effect.name: (effect.need.count, effect.need.least) for effect in CATALOGUE}
-    assert needs["asymmetric_gain"] == ("motion_both_ways", shortage.NEEDED[0])
-    assert needs["backlash"] == ("reversals", shortage.NEEDED[2])
-    assert needs["valve_deadband"] == ("small_commands", shortage.NEEDED[3])
-    assert needs["flow_saturation"] == ("motion", 2.0 * shortage.NEEDED[5])
+    assert needs["asymmetric_gain"] == ("motion_both_ways", NEEDED[0])
+    assert needs["backlash"] == ("reversals", NEEDED[2])
+    assert needs["valve_deadband"] == ("small_commands", NEEDED[3])
+    assert needs["flow_saturation"] == ("motion", 2.0 * NEEDED[5])
 
 
 def test_a_suggestion_keeps_what_the_recipe_names(lift: Machine) -> None:
@@ -300,7 +308,7 @@ def test_the_local_search_finds_nearly_every_optimum(monkeypatch: pytest.MonkeyP
         amounts, seconds = np.zeros((count, 3, 3, axes, 7)), np.zeros((count, 3, 3))
         for k in range(3):
             amounts[:, k, k], seconds[:, k, k] = motion, rng.uniform(5.0, 60.0, count)
-        needs = shortage.RoleNeeds.of(shortage.ROLES, motion.sum(axis=0))
+        needs = RoleNeeds.of(ROLES, motion.sum(axis=0))
         problem = assign.Assignment(needs, amounts, seconds, np.ones((count, 3), dtype=bool), np.zeros(3, dtype=bool), 4.0)
         present = rng.integers(0, 3, count)
         keys = []

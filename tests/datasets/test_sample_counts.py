@@ -17,12 +17,12 @@ from sysid.datasets import Dataset, ingest
 from sysid.datasets.channels import read_channels
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.plausibility import check_plausibility
-from sysid.datasets.quality.samples import SampleCounts, stored_counts
+from sysid.datasets.quality.describe import SampleCounts, stored_counts
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import SettingsError
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import load_machine
-from sysid.reports.samples import sample_lines
+from sysid.reports.dataset_texts import sample_lines
 
 MACHINE = (
     'schema = 1\nname = "press"\nrate_hz = 100.0\n[[axes]]\nname = "ram"\nactuation = "velocity"\ndrives = "joint"\n'

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Store
-from sysid.datasets.flags.sentinel import sentinels
+from sysid.datasets.flags.values import sentinels
 from sysid.datasets.plausibility import check_plausibility
 
 FREE = (-np.inf, np.inf)

@@ -21,7 +21,7 @@ from killed import PRELOAD, killed_at_every_step
 from stored import small_dataset
 
 from sysid.datasets import Store, vacuum
-from sysid.datasets.versions.local_files import LocalFiles
+from sysid.datasets.versions.files import LocalFiles
 from sysid.datasets.versions.manifest import PartRecord, to_text
 from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import StorageError, StoreError

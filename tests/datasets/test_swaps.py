@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.datasets.plausibility import swaps
 from sysid.datasets.plausibility.check import findings_of
 from sysid.datasets.plausibility.response import correlation, strengths
 from sysid.datasets.recording import Recording
@@ -53,7 +52,7 @@ def test_two_or_three_exchanged_columns_are_named_among_others(order: list[int],
 
 
 def test_more_axes_than_are_compared_are_said(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(swaps, "MOST", 3)
+    monkeypatch.setattr("sysid.datasets.plausibility.axes.MOST", 3)
     found = findings_of([recording([1, 2, 3, 4, 0], rng)], machine(5), {})
     notices = [finding for finding in found if finding.keys == ("machine:exchanged",)]
     assert [finding.severity for finding in notices] == ["notice"]

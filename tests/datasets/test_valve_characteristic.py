@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from sysid.datasets.drafting.inertia import moved_mass
-from sysid.datasets.drafting.valve import characteristic
+from sysid.datasets.drafting.axis_values import characteristic, moved_mass
 
 Array = npt.NDArray[np.float64]
 RATE = 100.0

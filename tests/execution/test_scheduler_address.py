@@ -18,8 +18,7 @@ from sysid.cli.verbs import names
 from sysid.execution import TaskError, open_executor
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-from sysid.execution.cluster import ClusterExecutor
-from sysid.execution.scheduler_address import trusted_address
+from sysid.execution.cluster import ClusterExecutor, trusted_address
 
 HERE = {
     "tcp://127.0.0.1:8786": "tcp://127.0.0.1:8786",

@@ -19,13 +19,12 @@ from test_sdf import place_of
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.export.export import Export, export_plant
+from sysid.export.export import TARGETS, Export, export_plant, target_named
 from sysid.export.mjcf_servo import has_servos
 from sysid.export.page import lacking
 from sysid.export.sdf import FILE as SDF_FILE
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS, target_named
-from sysid.export.urdf_text import END_EFFECTOR
+from sysid.export.urdf import END_EFFECTOR
 from sysid.machine import KnownEffect, load_machine, machine_from_files
 from sysid.machine.rigid_body import moves_masses
 from sysid.machine.urdf_tree import urdf_tree

@@ -15,10 +15,9 @@ from plant_data import arm, arm_inputs, measured
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.export.export import PAGE, REPLAY, export_plant
+from sysid.export.export import PAGE, REPLAY, TARGETS, export_plant, target_named
 from sysid.export.posterior import RANGES, SAMPLES, WARNING, posterior, write_posterior
 from sysid.export.replay import replay
-from sysid.export.targets import TARGETS, target_named
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty, nominal_plant
 from sysid.workspace import open_workspace

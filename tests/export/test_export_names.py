@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from test_every_target import RATE, chain, exported, joint, link, plant_of, sdf_agrees, two_axes
 from test_mjcf_arm import PAYLOAD, two_links
 
+from sysid.export.drive_module import load_module
+from sysid.export.export import TARGETS, target_named
 from sysid.export.names import Names, identifier, same_file, scoped, word
-from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS, target_named
-from sysid.export.urdf_text import xml_text
+from sysid.export.urdf import xml_text
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.names import check_file_name
@@ -207,7 +207,7 @@ def test_references_follow_a_renamed_part() -> None:
     axes = two_axes("position")
     axes[1]["joint"] = "lift-joint"
     plant, target = plant_of(axes, urdf), target_named("isaaclab")
-    from sysid.export.urdf_text import urdf_of
+    from sysid.export.urdf import urdf_of
 
     root = urdf_tree(xml_text(urdf_of(plant, target.names(plant))))
     assert [part.get("name") for path in ("transmission/joint", "ros2_control/joint") for part in root.findall(path)] == [

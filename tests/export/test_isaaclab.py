@@ -15,10 +15,10 @@ import pytest
 from test_drive_model import probe_plant
 from test_torchscript import JOINTS, by_script, commands_of, torch
 
+from sysid.export.drive_module import load_module
 from sysid.export.isaaclab import ABOUT, FILE, MODEL, IsaacLabTarget
 from sysid.export.posterior import posterior, write_posterior
-from sysid.export.shipped_run import load_module
-from sysid.export.torchscript.files import load_script
+from sysid.export.torchscript.assembly import load_script
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty
 from sysid.testing.probe import RATE_HZ

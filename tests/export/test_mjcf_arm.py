@@ -19,11 +19,10 @@ from test_drive_model import probe_plant
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.export.export import PAGE, export_plant
-from sysid.export.force_replay import force_replay
+from sysid.export.drive_module import load_module
+from sysid.export.export import PAGE, TARGETS, export_plant, target_named
 from sysid.export.mjcf_arm import FILE, LOOP, MujocoArm, arm_simulation
-from sysid.export.shipped_run import load_module
-from sysid.export.targets import TARGETS, target_named
+from sysid.export.replay import force_replay
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.rigid_body import PARAMETERS
 from sysid.plant import Plant, compile_plant, nominal_plant

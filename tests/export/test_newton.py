@@ -13,12 +13,11 @@ from test_drive_model import probe_plant
 from test_every_target import gripper
 from test_targets import recording
 
-from sysid.export.link_inertia import link_inertias
 from sysid.export.newton import FILE, NewtonTarget
 from sysid.export.replay import Replay, replay
 from sysid.export.target import Start
-from sysid.export.usd_actuators import actuator_path
-from sysid.export.usd_stage import SCENE, joint_path, link_path, undeclared
+from sysid.export.urdf import link_inertias
+from sysid.export.usd_stage import SCENE, actuator_path, joint_path, link_path, undeclared
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant, nominal_plant

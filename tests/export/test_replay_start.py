@@ -11,9 +11,9 @@ from test_drive_model import probe_plant
 from test_targets import RUN
 
 from sysid.datasets.recording import Recording
+from sysid.export.export import target_named
 from sysid.export.replay import replay
 from sysid.export.target import Target
-from sysid.export.targets import target_named
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, nominal_plant
 from sysid.plant.stepper import Stepper, held_commands, step_commands

@@ -12,7 +12,7 @@ from test_drive_model import probe_plant
 
 from sysid.errors import SettingsError
 from sysid.export.sdf import FILE, SdfTarget, check_sdf, sdf_of
-from sysid.export.urdf_text import END_EFFECTOR
+from sysid.export.urdf import END_EFFECTOR
 from sysid.machine import KnownEffect
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant

@@ -13,12 +13,12 @@ from test_drive_model import name_of, placed, probe_plant
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.export.drive_data import WITHOUT_PART
+from sysid.export.drive_module import load_module
+from sysid.export.export import TARGETS, target_named
 from sysid.export.matrix import matrix_page
 from sysid.export.mjcf_arm import FRICTION_BY_LOOP
 from sysid.export.replay import ROUNDING, SHARE, Replay, replay
-from sysid.export.shipped_run import load_module
 from sysid.export.target import Target
-from sysid.export.targets import TARGETS, target_named
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, nominal_plant
 from sysid.testing.probe import RATE_HZ, probe_recording

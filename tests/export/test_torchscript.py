@@ -15,8 +15,7 @@ from sysid.effects import effect_named
 from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import PARTS
 from sysid.export.isaaclab import posterior_columns, reachable
-from sysid.export.torchscript.assembly import _COMMAND, _FRICTION, parameter_columns, script_of
-from sysid.export.torchscript.files import load_script, save_script
+from sysid.export.torchscript.assembly import _COMMAND, _FRICTION, load_script, parameter_columns, save_script, script_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands

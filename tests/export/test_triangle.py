@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.export.triangle import triangle_of
+from sysid.export.mjcf_drives import triangle_of
 from sysid.machine import TabulatedLinkage, tabulate
 from sysid.machine.description import Linkage
 from sysid.machine.linkage import TriangleLinkage

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.fleet.drift import MOST, REFERENCE, cumulative_sum, decision_interval, drifts, standardised
+from sysid.fleet.drift import MOST, REFERENCE, cumulative_sums, decision_interval, drifts, standardised
 from sysid.fleet.effects import FleetEffect, ParameterHistory
 
 BACKLASH = FleetEffect("backlash", "slew", "drive", ("width",))
@@ -23,8 +23,8 @@ def test_mean_time_between_false_alarms_is_the_one_requested(run_length: float) 
     rng, interval = np.random.default_rng(7), decision_interval(run_length)
     lengths = []
     for _ in range(300):
-        alarm = cumulative_sum(rng.standard_normal(round(12 * run_length)), interval)
-        lengths.append(12 * run_length if alarm is None else alarm + 1)
+        alarms = np.flatnonzero(cumulative_sums(rng.standard_normal(round(12 * run_length))) > interval)
+        lengths.append(alarms[0] + 1 if len(alarms) else 12 * run_length)
     assert np.mean(lengths) == pytest.approx(run_length, rel=0.25)
 
 

@@ -8,7 +8,7 @@ import pytest
 from fleet_logs import write_fleet
 
 import sysid.gap
-from sysid.fleet.names import name_effects
+from sysid.fleet.estimates import name_effects
 from sysid.gap import GapResult
 from sysid.gap.result import Gap
 from sysid.machine import KnownEffect

@@ -170,7 +170,7 @@ def _autolog() -> tuple[str, str, str]:
 def _machine(toml: str, urdf: str, name: str = "autolog.urdf") -> None:
     from sysid.errors import SysidError
     from sysid.machine import machine_from_files
-    from sysid.view.visuals import link_shapes
+    from sysid.view.drawing import link_shapes
 
     try:
         machine = machine_from_files({"machine.toml": toml, name: urdf}, "input")

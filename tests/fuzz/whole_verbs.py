@@ -57,8 +57,7 @@ def run_edges(case: Any, place: Path, target: str = "json", view: bool = True) -
     from edge_machines import write_machine
 
     from sysid.errors import SysidError
-    from sysid.export.export import export_plant
-    from sysid.export.targets import target_named
+    from sysid.export.export import export_plant, target_named
     from sysid.plant import nominal_plant
     from sysid.workspace import open_workspace
 
@@ -106,7 +105,7 @@ PLACES = 12
 def exported_names(data: bytes) -> None:
     """Texts separated by NUL as the names of a plant; each file that is written is read by the parser of its language."""
     from sysid.errors import SysidError
-    from sysid.export.targets import TARGETS
+    from sysid.export.export import TARGETS
     from sysid.machine import machine_from_files
     from sysid.plant import nominal_plant
     from sysid.quoting import toml_value
@@ -197,7 +196,7 @@ def _watched() -> tuple[Path, bytes]:
     """A workspace whose dataset is watched, and the state of the watch."""
     from one_axis_logs import MACHINE, record
 
-    from sysid.fleet.names import plant_sha256
+    from sysid.fleet.estimates import plant_sha256
     from sysid.workspace import open_workspace
 
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

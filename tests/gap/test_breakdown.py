@@ -16,7 +16,7 @@ from sysid.gap.result import Map, Share
 from sysid.gap.unnamed.periodic import resonance_frequencies
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
-from sysid.validate.binning import SIGNED_BINS, speed_of
+from sysid.validate.error_analysis import SIGNED_BINS, speed_of
 
 DEADBAND = (0.12, 0.09)
 HIDDEN = (

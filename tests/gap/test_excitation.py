@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plant_data import Array, KnownEffect, arm, dataset_of, measured, nominal
 
+from sysid.datasets.quality.use import turning_points
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.reversals import turning_points
 from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.effect import Stage
 from sysid.gap import find_gap

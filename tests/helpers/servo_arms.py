@@ -11,8 +11,8 @@ import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine, machine_from_files
+from sysid.machine.sources.draft import machine_text
 from sysid.machine.sources.mjcf import mjcf_draft
-from sysid.machine.sources.toml_text import machine_text
 from sysid.plant.model import Model
 
 Array = npt.NDArray[np.float64]

@@ -155,7 +155,7 @@ def vacuum(workspace: Path) -> None:
 def fit(workspace: Path) -> None:
     """A forward network with checkpoints at every look, as ``sysid fit forward`` makes it."""
     from sysid.networks import fit_forward, parse_recipe
-    from sysid.networks.checkpoint import Checkpoints
+    from sysid.networks.member import Checkpoints
 
     place = Workspace(workspace)
     data = place.dataset("crane")

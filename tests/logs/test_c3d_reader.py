@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
-from sysid.logs.c3d_file import read_c3d
+from sysid.logs.c3d import read_c3d
 from sysid.logs.limits import Budget
 
 Array = npt.NDArray[np.float64]

@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.can_frames import FrameLog, Frames, read_frames
-from sysid.logs.can_ranges import is_j1939, measured
-from sysid.logs.can_signals import decode, load_database
+from sysid.logs.can_signals import decode, is_j1939, load_database, measured
 from sysid.logs.limits import Budget
 
 BUDGET = Budget.of(100_000)

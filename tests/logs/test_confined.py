@@ -18,8 +18,8 @@ from small_logs import LOGS, STATED, write_log
 from sysid.confined import confined
 from sysid.errors import InputError, SettingsError
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
-from sysid.logs.confined import read_confined
 from sysid.logs.limits import Budget
+from sysid.logs.reader import read_confined
 
 SMALL = replace(Budget.of(1), memory=64 * 2**20, seconds=30.0)
 

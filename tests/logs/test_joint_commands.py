@@ -11,7 +11,7 @@ from mcap_ros2.writer import Writer
 
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.mcap import McapReader
-from sysid.logs.rows import flatten
+from sysid.logs.messages import flatten
 
 LINE = "=" * 80
 HEADER = f"""{LINE}

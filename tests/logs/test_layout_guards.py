@@ -20,7 +20,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from test_mcap_reader import flatten
 
-from sysid.logs.cdr import ColumnDecoder
+from sysid.logs.messages import ColumnDecoder
 from sysid.logs.rosmsg import Field, parse_definition
 
 FORMATS = {

@@ -22,9 +22,8 @@ from test_mcap_reader import STATE, rows, state, write_states
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.inspection import summarise
-from sysid.logs.mcap import McapReader
-from sysid.logs.mcap_file import indexed_block
-from sysid.logs.rows import flatten
+from sysid.logs.mcap import McapReader, indexed_block
+from sysid.logs.messages import flatten
 
 
 def write_raw(

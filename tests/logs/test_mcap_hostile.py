@@ -20,10 +20,9 @@ from sysid.errors import InputError
 from sysid.logs import ReadOptions
 from sysid.logs.layout import layout_of
 from sysid.logs.limits import Budget, unpack
-from sysid.logs.mcap import McapReader
-from sysid.logs.mcap_file import CHUNK, MAGIC
+from sysid.logs.mcap import CHUNK, MAGIC, McapReader
+from sysid.logs.messages import parse_json, protobuf_parser
 from sysid.logs.rosmsg import parse_definition, parse_idl
-from sysid.logs.rows import parse_json, protobuf_parser
 
 
 def chunk(packed: bytes, size: int, compression: bytes, checksum: int = 0) -> bytes:

@@ -20,9 +20,9 @@ from mcap_ros2.writer import Writer
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
-from sysid.logs.cdr import ColumnDecoder
 from sysid.logs.layout import layout_of
 from sysid.logs.mcap import McapReader
+from sysid.logs.messages import ColumnDecoder
 from sysid.logs.rosmsg import parse_definition
 
 LINE = "=" * 80
@@ -227,7 +227,7 @@ def test_a_file_that_grows_is_read_as_it_was_when_opened(tmp_path: Path, monkeyp
             return iter(())
 
         with monkeypatch.context() as patch:
-            patch.setattr("sysid.logs.mcap_file._summary", grows)
+            patch.setattr("sysid.logs.mcap._summary", grows)
             (stream,) = McapReader().read(path, ReadOptions())
         assert stream.losses == expected.losses
         np.testing.assert_array_equal(stream.columns["position[0]"], expected.columns["position[0]"])

@@ -18,8 +18,8 @@ from sysid import scratch
 from sysid.confined import confined
 from sysid.errors import InputError, StorageError
 from sysid.logs import ReadOptions, reader_for
-from sysid.logs.confined import read_confined
 from sysid.logs.limits import Budget
+from sysid.logs.reader import read_confined
 from sysid.scratch import Scratch
 
 ROWS = 100_000

@@ -11,9 +11,8 @@ import pytest
 
 from sysid.errors import SettingsError
 from sysid.machine import machine_from_files
-from sysid.machine.sources.draft import MachineDraft
+from sysid.machine.sources.draft import MachineDraft, machine_text
 from sysid.machine.sources.mjcf import mjcf_draft
-from sysid.machine.sources.toml_text import machine_text
 from sysid.machine.sources.urdf import urdf_draft
 
 #: Driven joints of arms of pybullet_data.

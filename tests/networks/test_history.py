@@ -17,7 +17,7 @@ from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.split import RowRange
 from sysid.plant import nominal_plant
 from sysid.validate import validate_model
-from sysid.validate.free_runs import STATIC
+from sysid.validate.validation import STATIC
 
 Array = NDArray[np.float64]
 

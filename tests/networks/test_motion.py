@@ -19,7 +19,7 @@ from sysid.networks.member import LearningCurve
 from sysid.networks.motion import free_run_rmse, motion_rows, window_for
 from sysid.networks.motion_inputs import MotionBounds, MotionStretch, Window, horizon_errors, whole_run, window_of
 from sysid.validate import validate_model
-from sysid.validate.free_runs import ARX, PLANT, output_name
+from sysid.validate.validation import ARX, PLANT, output_name
 
 Array = NDArray[np.float64]
 MOTION = {

@@ -13,9 +13,8 @@ import torch
 from sysid.errors import ExcitationError, InputError, SettingsError
 from sysid.networks import EnsembleMember, Mlp, Normalisation, TrainedMember, TrainingSettings, train
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Stack, pack, padded, unpack
-from sysid.networks.jobs import batches, job_of, layers_of, scalers_of
+from sysid.networks.jobs import ShuffleOrder, batches, initial_row, job_of, layers_of, scalers_of
 from sysid.networks.mlp import Rectifier
-from sysid.networks.shuffle_order import ShuffleOrder, initial_row
 
 QUICK = TrainingSettings(learning_rate=1e-2, batch=32, epochs=60, patience=60)
 

@@ -21,14 +21,14 @@ from sysid.networks import (
     EnsembleMember,
     TrainedMember,
     TrainingSettings,
-    checkpoint,
     fit_actuator,
     fit_forward,
+    member,
     parse_recipe,
     to_files,
     train,
 )
-from sysid.networks.checkpoint import State
+from sysid.networks.member import State
 
 SETTINGS = TrainingSettings(learning_rate=3e-3, batch=16, epochs=30, patience=30, check_every=3, schedule="cosine", threads=2)
 HIDDEN = (24, 10)
@@ -188,7 +188,7 @@ def test_a_checkpoint_is_written_where_another_training_removes_the_empty_folder
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checkpoints, other = Checkpoints(tmp_path / "training"), Checkpoints(tmp_path / "training")
-    real, raced = checkpoint.write_durably, []
+    real, raced = member.write_durably, []
 
     def removed_once(path: Path, content: bytes, what: str, remedy: str) -> None:
         if not raced:
@@ -198,7 +198,7 @@ def test_a_checkpoint_is_written_where_another_training_removes_the_empty_folder
             raise StorageError("checkpoint", "No such file or directory", "room", remedy) from FileNotFoundError()
         real(path, content, what, remedy)
 
-    monkeypatch.setattr(checkpoint, "write_durably", removed_once)
+    monkeypatch.setattr(member, "write_durably", removed_once)
     state = State.at_start(np.ones(3, dtype=np.float32))
     checkpoints.save("one", state)
     found = checkpoints.load("one", 3)

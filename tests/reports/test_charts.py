@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sysid.pictures import ticks
 from sysid.reports.charts import ChartCurve, chart, heat_map
-from sysid.reports.clearance import Canvas
+from sysid.reports.picture_parts import Canvas
 from sysid.reports.sections.summary import SignalGap, dumbbells
 
 

@@ -9,7 +9,7 @@ import pytest
 from sysid.datasets.recording import Dataset
 from sysid.effects.units import parameter_unit
 from sysid.machine import Axis, machine_from_files
-from sysid.reports.effect_units import remainder_unit, shown
+from sysid.reports.words import remainder_unit, shown
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,10 @@ from sysid.gap.experiment.excitation_verdict import ExcitationReport, Excitation
 from sysid.machine import Machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, build_report
-from sysid.reports.coverage_pictures import MAP, MAP_LEFT, MAP_TOP, command_picture, map_picture
-from sysid.reports.flags import flag_lines, kinds_of
+from sysid.reports.dataset_texts import VerdictGroup, amount, by_effect, by_reason, flag_lines, kinds_of, request_text, spread
 from sysid.reports.sections import excitation as section
 from sysid.reports.sections import quality
-from sysid.reports.verdicts import VerdictGroup, amount, by_effect, by_reason, request_text, spread
+from sysid.reports.sections.quality import MAP, MAP_LEFT, MAP_TOP, command_picture, map_picture
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import math
 
 from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.machine import Machine
-from sysid.reports.places import part_of, place_text
-from sysid.reports.reasons import confidence, label_of, outcome, rejected, relative_width
+from sysid.reports.picture import part_of, place_text
+from sysid.reports.words import confidence, label_of, outcome, rejected, relative_width
 
 REASON = "evidence: ΔBIC 5838 on fitted recordings, 2067 nats on unseen ones"
 

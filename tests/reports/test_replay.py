@@ -10,8 +10,7 @@ import pytest
 from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
-from sysid.reports.moments import largest_error_signals, worst_moment
-from sysid.reports.replay import RATE, WINDOW, replay
+from sysid.reports.sections.traces import RATE, REPLAY_WINDOW, largest_error_signals, replay, worst_moment
 
 
 def points(packed: dict[str, str], frames: int) -> np.ndarray:
@@ -26,7 +25,7 @@ def test_the_frames_are_the_machine_around_its_largest_error(crane: Dataset) -> 
     assert moment is not None
     assert (found["recording"], found["at"]) == (moment.recording, moment.time)
     time = np.frombuffer(base64.b64decode(found["time"]["bdata"]), "<f4")
-    assert len(time) == found["frames"] == 1 + int(WINDOW * RATE)
+    assert len(time) == found["frames"] == 1 + int(REPLAY_WINDOW * RATE)
     assert time[0] <= moment.time <= time[-1]
     np.testing.assert_allclose(np.diff(time), 1.0 / RATE, atol=0.011)
     for name, packed in found["versions"].items():

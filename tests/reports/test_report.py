@@ -18,10 +18,9 @@ from sysid.gap.result import Check, EffectEvidence, Gap, GapResult, Promotion, W
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, VersionNote, build_report, write_report
-from sysid.reports.moments import worst_moment
-from sysid.reports.picture import machine_picture
-from sysid.reports.places import Mark
+from sysid.reports.picture import Mark, machine_picture
 from sysid.reports.report import SECTIONS
+from sysid.reports.sections.traces import worst_moment
 
 VOID = {"meta", "br", "img", "input", "link", "line", "circle", "rect", "ellipse", "path"}
 

@@ -12,7 +12,7 @@ from sample_workspace import sample_workspace
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.site import build_site, inventory
-from sysid.site.dataset_items import dataset_items
+from sysid.site.inventory import dataset_items
 from sysid_rl.run.cycle import Cycle
 from sysid_rl.run.run_record import EventRecorder, Recorders
 

@@ -8,9 +8,8 @@ import networkx as nx
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.site.drawing import drawing
-from sysid.site.graph import around, layers, lineage_graph, with_waypoints
 from sysid.site.item import Item
+from sysid.site.lineage import around, drawing, layers, lineage_graph, with_waypoints
 
 #: Numbers of up to 12 items, each made from earlier ones.
 LINEAGES = st.integers(1, 12).flatmap(

@@ -89,7 +89,7 @@ def compiles(folder: Path, program: Path, first: str = "sysid", **environment: s
 #: Draws of a bootstrap, then an import of the user's own.
 DRAWS = """
 import numpy
-from sysid.validate.bootstrap import bootstrap_means
+from sysid.validate.metrics import bootstrap_means
 bootstrap_means(numpy.arange(50.0), 0)
 print("drawn")
 import matplotlib

@@ -19,14 +19,13 @@ import pytest
 from sysid.config import inside, toml_values
 from sysid.datasets import ingest
 from sysid.errors import SettingsError, SysidError
-from sysid.export.targets import target_named
+from sysid.export.export import target_named
 from sysid.machine import machine_from_files
 from sysid.machine.sources.urdf import urdf_draft
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.names import check_pattern
 from sysid.plant import nominal_plant
-from sysid.view.drawing import STYLES, primitives
-from sysid.view.visuals import link_shapes
+from sysid.view.drawing import STYLES, link_shapes, primitives
 from sysid.world.bodies import build_bodies
 
 MACHINE = """schema = 1

@@ -16,10 +16,8 @@ from sysid.networks import ForwardRecipe, NetworkRecipe, fit_forward
 from sysid.networks.split import RowRange, gather
 from sysid.validate import validate_forward
 from sysid.validate.baselines import baseline_models, linkage_geometry
-from sysid.validate.binning import direction_of, edges_of, places_in
-from sysid.validate.coverage import coverage_of
-from sysid.validate.error_analysis import spikes
-from sysid.validate.error_maps import MapAxis, error_map, error_maps
+from sysid.validate.error_analysis import MapAxis, direction_of, edges_of, error_map, error_maps, places_in, spikes
+from sysid.validate.metrics import coverage_of
 
 Array = npt.NDArray[np.float64]
 

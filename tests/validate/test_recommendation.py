@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.validate.recommendation import ALIKE, recommendation
+from sysid.validate.report import ALIKE, recommendation
 
 ERRORS = st.floats(1e-6, 1.0)
 

@@ -16,8 +16,7 @@ from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
 from sysid.machine import Kinematics, machine_from_files
 from sysid.view import write_rerun
-from sysid.view.drawing import link_entity
-from sysid.view.visuals import link_shapes
+from sysid.view.drawing import link_entity, link_shapes
 
 
 class Written:

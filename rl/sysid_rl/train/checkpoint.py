@@ -20,7 +20,7 @@ import numpy as np
 
 from sysid.errors import StoreError
 from sysid.files import write_durably
-from sysid.networks.checkpoint import REMEDY
+from sysid.networks.member import REMEDY
 from sysid.root import Root
 from sysid_rl.train.ddpg import Trainer
 from sysid_rl.train.recipe import TrainingRecipe

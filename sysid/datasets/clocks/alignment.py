@@ -13,7 +13,7 @@ use every sample.
 
 The estimate is the offset of the *stamps*: a constant latency of the other device is part of it and not identifiable. With
 backlash between the two signals (slewing drive, pins of a boom) ``f_p`` has an intercept for each direction of motion
-(:mod:`sysid.datasets.clocks.backlash`).
+(:mod:`sysid.datasets.clocks.measured_motion`).
 
 Source: the maps are eliminated from every step by variable projection: Golub and Pereyra (1973).
 """
@@ -27,10 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.clocks.backlash import turning_rows
 from sysid.datasets.clocks.coarse import Pair, coarse_lag
 from sysid.datasets.clocks.estimate import BLOCK_S, Backlash, Blocks, Estimate, conditional, estimate_of, is_singular
-from sysid.datasets.clocks.motion_band import moves, range_of, smoothed
+from sysid.datasets.clocks.measured_motion import moves, range_of, smoothed, turning_rows
 from sysid.datasets.clocks.motion_fit import PairFit, prepared
 from sysid.signals import split_signal
 
@@ -144,7 +143,7 @@ def continues(pairs: Sequence[Pair], own: Estimate, near: Estimate) -> bool:
 
 
 def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
-    """The estimate with backlash between the signals of each pair, where there is any (:mod:`sysid.datasets.clocks.backlash`).
+    """The estimate with backlash between the signals of each pair, where there is any.
 
     Where none is found, the offset of ``plain`` is kept with the variance of the fit with backlash.
 

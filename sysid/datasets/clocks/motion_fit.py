@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.clocks.backlash import directions
 from sysid.datasets.clocks.coarse import Pair
-from sysid.datasets.clocks.motion_band import range_of, without_noise
+from sysid.datasets.clocks.measured_motion import directions, range_of, without_noise
 from sysid.datasets.resample import slopes
 from sysid.scratch import chosen
 
@@ -33,7 +32,7 @@ class PreparedPair:
     """A pair with the slopes of ``x`` (n,) at its samples; steps of x longer than ``x_gap_s`` are not bridged.
 
     With backlash, ``direction`` (n,) is that of the motion of x, and only ``settled`` samples of x (n,) and of y (m,) are used
-    (:func:`sysid.datasets.clocks.backlash.directions`); else all three are empty.
+    (:func:`sysid.datasets.clocks.measured_motion.directions`); else all three are empty.
     """
 
     x_times: Array

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.clocks.alignment import Estimate, Pair, conditional, pairs_of
-from sysid.datasets.clocks.bursts import match_bursts
+from sysid.datasets.clocks.estimate import KnownSkew, Skew, alone, known_skews, pooled, quantile
 from sysid.datasets.clocks.resets import Piece, pieces
-from sysid.datasets.clocks.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
+from sysid.datasets.poses import match_bursts
 from sysid.datasets.recording import ClockRecord, Kind
 from sysid.errors import AlignmentError, InputError
 from sysid.scratch import empty

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, continues, estimate
-from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, prepared
 
 Array = npt.NDArray[np.float64]

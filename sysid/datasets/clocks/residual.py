@@ -17,7 +17,7 @@ from sysid.datasets.channel import stored_channels
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.estimate import summed_blocks
-from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
 

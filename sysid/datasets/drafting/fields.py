@@ -14,12 +14,10 @@ import numpy.typing as npt
 from sysid.datasets.layouts import TABLES
 from sysid.datasets.quality.noise import is_still
 from sysid.datasets.words import NO_SIGNAL, UNITS, WORDS, said, words_of
-from sysid.logs.confined import read_confined
 from sysid.logs.inspection import FileSummary
 from sysid.logs.labels import without_repeats
-from sysid.logs.reader import ReadOptions
+from sysid.logs.reader import ReadOptions, Stream, read_confined
 from sysid.logs.readers import reader_named
-from sysid.logs.stream import Stream
 from sysid.numbers import LARGEST_COUNT
 
 Array = npt.NDArray[np.float64]

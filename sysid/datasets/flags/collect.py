@@ -11,11 +11,8 @@ import numpy as np
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.chunked import copied, known, masked, median, median_step
 from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
-from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
-from sysid.datasets.flags.sentinel import ends_of
-from sysid.datasets.flags.stamps import dropouts, jitter
-from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
-from sysid.datasets.flags.values import jumps, outliers
+from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask, dropouts, jitter
+from sysid.datasets.flags.values import SensorContext, ends_of, jumps, outliers, saturation, stuck
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold

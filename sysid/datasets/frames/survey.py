@@ -12,9 +12,7 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams
-from sysid.datasets.frames.base_frame import FrameProposal
-from sysid.datasets.frames.base_markers import from_markers
-from sysid.datasets.frames.base_turn import from_turn
+from sysid.datasets.frames.base_frame import FrameProposal, from_markers, from_turn
 from sysid.datasets.frames.bodies import STILL
 from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
 from sysid.datasets.recipe import FramePose, IngestRecipe, StreamMap, Survey

@@ -8,7 +8,7 @@ they are needed and not stored, so that they hold for versions of any age and fo
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,23 +16,28 @@ import numpy as np
 
 from sysid.datasets.plausibility.axes import (
     axis_finding,
+    by_recording,
     corrections_of,
     figures_of,
     merged,
+    partial_findings,
     ranged,
+    swap_findings,
     usual_gain,
 )
-from sysid.datasets.plausibility.columns import column_findings, wrap_findings
-from sysid.datasets.plausibility.end_stops import end_stop_findings
-from sysid.datasets.plausibility.finding import Finding
-from sysid.datasets.plausibility.partial import by_recording, partial_findings
+from sysid.datasets.plausibility.columns import (
+    column_findings,
+    end_stop_findings,
+    sample_findings,
+    sentinel_findings,
+    wrap_findings,
+)
+from sysid.datasets.plausibility.finding import Evidence, Finding
 from sysid.datasets.plausibility.points import point_findings
-from sysid.datasets.plausibility.roles import STILL, role_findings
-from sysid.datasets.plausibility.samples import sample_findings
-from sysid.datasets.plausibility.sentinels import sentinel_findings
 from sysid.datasets.plausibility.stamps import rates_of, time_findings
-from sysid.datasets.plausibility.swaps import swap_findings
 from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.motion import motion_table
+from sysid.datasets.roles.needs import lacks_of, role_amounts
 from sysid.machine import Machine
 
 
@@ -110,3 +115,19 @@ def findings_of(
     if time_scale == 1.0:
         found += [f for f in role_findings(recordings, machine, splits) if not still.issuperset(f.keys)]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))
+
+
+#: Kind of these findings, the end of their keys.
+STILL = "still"
+
+
+def role_findings(recordings: Sequence[Recording], machine: Machine, splits: Mapping[str, Role]) -> Iterator[Finding]:
+    """A notice for the axes that do not move in one of the roles, or in no recording (:mod:`sysid.datasets.roles`)."""
+    motion = [r for r in recordings if r.kind == "motion" and r.name in splits]
+    if not motion:
+        return
+    table = motion_table(motion, machine)
+    for lack in lacks_of(role_amounts(table, splits), table.axes, machine):
+        if lack.kind == "motion":
+            keys = tuple(f"{axis}:{STILL}" for axis in lack.axes)
+            yield Finding(keys, "notice", (Evidence(lack.text, "motion in the fit, selection and test recordings"),))

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.plausibility.figures import thinned
-from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, factor_text, ratio_text
 from sysid.datasets.plausibility.mistakes import ANGLE, LENGTH, UnitMistake
-from sysid.datasets.plausibility.words import factor_text, ratio_text
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.plausibility.finding import Cause, Evidence, Finding
+from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, factor_text, plain
 from sysid.datasets.plausibility.mistakes import TIME, UnitMistake
-from sysid.datasets.plausibility.words import factor_text, plain
 from sysid.datasets.recording import Recording
 from sysid.names import uncut_name
 

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Role
-from sysid.datasets.roles.shortage import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
+from sysid.datasets.roles.needs import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
 
 Array = npt.NDArray[np.float64]
 Choice = npt.NDArray[np.int64]

@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from sysid.datasets.chunked import copied, known
 from sysid.datasets.quality.noise import noise_of
-from sysid.datasets.quality.use import IDLE, SLOPE_S, SLOW, SMALL, SPEED_NOISE, TURN, TURN_NOISE, speed_of
+from sysid.datasets.quality.use import IDLE, SLOPE_S, SLOW, SMALL, SPEED_NOISE, TURN, TURN_NOISE, speed_of, turning_rows
 from sysid.datasets.recording import Recording
-from sysid.datasets.reversals import turning_rows
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
 

@@ -1,24 +1,91 @@
-"""What ``sysid gap`` needs of a dataset before any search: recordings in each role, their length, stages measured at both ends.
+"""What fit, selection and test recordings each need, and what they lack.
 
-The only place of these conditions: ingest and ``sysid datasets NAME --quality`` report the first one that is not met, and the
-gap workflow refuses the dataset with the same words. Whether the motion excites an effect is another question
-(:mod:`sysid.gap.excitation`): a dataset that meets these conditions can be searched.
+The motion that a role needs is what the catalogue of effects needs (:class:`sysid.effects.Need`): the fit the whole amount,
+selection and test half of it, as they are half as long. Where the recordings contain less, a role needs half of its share of
+what there is: no assignment gives more to all roles. A quantity that the recordings hardly contain is not a shortage of a role,
+but one of the recordings (``sysid datasets NAME --quality``).
+
+What ``sysid gap`` needs before any search (recordings in each role, their length, stages measured at both ends) is stated only
+here: ingest and ``sysid datasets NAME --quality`` report the first condition that is not met, and the gap workflow refuses the
+dataset with the same words. Whether the motion excites an effect is another question (:mod:`sysid.gap.excitation`): a dataset
+that meets these conditions can be searched.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.datasets.chunked import counted
 from sysid.datasets.recipe import Splits
-from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.shortage import ROLES
+from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.datasets.roles.motion import FEATURES, MotionTable, motion_table
 from sysid.errors import ExcitationError
 from sysid.machine import Machine
+from sysid.names import listed
 from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
+#: Share of the whole duration for each role.
+SHARES: dict[Role, float] = {"fit": 0.5, "select": 0.25, "held_out": 0.25}
+#: Amounts of :data:`FEATURES` that the fit needs: 3 s in each direction (unequal speeds), 8 reversals (backlash), 2 s of small
+#: commands on each side (dead-band), as in the catalogue of effects; half of its 5 s of motion at large commands on each side.
+NEEDED: tuple[float, ...] = (3.0, 3.0, 8.0, 2.0, 2.0, 2.5, 2.5)
+#: Weight of a shortage: without motion in a direction no effect is observable; without reversals backlash, hysteresis and
+#: friction are not; without small or large commands dead-band or saturation.
+WEIGHTS: tuple[float, ...] = (1.0, 1.0, 0.8, 0.7, 0.7, 0.7, 0.7)
+#: Share of a role's part of a scarce quantity that is enough.
+ENOUGH = 0.5
+#: Totals from which a quantity counts: what moves for less is not moved, sizes have to be enough for one role at least.
+COUNTS: tuple[float, ...] = (0.5, 0.5, 2.0, 2.0, 2.0, 2.5, 2.5)
+#: Steps in which weighted shortages are compared, rounded down. From the second step on a role lacks a quantity: it has less
+#: than a third of what it needs of motion in a direction, less than a sixth of the reversals, no small or no large commands.
+#: Smaller shortages are no reason to change roles, or to cut recordings.
+LEVELS, LACKING = 3, 2
+
+
+@dataclass(frozen=True)
+class RoleNeeds:
+    """Needs of some roles.
+
+    Args:
+        roles: R roles; ``shares``: of the duration, (R,), sum 1.
+        amounts: (R, axes, features), zero where a quantity does not count.
+    """
+
+    roles: tuple[Role, ...]
+    shares: Array
+    amounts: Array
+
+    @classmethod
+    def of(cls, roles: Sequence[Role], totals: Array) -> RoleNeeds:
+        """Needs of ``roles`` for recordings with these amounts, (axes, features)."""
+        shares = np.array([SHARES[role] for role in roles])
+        part = shares / shares.sum()
+        whole = np.array(NEEDED) * (shares / SHARES["fit"])[:, None, None]
+        amounts = np.minimum(whole, ENOUGH * part[:, None, None] * totals)
+        return cls(tuple(roles), part, np.where(totals >= np.array(COUNTS), amounts, 0.0))
+
+    def shortages(self, amounts: Array) -> Array:
+        """Relative shortage of every quantity, weighted: 0 none to 1 all of it, (…, R, axes, features)."""
+        needed = np.where(self.amounts > 0.0, self.amounts, 1.0)
+        missing = np.clip(1.0 - amounts / needed, 0.0, 1.0)
+        return np.asarray(np.where(self.amounts > 0.0, missing * np.array(WEIGHTS), 0.0))
+
+
+def levels(shortages: Array) -> npt.NDArray[np.int64]:
+    """Shortages in whole steps of :data:`LEVELS`, rounded down."""
+    return np.floor(LEVELS * shortages + 1e-9).astype(np.int64)
+
+
+assert len(NEEDED) == len(WEIGHTS) == len(COUNTS) == len(FEATURES)
+
 
 #: Least recorded motion of a role, and of a block of a recording that is cut [s]. Predictive densities are compared over blocks
 #: of about 5 s, one at least in a recording; a stroke in each direction, with its delays and lags, takes about as long.
@@ -161,3 +228,117 @@ def _remedy(dataset: Dataset, motion: Sequence[Recording]) -> str:
             f"{least_cut_s(len(ROLES), guard_s):g} s or more is then cut into a block for each role."
         )
     return cut_advice(guard_s)
+
+
+LackKind = Literal["motion", "direction", "reversals", "small", "large"]
+
+#: What is done on the recordings of a role.
+_DONE: dict[Role, str] = {"fit": "estimated", "select": "compared", "held_out": "validated"}
+#: Below this share of its need, a role has nothing of a quantity; above, hardly anything.
+_NOTHING = 0.1
+
+
+@dataclass(frozen=True)
+class Lack:
+    """Axes that lack the same in the same roles.
+
+    Args:
+        kind: "motion" at all, one "direction", "reversals", or "small" or "large" commands.
+        nowhere: no recording contains it, so that no other roles help.
+        text: one sentence; ``record``: what to record.
+    """
+
+    axes: tuple[str, ...]
+    roles: tuple[Role, ...]
+    kind: LackKind
+    nowhere: bool
+    text: str
+    record: str
+
+
+def role_lacks(dataset: Dataset) -> tuple[Lack, ...]:
+    """What the roles of ``dataset`` lack."""
+    table = motion_table(dataset.of_kind("motion"), dataset.machine)
+    return lacks_of(role_amounts(table, dataset.splits), table.axes, dataset.machine)
+
+
+def role_amounts(table: MotionTable, splits: Mapping[str, Role]) -> Array:
+    """Amounts of motion in each role, (roles, axes, features)."""
+    by_role = ([name for name in table.recordings if splits.get(name) == role] for role in ROLES)
+    return np.stack([table.of(names) for names in by_role])
+
+
+def lacks_of(amounts: Array, axes: Sequence[str], machine: Machine) -> tuple[Lack, ...]:
+    """What the roles lack.
+
+    Args:
+        amounts: (roles, axes, features).
+    """
+    totals = amounts.sum(axis=0)
+    needs = RoleNeeds.of(ROLES, totals)
+    shortages = needs.shortages(amounts)
+    found: dict[tuple[LackKind, bool, bool, bool, tuple[Role, ...]], list[str]] = {}
+    for place, axis in enumerate(axes):
+        valve = machine.axis(axis).actuation == "velocity"
+        if (totals[place, :2] < COUNTS[:2]).all():
+            found.setdefault(("motion", True, True, valve, ROLES), []).append(axis)
+            continue
+        roles: dict[tuple[LackKind, bool], list[Role]] = {}
+        for number, role in enumerate(ROLES):
+            worst = int(np.argmax(shortages[number, place]))
+            if levels(shortages[number, place, worst]) < LACKING:
+                continue
+            nothing = bool(amounts[number, place, worst] < _NOTHING * needs.amounts[number, place, worst])
+            roles.setdefault((_kind(shortages[number, place], worst), nothing), []).append(role)
+        for (kind, nothing), where in roles.items():
+            found.setdefault((kind, False, nothing, valve, tuple(where)), []).append(axis)
+    return tuple(
+        Lack(
+            tuple(names), roles, kind, nowhere, _text(kind, nowhere, nothing, valve, names, roles), _record(kind, names, roles)
+        )
+        for (kind, nowhere, nothing, valve, roles), names in found.items()
+    )
+
+
+def _kind(shortages: Array, worst: int) -> LackKind:
+    if worst <= 1:
+        return "motion" if (levels(shortages[:2]) >= LACKING).all() else "direction"
+    return "reversals" if worst == FEATURES.index("reversals") else "small" if worst <= 4 else "large"
+
+
+def _text(kind: LackKind, nowhere: bool, nothing: bool, valve: bool, axes: Sequence[str], roles: Sequence[Role]) -> str:
+    names, one = listed(axes), len(axes) == 1
+    if nowhere:
+        return f"{names} {'moves' if one else 'move'} in no recording: an effect of {names} cannot be identified"
+    hardly = "hardly any" if not nothing else "no"
+    verbs = {
+        "motion": ("does not move" if one else "do not move") if nothing else f"hardly {'moves' if one else 'move'}",
+        "direction": f"{'moves' if one else 'move'} {'' if nothing else 'almost '}only in one direction",
+        "reversals": f"{'has' if one else 'have'} {hardly} reversals",
+        "small": f"{'has' if one else 'have'} {hardly} {'small commands' if valve else 'slow motion'} in one direction",
+        "large": f"{'has' if one else 'have'} {hardly} {'large commands' if valve else 'fast motion'} in one direction",
+    }
+    effects = {
+        "motion": "an effect",
+        "direction": "a difference between the directions",
+        "reversals": "backlash, hysteresis or friction",
+        "small": "a dead-band" if valve else "friction at low speed",
+        "large": "a saturation" if valve else "friction at high speed",
+    }
+    done = " or ".join(_DONE[role] for role in roles)
+    where = listed([ROLE_NAMES[role] for role in roles])
+    return f"{names} {verbs[kind]} in the {where} recordings: {effects[kind]} of {names} cannot be {done}"
+
+
+def _record(kind: LackKind, axes: Sequence[str], roles: Sequence[Role]) -> str:
+    """What to record, in recordings of their own that the roles then receive."""
+    names, count = listed(axes), len(roles)
+    amount = {
+        "motion": f"over the range, {NEEDED[0]:g} s or more in each direction, with {NEEDED[2]:g} reversals",
+        "direction": f"in both directions, {NEEDED[0]:g} s or more in each",
+        "reversals": f"with {NEEDED[2]:g} reversals",
+        "small": f"slowly, {NEEDED[3]:g} s or more in each direction",
+        "large": f"at large commands, {NEEDED[5]:g} s or more in each direction",
+    }[kind]
+    where = "one more recording" if count == 1 else f"{('two', 'three')[count - 2]} more recordings"
+    return f"Record {names} moving {amount}, in {where} of {MIN_ROLE_S:g} s or more."

@@ -11,23 +11,27 @@ import numpy as np
 
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
-from sysid.datasets.combined import made_by, notes_of, placed, streams_of, units_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.joint_units import with_joint_units
-from sysid.datasets.plan import Plan
+from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes
 from sysid.datasets.tasks.steps import (
+    Plain,
     align_recording,
     clock_records,
+    from_mounts,
     read_recording,
     store_recording,
     stored_table,
     survey_recording,
+    to_error,
+    to_pieces,
+    to_reading,
+    to_refused,
 )
-from sysid.datasets.tasks.values import Plain, from_mounts, to_error, to_pieces, to_reading, to_refused
+from sysid.datasets.unstated_units import with_joint_units
 from sysid.datasets.versions.files import UNCHANGED, explained
 from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store

@@ -1,54 +1,215 @@
-"""The tasks of an ingest, in their order: each does one step for one recording.
+"""The tasks of an ingest, in their order: each does one step for one recording, on plain values (numbers, text, lists,
+dictionaries).
 
 In the folder of a part, recording ``k`` has the files ``channels/part-k``, ``samples/part-k`` and, until its roles are known,
-``tables/k.arrow``: its uncut table. Every file appears whole, so that a task may run twice.
+``tables/k.arrow``: its uncut table (the recording on
+the machine's clock, its channels resampled to the machine's rate). Every file appears whole, so that a task may run twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.aligned import aligned_recording, stream_signals
-from sysid.datasets.channels import ReadRecording, read_channels, reference_poses
-from sysid.datasets.clocks.records import RecordingClocks, by_source, pieces_of, records_of
-from sysid.datasets.clocks.skews import Skew
+from sysid.datasets.channel import Channel, RowCounts
+from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, reference_poses
+from sysid.datasets.chunked import median_step
+from sysid.datasets.clocks.estimate import Backlash, Estimate, Skew
+from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
+from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.collect import flag_rows
+from sysid.datasets.flags.flag import Flag
+from sysid.datasets.frames.bodies import MissingFrames
 from sysid.datasets.plan import Plan
+from sysid.datasets.plausibility.stamps import likely_unit
+from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
 from sysid.datasets.quality.use import Scale
-from sysid.datasets.rates import rate_notes
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Kind, Recording
+from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import rows_of
-from sysid.datasets.tasks.values import (
-    Plain,
-    from_error,
-    from_pieces,
-    from_reading,
-    from_refused,
-    to_mounts,
-    to_pieces,
-    to_reading,
-)
+from sysid.datasets.unstated_units import rate_notes
 from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
 from sysid.datasets.versions.store import Store
-from sysid.datasets.versions.tables import (
-    Columns,
-    clock_entries,
-    read_channel_file,
-    write_channel_file,
-    write_sample_file,
-)
-from sysid.errors import AlignmentError
+from sysid.datasets.versions.tables import Columns, clock_entries, read_channel_file, write_channel_file, write_sample_file
+from sysid.errors import AlignmentError, InputError, SysidError
 from sysid.files import plain
-from sysid.progress import silent
-from sysid.scratch import scratch_in
+from sysid.machine import Machine
+from sysid.progress import Progress, silent
+from sysid.scratch import leave, scratch_in
+
+#: Limit of rows on the grid, beyond which stamps are wrong (a day at 1 kHz has 86 million).
+MAX_ROWS = 10**8
+
+
+def aligned_recording(
+    recording: RecordingClocks,
+    records: Mapping[str, Sequence[ClockRecord]],
+    machine: Machine,
+    rules: IngestRecipe,
+    report: Progress,
+) -> Recording:
+    """The aligned table of one recording.
+
+    Args:
+        records: source file → its clock records, see :func:`sysid.datasets.clocks.records.by_source`.
+
+    Raises:
+        InputError: no signal of the machine, or stamps that span too long a time.
+    """
+    start = recording.start_ns
+    where = f"recording {recording.name}"
+    signals = {name: concatenate(parts) for name, parts in joined(recording.channels, where).items()}
+    signals = {name: signals[name] for name in machine.signals if name in signals}
+
+    def times_of(channel: Channel) -> npt.NDArray[np.float64]:
+        return machine_times(channel, start, records.get(channel.source))
+
+    report(0.0, f"resampling {recording.name}")
+    if recording.kind == "poses":
+        sensors = [c for c in recording.machine if not c.signal.endswith(".command")]
+        measured = {c.signal: (machine_times(c, start, None), c.values) for c in sensors}  # noqa: PD011
+        phases = still_phases(measured, rules.still, where)
+        slack = {name: max(map(_slack, records[c.source])) for name, c in signals.items() if c.source in records}
+        values = {n: (times_of(c), c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
+        return Recording(
+            recording.name,
+            pose_table(phases, values, slack, machine.noise, rules.still.tolerance),
+            machine.rate_hz,
+            "poses",
+            start,
+        )
+    end = max(int(channel.stamps[-1]) for channel in recording.machine)
+    if (end - start) * 1e-9 * machine.rate_hz > MAX_ROWS:
+        found = f"stamps that span {(end - start) * 1e-9 / 86400.0:.3g} days"
+        expected = f"at most {MAX_ROWS} rows at {machine.rate_hz:g} Hz"
+        slowest = max(recording.machine, key=lambda channel: int(channel.stamps[-1]))
+        period = median_step(slowest.stamps) * 1e-9
+        cause = likely_unit(1.0 / period, machine.rate_hz) if period > 0.0 else ""
+        remedy = "Choose another clock or time unit in the recipe, or cut the log."
+        raise InputError(where, found, expected, f"{cause}. {remedy}" if cause else remedy)
+    at = grid(start, end, machine.rate_hz)
+    columns = {"time": at}
+    for number, (name, channel) in enumerate(signals.items()):
+        report(number / len(signals), f"resampling {recording.name}: {name}")
+        columns[name] = resample(channel, times_of(channel), at, machine.rate_hz, rules.hold_s)
+        leave()
+    return Recording(recording.name, pd.DataFrame(columns, copy=False), machine.rate_hz, "motion", start)
+
+
+def stream_signals(recording: RecordingClocks) -> list[tuple[str, str]]:
+    """(file stem, signal) of the primary signals of a recording."""
+    found = joined(recording.channels, f"recording {recording.name}")
+    return [(Path(parts[0].source).stem, name) for name, parts in found.items()]
+
+
+def _slack(record: ClockRecord) -> float:
+    """Widening of the window of a still phase for a clock that is only known to a part of a hold [s]."""
+    half = (record.offset_interval95[1] - record.offset_interval95[0]) / 2.0
+    return half if half > 0.01 else 0.0
+
+
+Plain = dict[str, Any]
+
+_ARRAYS = ("stamps", "values")
+
+
+def from_channel(channel: Channel) -> Plain:
+    """A channel without its samples, whose number is ``samples``."""
+    own = {field.name: getattr(channel, field.name) for field in fields(channel) if field.name not in _ARRAYS}
+    flags = [asdict(flag) for flag in channel.flags]
+    return {**own, "counts": asdict(channel.counts), "flags": flags, "samples": len(channel.stamps)}
+
+
+def to_channel(entry: Plain, stamps: Any = None, values: Any = None) -> Channel:
+    """The channel with these samples, by default without any."""
+    own = {key: value for key, value in entry.items() if key != "samples"}
+    own["counts"] = RowCounts(**entry["counts"])
+    own["flags"] = tuple(Flag(**flag) for flag in entry["flags"])
+    nothing = stamps is None
+    return Channel(**own, stamps=np.empty(0, np.int64) if nothing else stamps, values=np.empty(0) if nothing else values)
+
+
+def from_reading(reading: ReadRecording) -> Plain:
+    """A recording that was read, without the samples of its channels."""
+    return {
+        "channels": [from_channel(channel) for channel in reading.channels],
+        "losses": {file: list(texts) for file, texts in reading.losses.items()},
+        "missing_frames": [asdict(flag) for flag in reading.flags],
+        "refused": from_refused(reading.refused),
+    }
+
+
+def to_reading(entry: Plain, samples: Sequence[tuple[Any, Any]] | None = None) -> ReadRecording:
+    """The recording with ``samples`` (stamps, values) of its channels, by default without any."""
+    arrays = samples if samples is not None else [(None, None)] * len(entry["channels"])
+    channels = tuple(to_channel(own, *pair) for own, pair in zip(entry["channels"], arrays, strict=True))
+    losses = {file: tuple(texts) for file, texts in entry["losses"].items()}
+    flags = tuple(MissingFrames(**flag) for flag in entry["missing_frames"])
+    return ReadRecording(channels, losses, flags, to_refused(entry["refused"]))
+
+
+def from_pieces(found: Mapping[str, Sequence[Piece]]) -> Plain:
+    """Clock → pieces, without the residuals of their fits in blocks."""
+    return {clock: [_from_piece(piece) for piece in pieces] for clock, pieces in found.items()}
+
+
+def _from_piece(piece: Piece) -> Plain:
+    estimate = asdict(replace(piece.estimate, blocks=None))
+    matrices = {name: estimate[name].tolist() for name in ("covariance", "normal")}
+    return {"first_s": piece.first_s, "last_s": piece.last_s, "estimate": {**estimate, **matrices}}
+
+
+def to_pieces(entry: Plain) -> dict[str, tuple[Piece, ...]]:
+    return {clock: tuple(_to_piece(own) for own in pieces) for clock, pieces in entry.items()}
+
+
+def _to_piece(entry: Plain) -> Piece:
+    estimate = {
+        **entry["estimate"],
+        **{name: np.array(entry["estimate"][name]) for name in ("covariance", "normal")},
+        "backlash": tuple(Backlash(**own) for own in entry["estimate"]["backlash"]),
+    }
+    return Piece(entry["first_s"], entry["last_s"], Estimate(**estimate))
+
+
+def from_mounts(mounts: Mounts, recording: str) -> Plain:
+    """Mounts of the bodies in one recording: key of the recipe's entry → body → 4×4."""
+    return {
+        key: {body: pose.tolist() for body, pose in bodies.items()}
+        for (name, key), bodies in mounts.items()
+        if name == recording
+    }
+
+
+def to_mounts(entry: Plain, recording: str) -> Mounts:
+    return {(recording, key): {body: np.array(pose) for body, pose in bodies.items()} for key, bodies in entry.items()}
+
+
+def from_refused(refused: Mapping[str, InputError]) -> Plain:
+    """``recording/file`` → the parts of the error for which it cannot be used."""
+    return {key: from_error(error) for key, error in refused.items()}
+
+
+def to_refused(entry: Plain) -> dict[str, InputError]:
+    return {key: InputError(*own) for key, own in entry.items()}
+
+
+def from_error(error: SysidError) -> list[str]:
+    return [str(part) for part in (error.where, error.found, error.expected, error.remedy)]
+
+
+def to_error(entry: Sequence[str]) -> AlignmentError:
+    return AlignmentError(*entry)
 
 
 def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> Plain:
@@ -66,7 +227,7 @@ def read_recording(location: str, folder: str, number: int, plan: Plan, files: R
         mounts: of the rigid bodies in this recording.
 
     Returns:
-        ``reading`` and ``pieces`` (:mod:`sysid.datasets.tasks.values`), ``file`` and ``clocks`` for the manifest, ``rates``
+        ``reading`` and ``pieces`` as plain values, ``file`` and ``clocks`` for the manifest, ``rates``
         (notes); ``reading`` alone where a file cannot be used.
 
     Raises:
@@ -103,7 +264,7 @@ def align_recording(
 
     Args:
         read: result of :func:`read_recording`.
-        skews: clock domain → fields of its :class:`~sysid.datasets.clocks.skews.Skew`; None: each recording has its own.
+        skews: clock domain → fields of its :class:`~sysid.datasets.clocks.estimate.Skew`; None: each recording has its own.
 
     Returns:
         ``clocks`` (fields of the clock records), ``flags``, ``streams`` (file stem and signal), ``start_ns``; or ``refused``:

@@ -13,7 +13,7 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording, Source
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.errors import StoreError
-from sysid.logs.growing import GrowingArray
+from sysid.logs.topic_columns import GrowingArray
 from sysid.machine import machine_from_files
 from sysid.scratch import leave
 

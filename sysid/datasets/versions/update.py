@@ -18,10 +18,9 @@ from typing import Any
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import KnownSkew, known_skews
-from sysid.datasets.combined import made_by
 from sysid.datasets.discover import RecordingFiles, as_found, check_sources, in_folder
 from sysid.datasets.ingestion import read_and_align
-from sysid.datasets.plan import Plan, content_of, plan_of
+from sysid.datasets.plan import Plan, content_of, made_by, plan_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Source
 from sysid.datasets.splits import split

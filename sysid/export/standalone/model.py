@@ -2,6 +2,8 @@
 
 After ``reset`` the state is that of sample 0; a step with the commands of sample k leads to sample k + 1 (position axes: with
 the command of sample k + 1). Units are SI.
+
+:func:`assemble` makes the model from its data (JSON).
 """
 
 from __future__ import annotations
@@ -14,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.export.standalone.command_parts import Part
-from sysid.export.standalone.force_parts import RigidDrive
-from sysid.export.standalone.joint_parts import Backlash, GripperSway, Kinematics, Linkage, SensorReading
+from sysid.export.standalone.mechanical_parts import Backlash, GripperSway, Kinematics, Linkage, RigidDrive, SensorReading
 
 Array = npt.NDArray[np.float64]
 
@@ -244,3 +245,42 @@ class DriveModel:
         for _ in range(self.SETTLING if structure.any() else 1):
             load = self.kinematics.pose(joints + offset - structure * load)[1]
         return joints + compliance * load
+
+
+def assemble(data: dict[str, Any], parts: dict[str, Any]) -> DriveModel:
+    """The model that ``data`` describes; ``parts``: name → class of its effects."""
+    dt, names = data["dt"], [axis["name"] for axis in data["axes"]]
+    signals = [f"{axis['name']}.{axis['drives']}" for axis in data["axes"]]
+    kinematics = None if data["kinematics"] is None else Kinematics(**data["kinematics"])
+    sway = None if data["sway"] is None else GripperSway(dt, **data["sway"])
+    sensors = {signal: SensorReading(**values) for signal, values in data["sensors"].items()}
+    limit = math.inf if data["pump_limit"] is None else data["pump_limit"]
+    axes = [_axis(dt, axis, parts) for axis in data["axes"]]
+    return DriveModel(dt, names, signals, axes, limit, kinematics, sway, sensors)
+
+
+def _axis(dt: float, axis: dict[str, Any], parts: dict[str, Any]) -> Axis:
+    command = [parts[name](dt, **values) for name, values in axis["command"]]
+    servo = next((part for part in command if hasattr(part, "sag_load")), None)
+    linkage = None if axis["linkage"] is None else Linkage(**axis["linkage"])
+    return Axis(
+        _drive(dt, axis, command, parts),
+        linkage,
+        Backlash(axis["drive_backlash"]),
+        Backlash(axis["structure_backlash"]),
+        axis["drive_compliance"],
+        axis["structure_compliance"],
+        axis["offset"],
+        servo,
+    )
+
+
+def _drive(dt: float, axis: dict[str, Any], command: list[Any], parts: dict[str, Any]) -> Drive:
+    ends = axis["low"], axis["high"]
+    if axis["actuation"] == "velocity":
+        return VelocityDrive(dt, *ends, command, axis["gain"], axis["sense"])
+    if axis["actuation"] == "position":
+        return PositionDrive(dt, *ends, command)
+    frictions = [parts[name](**values) for name, values in axis["frictions"]]
+    rotor = parts[axis["rotor"]](dt, axis["mass"], axis["bias"], frictions, **axis["spring"])
+    return ForceDrive(dt, *ends, rotor)

@@ -20,14 +20,14 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from sysid.export.standalone.force_parts import (
+from sysid.export.standalone.mechanical_parts import (
     CoulombFriction,
     Friction,
+    SensorReading,
     SmoothCoulombFriction,
     StribeckFriction,
     ViscousFriction,
 )
-from sysid.export.standalone.joint_parts import SensorReading
 
 Array = npt.NDArray[np.float64]
 

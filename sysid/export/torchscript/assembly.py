@@ -1,24 +1,61 @@
-"""Plant → TorchScript module of its drive chain, with the parameters of its effects by name."""
+"""Plant → TorchScript module of its drive chain, with the parameters of its effects by name.
+
+PyTorch deprecates TorchScript, which Isaac Lab loads: its warnings are not those of a user's mistake.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from sysid.effects import effect_named, stiction
 from sysid.export.drive_data import EDGE, WITHOUT_PART, drive_data
-from sysid.export.standalone.joint_parts import GRAVITY
-from sysid.export.torchscript import axes, command_parts, force_parts, joint_parts
-from sysid.export.torchscript.files import scripted
-from sysid.export.torchscript.model import DriveModel
+from sysid.export.standalone.mechanical_parts import GRAVITY
+from sysid.export.torchscript import command_parts, mechanical_parts
+from sysid.export.torchscript.model import Axis, DriveModel, ForceAxis, JointColumns, PositionAxis, VelocityAxis
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import signals_of, slot_indices
 from sysid.plant.machine_arrays import GAIN, LENGTH, ORDER, PASSIVE, SHIFT
 
 Array = npt.NDArray[np.float64]
+
+_jit: Any = torch.jit
+
+
+@contextmanager
+def deprecation_known() -> Iterator[None]:
+    """Without the warning that TorchScript is deprecated."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit\..*", DeprecationWarning)
+        yield
+
+
+def scripted(module: torch.nn.Module) -> Any:
+    """A module as a script."""
+    with deprecation_known():
+        return _jit.script(module.eval())
+
+
+def save_script(module: Any, path: Path) -> None:
+    """Write a script to a file."""
+    with deprecation_known():
+        _jit.save(module, str(path))
+
+
+def load_script(path: Path) -> Any:
+    """The script of a file, on the CPU."""
+    with deprecation_known():
+        return _jit.load(str(path), map_location="cpu")
+
+
 #: Parts with further arguments are made one by one, the others by their class.
 _COMMAND: dict[str, Any] = {
     "valve_hysteresis": command_parts.ValveHysteresis,
@@ -36,10 +73,10 @@ _COMMAND: dict[str, Any] = {
 #: The place of a spool's parameters among those of ``stiction``.
 SPOOL_SLOT = [slot.name for slot in stiction.EFFECT.slots].index("spool_breakaway")
 _FRICTION: dict[str, Any] = {
-    "viscous_friction": force_parts.ViscousFriction,
-    "coulomb_friction": force_parts.CoulombFriction,
-    "stribeck_friction": force_parts.StribeckFriction,
-    "smooth_coulomb_friction": force_parts.SmoothCoulombFriction,
+    "viscous_friction": mechanical_parts.ViscousFriction,
+    "coulomb_friction": mechanical_parts.CoulombFriction,
+    "stribeck_friction": mechanical_parts.StribeckFriction,
+    "smooth_coulomb_friction": mechanical_parts.SmoothCoulombFriction,
 }
 
 
@@ -89,23 +126,23 @@ class _Assembly:
         made = [self.axis(axis) for axis in self.data["axes"]]
         return DriveModel(self.dt, names, values, made, pump, self.kinematics(self.compiled), self.sway(), self.readings())
 
-    def axis(self, axis: dict[str, Any]) -> axes.Axis:
+    def axis(self, axis: dict[str, Any]) -> Axis:
         name, link = axis["name"], axis["linkage"]
         low, high = (math.copysign(math.inf, s) if axis[k] is None else axis[k] for k, s in (("low", -1.0), ("high", 1.0)))
-        linkage = None if link is None else joint_parts.Linkage(link["low"], link["step"], link["joints"])
+        linkage = None if link is None else mechanical_parts.Linkage(link["low"], link["step"], link["joints"])
         sides = [self.at(effect, name, side) for effect in ("backlash", "joint_compliance") for side in ("drive", "structure")]
-        columns = axes.JointColumns(self.at("joint_offset", name), *sides)
+        columns = JointColumns(self.at("joint_offset", name), *sides)
         if axis["actuation"] == "force":
-            return axes.ForceAxis(self.dt, low, high, self.rotor(axis), linkage, columns)
+            return ForceAxis(self.dt, low, high, self.rotor(axis), linkage, columns)
         parts = [self.part(part, values, axis) for part, values in axis["command"]]
         stage = command_parts.CommandStage(parts)
         if axis["actuation"] == "velocity":
-            return axes.VelocityAxis(self.dt, low, high, stage, axis["gain"], axis["sense"], linkage, columns)
+            return VelocityAxis(self.dt, low, high, stage, axis["gain"], axis["sense"], linkage, columns)
         kinds = [part for part, _ in axis["command"]]
         sag = -1
         if "second_order_lag" in kinds:
             sag = 1 + sum(part.width for part in parts[: kinds.index("second_order_lag")]) + 2
-        return axes.PositionAxis(self.dt, low, high, stage, sag, linkage, columns)
+        return PositionAxis(self.dt, low, high, stage, sag, linkage, columns)
 
     def part(self, part: str, values: dict[str, Any], axis: dict[str, Any]) -> command_parts.Part:
         name = axis["name"]
@@ -144,19 +181,19 @@ class _Assembly:
             edges,
         )
 
-    def rotor(self, axis: dict[str, Any]) -> force_parts.RigidDrive:
+    def rotor(self, axis: dict[str, Any]) -> mechanical_parts.RigidDrive:
         name = axis["name"]
         laws = [_FRICTION[law](self.at(law, name)) for law, _ in axis["frictions"]]
         inertia = float(self.compiled.arrays.axes[self.plant.machine.axis_names.index(name), GAIN])
         constant, ratio, bias = (self.at(effect, name) for effect in ("force_constant_error", "inertia_error", "load_bias"))
         common = (self.dt, inertia, constant, ratio, bias, laws)
         if axis["rotor"] == "rigid_drive":
-            return force_parts.RigidDrive(*common)
+            return mechanical_parts.RigidDrive(*common)
         spring = axis["spring"]
         count = max(1, math.ceil(2.0 * math.pi * spring["frequency"] * math.sqrt(1.0 + spring["inertia_ratio"]) * self.dt))
-        return force_parts.FlexibleDrive(*common, self.at("flexible_drive", name), count)
+        return mechanical_parts.FlexibleDrive(*common, self.at("flexible_drive", name), count)
 
-    def kinematics(self, model: Model) -> joint_parts.Kinematics | None:
+    def kinematics(self, model: Model) -> mechanical_parts.Kinematics | None:
         data, links = self.data["kinematics"], model.arrays.links
         if data is None:
             return None
@@ -167,14 +204,16 @@ class _Assembly:
                 owner = self.plant.machine.axis_names[int(links[j - 1, ORDER])]
                 step |= {"length_at": self.at("link_length_error", owner), "length": float(links[j, LENGTH])}
             steps.append((data["joints"][j] if j < len(data["joints"]) else {}) | step)
-        return joint_parts.Kinematics(steps[:-1], steps[-1], self.at("tip_offset", "ee"), self.at("base_misalignment", "base"))
+        return mechanical_parts.Kinematics(
+            steps[:-1], steps[-1], self.at("tip_offset", "ee"), self.at("base_misalignment", "base")
+        )
 
-    def sway(self) -> joint_parts.GripperSway | None:
+    def sway(self) -> mechanical_parts.GripperSway | None:
         sway = self.data["sway"]
         if sway is None:
             return None
         rate = math.sqrt(GRAVITY / sway["length"])
-        return joint_parts.GripperSway(self.dt, self.at("gripper_sway", "tool"), max(1, math.ceil(self.dt * rate / 0.1)))
+        return mechanical_parts.GripperSway(self.dt, self.at("gripper_sway", "tool"), max(1, math.ceil(self.dt * rate / 0.1)))
 
     def readings(self) -> dict[str, tuple[str, list[int]]]:
         names, posed = self.plant.machine.axis_names, self.data["kinematics"] is not None

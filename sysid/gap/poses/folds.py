@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.shortage import ROLES
+from sysid.datasets.roles.needs import ROLES
 from sysid.gap.candidates import Candidate
 
 Array = npt.NDArray[np.float64]

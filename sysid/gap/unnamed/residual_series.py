@@ -20,8 +20,8 @@ from sysid.machine import Axis, Machine
 from sysid.plant import gravity_load
 from sysid.plant.force import force_inputs
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.binning import direction_of, speed_of
-from sysid.validate.bootstrap import bootstrap_means
+from sysid.validate.error_analysis import direction_of, speed_of
+from sysid.validate.metrics import bootstrap_means
 
 Array = npt.NDArray[np.float64]
 

@@ -31,7 +31,15 @@ from sysid.machine.sources.draft import (
     summarised,
     without_stops,
 )
-from sysid.machine.sources.mjcf_actuator import Drive, drive_of
+from sysid.machine.sources.mjcf_actuator import (
+    Drive,
+    dead_time,
+    drive_of,
+    friction_effects,
+    servo_law,
+    setpoint_lag,
+    why_no_servo,
+)
 from sysid.machine.sources.mjcf_chain import (
     Chain,
     ChainJoint,
@@ -50,7 +58,6 @@ from sysid.machine.sources.mjcf_model import (
     path_to,
     read_mjcf,
 )
-from sysid.machine.sources.mjcf_servo import dead_time, friction_effects, servo_law, setpoint_lag, why_no_servo
 from sysid.machine.sources.mjcf_urdf import write_urdf
 from sysid.names import listed
 from sysid.numbers import end_stops

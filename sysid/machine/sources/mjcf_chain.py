@@ -12,7 +12,6 @@ from typing import Any
 
 from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
-from sysid.machine.mimic import Mimic
 from sysid.machine.sources.draft import ChainChoice
 from sysid.machine.sources.mjcf_model import (
     actuator_name,
@@ -24,6 +23,7 @@ from sysid.machine.sources.mjcf_model import (
     mujoco_library,
     path_to,
 )
+from sysid.machine.urdf_tree import Mimic
 from sysid.names import listed
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from sysid.machine.mimic import Mimic
 from sysid.machine.sources.mjcf_chain import Chain
 from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library, path_to
+from sysid.machine.urdf_tree import Mimic
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,6 @@ from sysid.errors import SettingsError, nearest
 from sysid.foreign import shown
 from sysid.machine.description import Actuation, KnownEffect
 from sysid.machine.kinematics import Joint, Kinematics, parse_urdf
-from sysid.machine.mimic import followed, resolved
 from sysid.machine.moved_bodies import has_masses
 from sysid.machine.sources.draft import (
     ACTUATIONS,
@@ -28,7 +27,7 @@ from sysid.machine.sources.draft import (
     summarised,
     without_stops,
 )
-from sysid.machine.urdf_tree import MOVING, indefinite_links, invalid_shapes, repeated, urdf_tree, xml_root
+from sysid.machine.urdf_tree import MOVING, followed, indefinite_links, invalid_shapes, repeated, resolved, urdf_tree, xml_root
 from sysid.names import listed
 from sysid.numbers import NonNegative, number
 

@@ -10,9 +10,8 @@ from sysid.datasets.recording import Dataset
 from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import words
-from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.reasons import RejectedEffect, label_of, least_error, outcome, rejected
+from sysid.reports.words import RejectedEffect, label_of, least_error, outcome, rejected, shown
 
 #: Largest number of shown rows of a stage.
 MAX_ROWS = 25

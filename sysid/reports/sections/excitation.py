@@ -9,8 +9,8 @@ from sysid import display
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict
 from sysid.machine import Machine
 from sysid.reports import words
+from sysid.reports.dataset_texts import SIDES, amount, by_reason, request_text
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.verdicts import SIDES, amount, by_reason, request_text
 from sysid.signals import split_signal
 
 #: Position of the needed amount on a bar [%].

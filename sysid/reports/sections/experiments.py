@@ -7,9 +7,8 @@ from typing import Any
 from sysid import display
 from sysid.gap.result import EXPERIMENTS
 from sysid.reports import words
-from sysid.reports.effect_units import remainder_unit
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.reasons import with_titles
+from sysid.reports.words import remainder_unit, with_titles
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from sysid import display
 from sysid.networks import PAPER_MAX
 from sysid.reports import words
-from sysid.reports.figures import figure, packed
+from sysid.reports.charts import figure, packed
 from sysid.reports.inputs import ReportInputs
 from sysid.validate import OutputReport, ValidationReport
 

@@ -14,8 +14,8 @@ from sysid.gap.result import NamedEffect
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import effects_toml
 from sysid.reports import words
-from sysid.reports.effect_units import UNDETERMINED, shown
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.words import UNDETERMINED, shown
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:

@@ -14,12 +14,10 @@ from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, order_sentence, response_sentences
 from sysid.machine import Machine
 from sysid.reports import words
-from sysid.reports.effect_units import remainder_unit, shown_parameters
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.picture import machine_picture
-from sysid.reports.places import Mark, has_valve, marks_of, part_of, place_text, stage_marks
-from sysid.reports.reasons import confidence
+from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
 from sysid.reports.sections.where import above_floor, over_name, sentence
+from sysid.reports.words import confidence, remainder_unit, shown_parameters
 from sysid.signals import point_signals
 
 

@@ -1,19 +1,179 @@
-"""Measured and simulated signals of held-out recordings."""
+"""Measured and simulated signals of held-out recordings: curves, the largest errors before and after the repair, and a short
+replay of the machine and its simulation around the largest one, as data that the page's script draws.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import pandas as pd
 from markupsafe import Markup
 
 from sysid import display
-from sysid.gap.result import Traces
+from sysid.gap.disagreement import worst_row
+from sysid.gap.result import GapResult, Traces
+from sysid.machine import Kinematics, Machine
 from sysid.reports import words
-from sysid.reports.figures import embed, packed, thin
+from sysid.reports.charts import WIDE, ChartCurve, chart, embed, packed, thin
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.moments import error_chart, largest_error_signals, moment_chart, worst_moment
-from sysid.reports.replay import replay
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+VERSIONS = ("before", "after")
+#: Length of the shown window [s], and its number of points.
+WINDOW, POINTS = 8.0, 200
+#: Below this share of the signal's range, errors are shown in the place of curves.
+MIN_DIFFERENCE = 0.08
+#: Largest number of shown signals.
+MAX_SIGNALS = 3
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The worst row of a signal: ``error`` (before or after) [SI] at ``time`` [s] of ``recording``."""
+
+    signal: str
+    recording: str
+    time: float
+    before: float
+    after: float
+    row: int
+
+
+def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment | None:
+    """The row of all recordings with the largest error of ``before`` or ``after``; None without any."""
+    found: Moment | None = None
+    for trace in traces:
+        if signal not in trace.measured or signal not in trace.before or signal not in trace.after:
+            continue
+        worst = worst_row(getattr(trace, version)[signal], trace.measured[signal])
+        if worst is None or (found is not None and abs(worst[1]) <= getattr(found, version)):
+            continue
+        row = worst[0]
+        before, after = (abs(_column(getattr(trace, v)[signal])[row] - _column(trace.measured[signal])[row]) for v in VERSIONS)
+        time = float(_column(trace.measured["time"])[row])
+        found = Moment(signal, trace.recording, time, float(before), float(after), row)
+    return found
+
+
+def largest_error_signals(gap: GapResult) -> list[str]:
+    """Outputs of the stages with errors, one per owner, the largest first; without any, the largest errors of the free run."""
+    before, floor = gap.gap.before, gap.gap.noise_floor
+    measured = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
+    times = {i.signal: i.stage_rmse / i.noise_floor for i in measured}
+    if not any(ratio > 1.5 for ratio in times.values()):
+        times = {s: before[s] / floor[s] for s in before if floor.get(s, 0.0) > 0.0}
+    owners: dict[str, str] = {}
+    for signal in sorted(times, key=lambda s: -times[s]):
+        if times[signal] > 1.5 and not signal.endswith(".command"):
+            owners.setdefault(signal.rpartition(".")[0], signal)
+    return list(owners.values())[:MAX_SIGNALS]
+
+
+def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
+    """Measured, before and after around a moment; errors instead if the curves could not be distinguished."""
+    factor, shown = display.shown_unit(unit)
+    time = _column(trace.measured["time"])
+    there = _around(time, moment.time, POINTS)
+    values = {v: factor * _column(getattr(trace, v)[moment.signal])[there] for v in ("measured", "before", "after")}
+    measured, unit_text = values["measured"], f" [{shown}]" if shown else ""
+    apart = np.nanmax(np.abs(values["before"] - measured)) > MIN_DIFFERENCE * np.ptp(measured[np.isfinite(measured)])
+    shift, what = (0.0 * measured, label) if apart else (measured, f"{label} error")
+    lines = [
+        ChartCurve(values["before"] - shift, "before"),
+        *([ChartCurve(values["after"] - shift, "after")] if repaired else []),
+    ]
+    if apart:
+        lines.append(ChartCurve(measured, "measured dotted"))
+    return chart(time[there], lines, ("time [s]", what + unit_text), include_zero=not apart, size=WIDE)
+
+
+def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:
+    """The error after the repair around its maximum, with the noise floor."""
+    factor, shown = display.shown_unit(unit)
+    time = _column(trace.measured["time"])
+    there = _around(time, moment.time, 2 * POINTS)
+    error = factor * (_column(trace.after[moment.signal]) - _column(trace.measured[moment.signal]))[there]
+    return chart(
+        time[there],
+        [ChartCurve(error, "after")],
+        ("time [s]", f"{label} error [{shown}]"),
+        noise=2.0 * factor * noise,
+        size=WIDE,
+    )
+
+
+def _around(time: Array, moment: float, points: int) -> npt.NDArray[np.int64]:
+    """Every k-th row of the window around a moment, shifted to lie inside the recording."""
+    begin = max(float(time[0]), min(moment - 0.5 * WINDOW, float(time[-1]) - WINDOW))
+    there = np.flatnonzero((time >= begin) & (time <= begin + WINDOW))
+    return there[:: max(1, len(there) // points)]
+
+
+def _column(values: object) -> Array:
+    return np.asarray(values, dtype=np.float64)
+
+
+#: Length of the replay [s] and its frames per second.
+REPLAY_WINDOW, RATE = 12.0, 25.0
+
+
+def replay(gap: GapResult, machine: Machine, repaired: bool) -> dict[str, Any] | None:
+    """Points of the machine over time: link origins, tip and tool of each version, (frames × points × 3) [m].
+
+    None without a URDF, or where a joint was not recorded.
+    """
+    kinematics = machine.kinematics()
+    signals = largest_error_signals(gap)
+    moments = [moment for signal in signals if (moment := worst_moment(gap.traces, signal, "before")) is not None]
+    if kinematics is None or not gap.traces or not moments:
+        return None
+    moment = moments[0]
+    trace = next(trace for trace in gap.traces if trace.recording == moment.recording)
+    rows = _rows(trace, moment.time)
+    versions = ("measured", "before", *(("after",) if repaired else ()))
+    found = {version: _points(getattr(trace, version).iloc[rows], machine, kinematics) for version in versions}
+    if any(points is None or not np.isfinite(points).any() for points in found.values()):
+        return None
+    time = trace.measured["time"].to_numpy(dtype=np.float64)[rows]
+    return {
+        "recording": trace.recording,
+        "signal": words.signal_name(moment.signal),
+        "at": moment.time,
+        "time": packed(time),
+        "frames": len(rows),
+        "rate": RATE,
+        "versions": {name: packed(points.ravel()) for name, points in found.items() if points is not None},
+    }
+
+
+def _rows(trace: Traces, moment: float) -> npt.NDArray[np.int64]:
+    """Row of each frame: the window around a moment, inside the recording, at a constant rate."""
+    time = trace.measured["time"].to_numpy(dtype=np.float64)
+    length = min(REPLAY_WINDOW, float(time[-1] - time[0]))
+    begin = min(max(moment - 0.5 * length, float(time[0])), float(time[-1]) - length)
+    wanted = begin + np.arange(1 + int(length * RATE)) / RATE
+    return np.minimum(np.searchsorted(time, wanted), len(time) - 1)
+
+
+def _points(table: pd.DataFrame, machine: Machine, kinematics: Kinematics) -> Array | None:
+    """Origins of the links, then tip and tool as the table has them; NaN where a value is missing."""
+    columns = [axis_signal(axis.name, "joint") for axis in machine.axes]
+    if not set(columns) <= set(table.columns):
+        return None
+    poses = kinematics.link_poses(table[columns].to_numpy(dtype=np.float64))
+    points = [pose[:, :3, 3] for pose in poses.values()]
+    for name in ("ee", "tool"):
+        own = list(point_signals(name))
+        there = set(own) <= set(table.columns)
+        points.append(table[own].to_numpy(dtype=np.float64) if there else np.full((len(table), 3), np.nan))
+    return np.stack(points, axis=1)
+
 
 #: Largest number of recordings on the page.
 MAX_RECORDINGS = 3

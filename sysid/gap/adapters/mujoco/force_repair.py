@@ -36,9 +36,9 @@ from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.machine.rigid_body import rigid_body
+from sysid.machine.sources.draft import machine_text
 from sysid.machine.sources.mjcf import mjcf_draft
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec, mujoco_library
-from sysid.machine.sources.toml_text import machine_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant, nominal_plant
 from sysid.plant.link_torque import link_motion

@@ -33,8 +33,7 @@ from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import Gap, WrittenEffect
 from sysid.machine import EffectKey, KnownEffect
-from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
-from sysid.machine.sources.mjcf_text import mjcf_text
+from sysid.machine.sources.mjcf_model import load_mjcf, load_spec, mjcf_text
 from sysid.plant import effects_toml
 from sysid.plant.plant import effect_key
 from sysid.quoting import comment, toml_value
