@@ -120,7 +120,7 @@ def test_what_the_recordings_show_without_a_model_is_compared_with_the_simulatio
     assert response_differences(recordings, [recording.table for recording in recordings], machine, units) == ()
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 24))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 24))])
 def test_sealed_machines_with_and_without_what_no_effect_explains(seed: int) -> None:
     """Valves, servos and forces; a random, slow, wave-like or creeping error of a thousandth to a tenth of the motion."""
     plant, data = generated(seed)
