@@ -22,7 +22,7 @@ Answer = dict[str, Any]
 
 
 def decide_case(site: Path, sealed: Path, out: Path) -> None:
-    """Write the answer of every trial about the logs in ``site``, judged by the ``sealed`` truth."""
+    """Write the answer of every trial about the logs in ``site``, compared with the truth."""
     load_all()
     truth = json.loads(sealed.read_text("utf-8"))
     hidden = tuple((e["name"], e["target"]) for each in truth["hidden"] for e in each["effects"])
@@ -32,12 +32,12 @@ def decide_case(site: Path, sealed: Path, out: Path) -> None:
         study = steps.open_study(dataset, nominal_plant(dataset.machine))
         for name, changes in TRIALS.items():
             with replaced(changes):
-                answers[name] = judged(steps.decide_on(steps.search(study)), hidden)
+                answers[name] = evaluated(steps.decide_on(steps.search(study)), hidden)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps({"hidden": hidden, "answers": answers}, indent=1) + "\n", "utf-8")
 
 
-def judged(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:
+def evaluated(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:
     """Names and ties of an answer, those that are wrong, and hidden effects that it misses."""
     meant = {
         (e.name, e.target): _meant(
