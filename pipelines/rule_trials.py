@@ -23,7 +23,7 @@ from committed import markdown, provenance, write_result, write_tables
 from hidden.bench import BENCHES
 from hidden.cases import CaseSpec
 from hidden.runner import Place, run_process
-from trials.cases import changed, decide_case, verdict
+from trials.cases import Answer, changed, decide_case, verdict
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "decisions" / "decision-rule.md"
@@ -38,17 +38,22 @@ def specs_of(bench: str, count: int, seed: int) -> list[CaseSpec]:
     return [listed[k * len(listed) // count] for k in range(count)]
 
 
-def one(bench: str, spec: CaseSpec, work: Path) -> str:
-    """Make and decide a case unless it is done; returns the failure, or nothing."""
+def answers_of(bench: str, spec: CaseSpec, work: Path) -> dict[str, Answer] | None:
+    """The answer of every trial about a case, which is made and decided unless it is done; None where that fails."""
     place, out = Place(work / bench), work / "answers" / f"{bench}-{spec.name}.json"
     if out.exists():
-        return ""
+        return answers_in(out)
     failed = None
     if not place.sealed(spec).exists():
         failed = run_process(BENCHES[bench].make, [spec, place.work, place.nominal], LONGEST)
     failed = failed or run_process(decide_case, [place.site(spec), place.sealed(spec), out], LONGEST)
     print(f"{bench} {spec.name}{'  ' + failed if failed else ''}", flush=True)
-    return failed or ""
+    return None if failed else answers_in(out)
+
+
+def answers_in(out: Path) -> dict[str, Answer]:
+    answers: dict[str, Answer] = json.loads(out.read_text("utf-8"))["answers"]
+    return answers
 
 
 def table_of(result: dict[str, Any]) -> str:
@@ -59,7 +64,8 @@ def table_of(result: dict[str, Any]) -> str:
         if each["changed"]
     ]
     silent = ", ".join(trial for trial, each in result["trials"].items() if not each["changed"])
-    head = f"{result['cases']} sealed cases, seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
+    cases = str(result["cases"]) if result["cases"] == result["listed"] else f"{result['cases']} of {result['listed']}"
+    head = f"{cases} sealed cases, seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
     table = markdown(("switched off, or changed", "answers that change", "of these"), rows, "lrl")
     return f"{head}\n\n{table}\n\nNo answer changes without: {silent}."
 
@@ -67,13 +73,15 @@ def table_of(result: dict[str, Any]) -> str:
 def main(counts: dict[str, int], seed: int, work: Path, workers: int, publish: bool) -> None:
     listed = [(bench, spec) for bench, count in counts.items() for spec in specs_of(bench, count, seed)]
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(lambda item: one(*item, work), listed))
-    found = {p.stem: json.loads(p.read_text("utf-8"))["answers"] for p in sorted((work / "answers").glob("*.json"))}
+        answered = list(pool.map(lambda item: answers_of(*item, work / f"seed-{seed}"), listed))
+    each = zip(listed, answered, strict=True)
+    found = {f"{bench}-{spec.name}": answers for (bench, spec), answers in each if answers is not None}
     verdicts = Counter(verdict(answers[""]) for answers in found.values())
     given = " ".join(f"--{bench} {count}" for bench, count in counts.items())
     result = {
         **provenance(f"python pipelines/rule_trials.py {given} --seed {seed}", seed),
         "cases": len(found),
+        "listed": len(listed),
         "verdicts": dict(sorted(verdicts.items())),
         "trials": changed(found),
     }
@@ -89,7 +97,9 @@ if __name__ == "__main__":
     parser.add_argument("--own", type=int, default=220, help="number of cases of pipelines/simulated_bench")
     parser.add_argument("--foreign", type=int, default=80, help="number of cases of MuJoCo and PyBullet")
     parser.add_argument("--seed", type=int, default=63, help="of the cases")
-    parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "rule_trials", help="folder of cases and answers")
+    parser.add_argument(
+        "--work", type=Path, default=ROOT / "workspace" / "rule_trials", help="folder of cases and answers, by seed"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--publish", action="store_true", help="write the result and the table of the page")
     options = parser.parse_args()

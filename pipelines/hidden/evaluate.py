@@ -98,14 +98,14 @@ def evaluate(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapp
         )
     answer = answered["answer"]
     effects = answer["effects"]
-    right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
+    right = {(e["name"], e["target"]): e for e in effects if meant(e, hidden) is not None}
     named = tuple((e["name"], e["target"]) for e in effects)
     truths = {(e["name"], e["target"]): e for e in sealed["effects"]}
     evaluated = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
     compared = {
         name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in evaluated & truths.keys()
     }
-    found = {_meant(e, hidden) for e in effects}
+    found = {meant(e, hidden) for e in effects}
     return CaseResult(
         spec=spec,
         hidden=hidden,
@@ -125,7 +125,7 @@ def evaluate(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapp
     )
 
 
-def _meant(effect: Mapping[str, Any], hidden: tuple[Name, ...]) -> Name | None:
+def meant(effect: Mapping[str, Any], hidden: tuple[Name, ...]) -> Name | None:
     """The hidden effect that a named one is, under its own name or an exact alias."""
     names = [(effect["name"], effect["target"]), *((a["name"], a["target"]) for a in effect.get("aliases", ()))]
     return next((name for name in names if name in hidden), None)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hidden.evaluate import _meant
+from hidden.evaluate import meant
 from sysid.datasets import ingest
 from sysid.gap import steps
 from sysid.gap.proof import ProofOutcome
@@ -39,17 +39,16 @@ def decide_case(site: Path, sealed: Path, out: Path) -> None:
 
 def evaluated(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:
     """Names and ties of an answer, those that are wrong, and hidden effects that it misses."""
-    meant = {
-        (e.name, e.target): _meant(
-            {"name": e.name, "target": e.target, "aliases": [{"name": n, "target": t} for n, t in e.aliases]}, tuple(hidden)
-        )
-        for e in outcome.named
-    }
+    found = {}
+    for effect in outcome.named:
+        aliases = [{"name": name, "target": target} for name, target in effect.aliases]
+        named = {"name": effect.name, "target": effect.target, "aliases": aliases}
+        found[effect.name, effect.target] = meant(named, tuple(hidden))
     return {
-        "named": sorted(meant),
+        "named": sorted(found),
         "ties": sorted(sorted(tie) for tie in outcome.ties),
-        "wrong": sorted(name for name, found in meant.items() if found is None),
-        "missed": [name for name in hidden if name not in meant.values()],
+        "wrong": sorted(name for name, own in found.items() if own is None),
+        "missed": [name for name in hidden if name not in found.values()],
     }
 
 

@@ -33,7 +33,7 @@ class Memory:
         """A context in which these functions remember."""
         return replaced(
             {
-                "likelihood.stage.fit_model": self._of(likelihood_stage.fit_model, _model_key, self._keep_first),
+                "likelihood.stage.fit_model": self._of(likelihood_stage.fit_model, _model_key, identified=0),
                 "stage_model.search_stage": self._search(search_stage),
                 "intervals.known.known_of": self._of(known.known_of, _known_key),
                 "held_out.cross_validated_error": self._of(held_out.cross_validated_error, _error_key),
@@ -42,30 +42,28 @@ class Memory:
                 "unnamed.description.describe_residual": self._of(description.describe_residual, _residual_key),
                 "unnamed.description.describe_period": self._of(description.describe_period, _residual_key),
                 "unnamed.description.worst_residual": self._of(description.worst_residual, _residual_key),
-                "unnamed.instead._better": self._of(instead._better, lambda *parts: [_series(part) for part in parts]),
+                "unnamed.instead._better": self._of(instead._better, lambda *parts: tuple(map(_series, parts))),
                 "fit.fit_candidates": self._of(fit.fit_candidates, _fit_key),
             }
         )
 
-    def _of(self, function: Callable[..., Any], key_of: Callable[..., Any], before: Any = None) -> Callable[..., Any]:
+    def _of(self, function: Callable[..., Any], key_of: Callable[..., Hashable], identified: int | None = None) -> Any:
+        """The function, which remembers; ``identified``: which argument the key has by its address."""
         name = f"{function.__module__}.{function.__qualname__}"
 
         @functools.wraps(function)
         def remembered(*args: Any, **named: Any) -> Any:
-            key = name, repr(key_of(*args, **named))
+            key = name, key_of(*args, **named)
             if key not in self._known:
-                if before is not None:
-                    before(*args)
+                if identified is not None:
+                    self._alive.append(args[identified])
                 self._known[key] = function(*args, **named)
             return self._known[key]
 
         return remembered
 
-    def _keep_first(self, *args: Any) -> None:
-        self._alive.append(args[0])
-
     def _search(self, function: Callable[..., StageSearch]) -> Callable[..., StageSearch]:
-        searched = self._of(function, _search_key, lambda *args: self._alive.append(args[1]))
+        searched = self._of(function, _search_key, identified=1)
 
         @functools.wraps(function)
         def fresh(*args: Any) -> StageSearch:
@@ -85,8 +83,12 @@ def _bytes(values: Any) -> bytes:
     return np.ascontiguousarray(values).tobytes()
 
 
-def _labels(candidates: Any) -> list[str]:
-    return [candidate.label for candidate in candidates]
+def _labels(candidates: Any) -> tuple[str, ...]:
+    return tuple(candidate.label for candidate in candidates)
+
+
+def _names(recordings: Any) -> tuple[str, ...]:
+    return tuple(recording.name for recording in recordings)
 
 
 def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = likelihood_stage.ROUNDS) -> Any:
@@ -96,7 +98,7 @@ def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = l
 def _search_key(
     model: Any, problem: Any, recordings: Any, theta: Any, sigma: Any, candidates: Any, nameable: Any, _: Any
 ) -> Any:
-    return id(problem), _bytes(theta), _bytes(sigma), _labels(candidates), list(nameable)
+    return id(problem), _bytes(theta), _bytes(sigma), _labels(candidates), tuple(nameable)
 
 
 def _known_key(data: Any, theta: Any, fitted: Any, noise: Any, seed: int) -> Any:
@@ -115,13 +117,13 @@ def _error_key(stage: Any, model: Any) -> Any:
 
 
 def _residual_key(problem: Any, theta: Any, recordings: Any, machine: Any) -> Any:
-    return problem.stage, problem.target, _bytes(theta), [recording.name for recording in recordings]
+    return problem.stage, problem.target, _bytes(theta), _names(recordings)
 
 
 def _fit_key(data: Any, theta: Any, candidates: Any, starts: Any, *rest: Any) -> Any:
-    here = data.problem.stage, data.problem.target, data.drifting, [recording.name for recording in data.recordings]
+    here = data.problem.stage, data.problem.target, data.drifting, _names(data.recordings)
     return here, _bytes(theta), _labels(candidates), _bytes(np.array(starts)), rest
 
 
-def _series(part: Any) -> list[bytes]:
-    return [_bytes(series.target) for series in part]
+def _series(part: Any) -> tuple[bytes, ...]:
+    return tuple(_bytes(series.target) for series in part)

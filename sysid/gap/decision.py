@@ -325,7 +325,7 @@ def _beyond_price(
     while alone.candidates:
         first = min(alone.candidates, key=lambda c: without(alone, c).left)
         less = without(alone, first)
-        if less.left > EXPLAINED * max(alone.left, 1.0) and pays(nothing, alone.left, len(alone.candidates)):
+        if not _leaves_as_little(less, alone) and pays(nothing, alone.left, len(alone.candidates)):
             break
         lost.append(first.key)
         alone = less
@@ -344,11 +344,11 @@ def _pay_alone(
     rest = model
     for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
         rest = without(rest, candidate)
-    if rest is model or rest.left <= EXPLAINED * max(model.left, 1.0):
+    if rest is model or _leaves_as_little(rest, model):
         return True
     for candidate in (c for c in model.candidates if lacking[c.key] == LITTLE):
         less = without(rest, candidate)
-        rest = less if less.left <= EXPLAINED * max(rest.left, 1.0) else rest
+        rest = less if _leaves_as_little(less, rest) else rest
     return pays(nothing, rest.left, len(rest.candidates))
 
 

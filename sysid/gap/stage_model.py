@@ -84,7 +84,7 @@ class StageSearch:
     excited: tuple[Candidate, ...]
     nameable: tuple[str, ...]
     sags: bool
-    smallest: tuple[frozenset[str], ...] = ()
+    smallest: tuple[frozenset[str], ...]
     _evidence: dict[tuple[str, ModelFit], float] = field(default_factory=dict)
 
     def own_evidence(self, fit: ModelFit) -> float:
@@ -188,14 +188,14 @@ def search_stage(
         proposals.warm(other.candidates, other)
 
     bare = StageLikelihood(rows, discrepancy.absent, replace(variances, groups=np.zeros(0)), extra)
-    sagging = sags(model.machine, problem, excited)
-    search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging)
+    sagging, smallest = sags(model.machine, problem, excited), tuple(f.labels for f in sets)
+    search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging, smallest)
     proposals.forward(proposals.best)
     if not problem.integrates or search.needed(proposals.best) < MISSPECIFIED:
         proposals.around()
-    for smallest in sets:
-        proposals.warm(smallest.candidates, smallest)
-    return replace(search, smallest=tuple(f.labels for f in sets))
+    for fit in sets:
+        proposals.warm(fit.candidates, fit)
+    return search
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:
