@@ -23,7 +23,7 @@ from committed import markdown, provenance, write_result, write_tables
 from hidden.bench import BENCHES
 from hidden.cases import CaseSpec
 from hidden.runner import Place, run_process
-from trials.cases import Answer, changed, decide_case, verdict
+from trials.cases import changed, decide_case, verdict
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "decisions" / "decision-rule.md"
@@ -38,22 +38,22 @@ def specs_of(bench: str, count: int, seed: int) -> list[CaseSpec]:
     return [listed[k * len(listed) // count] for k in range(count)]
 
 
-def answers_of(bench: str, spec: CaseSpec, work: Path) -> dict[str, Answer] | None:
-    """The answer of every trial about a case, which is made and decided unless it is done; None where that fails."""
+def decided(bench: str, spec: CaseSpec, work: Path) -> dict[str, Any] | None:
+    """The answers about a case, which is made and decided unless it is done; None where that fails."""
     place, out = Place(work / bench), work / "answers" / f"{bench}-{spec.name}.json"
     if out.exists():
-        return answers_in(out)
+        return read(out)
     failed = None
     if not place.sealed(spec).exists():
         failed = run_process(BENCHES[bench].make, [spec, place.work, place.nominal], LONGEST)
     failed = failed or run_process(decide_case, [place.site(spec), place.sealed(spec), out], LONGEST)
     print(f"{bench} {spec.name}{'  ' + failed if failed else ''}", flush=True)
-    return None if failed else answers_in(out)
+    return None if failed else read(out)
 
 
-def answers_in(out: Path) -> dict[str, Answer]:
-    answers: dict[str, Answer] = json.loads(out.read_text("utf-8"))["answers"]
-    return answers
+def read(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(out.read_text("utf-8"))
+    return found
 
 
 def table_of(result: dict[str, Any]) -> str:
@@ -64,18 +64,21 @@ def table_of(result: dict[str, Any]) -> str:
         if each["changed"]
     ]
     silent = ", ".join(trial for trial, each in result["trials"].items() if not each["changed"])
+    needed = ", ".join(f"{condition} ({count})" for condition, count in result["needed"].items())
     cases = str(result["cases"]) if result["cases"] == result["listed"] else f"{result['cases']} of {result['listed']}"
     head = f"{cases} sealed cases, seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
     table = markdown(("switched off, or changed", "answers that change", "of these"), rows, "lrl")
-    return f"{head}\n\n{table}\n\nNo answer changes without: {silent}."
+    together = f"All others switched off together, these are needed in some case: {needed}."
+    return f"{head}\n\n{table}\n\nNo answer changes without: {silent}.\n\n{together}"
 
 
 def main(counts: dict[str, int], seed: int, work: Path, workers: int, publish: bool) -> None:
     listed = [(bench, spec) for bench, count in counts.items() for spec in specs_of(bench, count, seed)]
     with ThreadPoolExecutor(workers) as pool:
-        answered = list(pool.map(lambda item: answers_of(*item, work / f"seed-{seed}"), listed))
-    each = zip(listed, answered, strict=True)
-    found = {f"{bench}-{spec.name}": answers for (bench, spec), answers in each if answers is not None}
+        results = list(pool.map(lambda item: decided(*item, work / f"seed-{seed}"), listed))
+    each = [(f"{bench}-{spec.name}", result) for (bench, spec), result in zip(listed, results, strict=True) if result]
+    found = {name: result["answers"] for name, result in each}
+    needed = Counter(condition for _, result in each for condition in result["needed"])
     verdicts = Counter(verdict(answers[""]) for answers in found.values())
     given = " ".join(f"--{bench} {count}" for bench, count in counts.items())
     result = {
@@ -84,6 +87,7 @@ def main(counts: dict[str, int], seed: int, work: Path, workers: int, publish: b
         "listed": len(listed),
         "verdicts": dict(sorted(verdicts.items())),
         "trials": changed(found),
+        "needed": dict(needed.most_common()),
     }
     write_result(work / "result.json", result)
     print(table_of(result))

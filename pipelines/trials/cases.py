@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from sysid.gap.proof import ProofOutcome
 from sysid.plant import nominal_plant
 from trials.memory import Memory
 from trials.replaced import load_all, replaced
-from trials.rules import TRIALS
+from trials.rules import CONDITIONS, TRIALS, Changes
 
 Answer = dict[str, Any]
 
@@ -30,11 +30,41 @@ def decide_case(site: Path, sealed: Path, out: Path) -> None:
     with tempfile.TemporaryDirectory() as workspace, Memory().installed():
         dataset = ingest(site, workspace)
         study = steps.open_study(dataset, nominal_plant(dataset.machine))
-        for name, changes in TRIALS.items():
+
+        def decided(changes: Changes) -> Answer:
             with replaced(changes):
-                answers[name] = evaluated(steps.decide_on(steps.search(study)), hidden)
+                return evaluated(steps.decide_on(steps.search(study)), hidden)
+
+        for name, changes in TRIALS.items():
+            answers[name] = decided(changes)
+        needed = needed_conditions(answers, decided)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps({"hidden": hidden, "answers": answers}, indent=1) + "\n", "utf-8")
+    out.write_text(json.dumps({"hidden": hidden, "answers": answers, "needed": needed}, indent=1) + "\n", "utf-8")
+
+
+def needed_conditions(answers: Mapping[str, Answer], decided: Callable[[Changes], Answer]) -> list[str]:
+    """Conditions without which the answer is worse, where all the others are switched off together.
+
+    One that changes nothing alone may stand for another one like it. They go one after the other, in their order.
+    """
+    before, off = answers[""], dict[str, Any]()
+    spare = [name for name in CONDITIONS if not worse(answers[name], before)]
+    together = {where: new for name in spare for where, new in CONDITIONS[name].items()}
+    if not worse(decided(together), before):
+        return [name for name in CONDITIONS if name not in spare]
+    left = []
+    for name in spare:
+        further = {**off, **CONDITIONS[name]}
+        if worse(decided(further), before):
+            left.append(name)
+        else:
+            off = further
+    return [name for name in CONDITIONS if name not in spare or name in left]
+
+
+def worse(answer: Answer, before: Answer) -> bool:
+    """Whether an answer has more wrong names or misses more effects."""
+    return any(len(answer[key]) > len(before[key]) for key in ("wrong", "missed"))
 
 
 def evaluated(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:

@@ -11,10 +11,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "pipelines"))
 from sysid.gap import comparison, decision, thresholds
 from sysid.gap.free_run import LeastSquares
-from trials.cases import changed, verdict
+from trials.cases import changed, needed_conditions, verdict
 from trials.memory import Memory
 from trials.replaced import load_all, replaced
-from trials.rules import TRIALS
+from trials.rules import CONDITIONS, TRIALS, Changes
 
 
 @pytest.mark.parametrize("trial", list(TRIALS))
@@ -65,3 +65,17 @@ def test_changed_answers_are_counted_by_what_they_were() -> None:
     assert found["at a bound"] == {"changed": 1, "moves": {"exact → wrong": 1}, "cases": ["first"]}
     assert found["LEAST x 1.5"]["moves"] == {"exact → incomplete": 1}
     assert sum(each["changed"] for each in found.values()) == 2
+
+
+def test_of_two_conditions_that_stand_for_each_other_one_is_needed() -> None:
+    right, wrong = answer("delay"), answer("leak", wrong=("leak",))
+    first, second, alone = "at a bound", "too fast for the rate", "a share of the gap"
+
+    def decided(changes: Changes) -> dict[str, Any]:
+        off = [name for name in CONDITIONS if CONDITIONS[name].items() <= changes.items()]
+        return wrong if alone in off or {first, second} <= {*off} else right
+
+    answers = {name: decided(changes) for name, changes in TRIALS.items()}
+    later = max(first, second, key=list(CONDITIONS).index)
+    assert needed_conditions(answers, decided) == [later, alone]
+    assert needed_conditions(dict.fromkeys(TRIALS, right), lambda _: right) == []
