@@ -86,7 +86,7 @@ def confined(
         progress: called in this process with the share done.
 
     Raises:
-        SysidError, OSError: as ``work`` raises them.
+        SysidError, OSError, ModuleNotFoundError: as ``work`` raises them.
         InputError: a limit is exceeded, ``work`` raises anything else, or the process crashes.
     """
     own = scratch.current()
@@ -150,6 +150,8 @@ def _work(
         except OSError as error:
             filename = None if error.filename is None else str(error.filename)
             _send(inlet, b"E", ["OSError", error.errno, error.strerror, filename])
+        except ModuleNotFoundError as error:
+            _send(inlet, b"E", ["ModuleNotFoundError", str(error), error.name])
         except Exception as error:
             _send(inlet, b"E", ["Exception", f"{type(error).__name__}: {error}"])
     os._exit(0)
@@ -306,6 +308,8 @@ def _raised(sent: Sequence[Any], where: object, limits: Limits) -> Exception:
         return limits.exceeded(where, seconds=False)
     if name == "OSError":
         return OSError(*rest)
+    if name == "ModuleNotFoundError":
+        return ModuleNotFoundError(rest[0], name=rest[1])
     kind = getattr(errors, name, None)
     if isinstance(kind, type) and issubclass(kind, SysidError):
         return kind(*rest)

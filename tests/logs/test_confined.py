@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import signal
 import time
@@ -46,6 +47,15 @@ def test_every_reader_gives_the_same_in_a_process_of_its_own(name: str, tmp_path
             for name_of, values in arrays.items():
                 assert values.dtype == twins[name_of].dtype
                 assert values.tobytes() == twins[name_of].tobytes()
+
+
+def test_a_package_that_is_missing_is_no_fault_of_the_file() -> None:
+    def work() -> None:
+        importlib.import_module("no_such_package.inner")
+
+    with pytest.raises(ModuleNotFoundError) as raised:
+        run(work)
+    assert raised.value.name == "no_such_package"
 
 
 def test_an_array_of_several_names_comes_back_as_one() -> None:
