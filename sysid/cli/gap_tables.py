@@ -186,9 +186,6 @@ def plain_reason(why: str) -> str:
         decision.LOST: "it lowers the error on recordings left out of the fit by too little",
         decision.REPLACED: "another effect in its place predicts as well",
         decision.WITHOUT: "the simulation predicts as well without it",
-        decision.REPAIRS: "it may stand in for the wrong formula of a similar effect",
-        decision.KNOWN: "its value is within a tenth of the known one",
-        decision.TOO_FAST: "the recordings have too few samples in its period; it may be a dead time",
         decision.PREDICTED_WITHOUT: "parts that were left out are not predicted clearly better with it",
         "": "it was fitted beside the others",
     }.get(why, why)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, Z
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS, Z
 from sysid.machine import EffectKey
 
 
@@ -22,11 +22,6 @@ def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
     """Sum of the clipped block differences of two models, and its standard error [nats]."""
     blocks = np.clip(better.predictive - other.predictive, -BLOCK_NATS, BLOCK_NATS)
     return float(blocks.sum()), float(blocks.std() * np.sqrt(len(blocks)))
-
-
-def survives(model: ModelFit, best: ModelFit) -> bool:
-    """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
-    return not clearly_worse(model, best) or model.evidence > best.evidence - LEAST
 
 
 def clearly_worse(model: ModelFit, other: ModelFit) -> bool:
@@ -47,13 +42,6 @@ def _covers(richer: Candidate, candidate: Candidate) -> bool:
     if richer.key == candidate.key:
         return len(richer.unknowns) >= len(candidate.unknowns)
     return richer.contains(candidate)
-
-
-def replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
-    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
-    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
-    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
@@ -168,22 +156,6 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
         for u, value, absent in zip(candidate.unknowns, model.values_of(candidate), candidate.absent, strict=True)
         for bound in u.bounds
     )
-
-
-def near_known(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether the plant has the effect already, and the intervals of all its values reach within a tenth of the known ones.
-
-    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions. Of a ratio it is
-    a tenth of its distance from one, where the effect is absent.
-    """
-    nominal, absent = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.absent)
-    tenth = (EXPLAINED - 1.0) * np.minimum(np.abs(nominal), np.abs(nominal - absent))
-    return candidate.known and reaches(candidate, model, tenth)
-
-
-def beyond_rate(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether a value of an effect is larger than the rate of the recordings shows."""
-    return any(value > u.shown for u, value in zip(candidate.unknowns, model.values_of(candidate), strict=True))
 
 
 def equivalent_change(left: float) -> float:
