@@ -6,7 +6,6 @@ known value of a parameter; a value at a bound of its range is no estimate.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -97,14 +96,6 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
     return after <= EXPLAINED or divides(before, after, effects)
 
 
-def pays_beside(before: float, after: float, alike: float) -> bool:
-    """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
-
-    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
-    """
-    return pays(before, max(after, alike)) or pays(before, after, 2)
-
-
 def divides(before: float, after: float, effects: int = 1) -> bool:
     """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
     return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
@@ -132,18 +123,6 @@ def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, av
         variance = float((before - noise).sum() * (after - noise)[acts].sum()) / there
     return float(np.sqrt(max(1.0 + variance / rows.sum(), 0.0)))
 
-
-def typical_errors(errors: Sequence[float]) -> list[float]:
-    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
-
-    Args:
-        errors: shares of the distance moved; 0 for a drive whose formulas are right.
-    """
-    others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
-    return [statistics.median_low(some) if some else 0.0 for some in others]
-
-
-# -- practical equivalence and bounds ------------------------------------------------------------------------------------------
 
 #: Distance from a bound at which a fit stops, as a share of the bound, or of the negligible change where it is zero.
 AT = 1e-3
@@ -174,11 +153,7 @@ def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[Effe
 
     They include what the discrepancy could do in its place.
     """
-    return reaches(candidate, model, np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0)))
-
-
-def reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
-    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
+    half = np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0))
     reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())

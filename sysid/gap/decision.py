@@ -20,9 +20,8 @@ Given models of one stage (sets of effects) under shared variances:
    price, and where errors do not accumulate, the others leave more than a tenth more without the effect.
 5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
-   (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation, and with twice
-   the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out`).
-   An effect of the machine pays once for all drives that show it.
+   (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
+   (:mod:`sysid.gap.held_out`).
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.
@@ -65,7 +64,6 @@ UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
 REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
 PERIODIC = "a disturbance that is periodic in time explains the error better"
 POSITION = "a smooth function of the position explains the error better"
-ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 
 
 @dataclass(frozen=True)

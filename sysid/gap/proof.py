@@ -15,8 +15,6 @@ from sysid.gap.comparison import clearly_worse
 from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.disagreement import stage_rmse
 from sysid.gap.held_out import (
-    comparisons_without,
-    gain_of_recordings,
     held_out_error,
     is_better,
     is_excited,
@@ -34,7 +32,7 @@ from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
+from sysid.gap.thresholds import EXPLAINED, SHARE, Z
 from sysid.gap.unnamed.description import describe_period, describe_residual
 from sysid.gap.unnamed.instead import without_names_of_position, without_periodic_names
 from sysid.gap.written import near_misses
@@ -74,7 +72,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
     machine = case.plant.machine
     smooth = [without_names_of_position(without_periodic_names(stage, machine), machine) for stage in known]
-    for stage in without_cheap_names(smooth):
+    for stage in map(without_cheap_names, smooth):
         result = stage.found
         proven = bool(result.fit.candidates) and is_better(stage)
         refused = dict[str, str]()
@@ -281,30 +279,13 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
         return f"it closes {share:.1%} of the gap on held-out recordings"
     if may_be_absent(result, kept.candidate, limits):
         return UNCERTAIN
-    if result.problem.integrates:
-        return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
-    # Friction and payloads are smooth functions of speed and posture: the discrepancy replaces them, without their values.
-    if result.problem.stage in FORCES:
+    # Slow errors accumulate beyond a block; friction and payloads are smooth functions of speed and posture, which the
+    # discrepancy replaces, without their values.
+    if result.problem.integrates or result.problem.stage in FORCES:
         return ""
     assert result.stage_fit is not None
     less = result.stage_fit.dropped[kept.candidate.label]
     return "" if clearly_worse(less, result.stage_fit.decision.model) else PREDICTED_WITHOUT
-
-
-def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:
-    """Whether whole recordings are predicted clearly better with an effect whose errors accumulate too slowly for blocks."""
-    if not stage.found.accumulates:
-        return False
-    pairs = comparisons_without(stage, kept.candidate.label)
-    return any(gain_of_recordings(stage, *pair) >= LEAST for pair in pairs)
-
-
-def _nats(result: StageResult, kept: AcceptedEffect) -> float:
-    """Gain of an effect on blocks that were left out; where errors accumulate without the effects that are only adjusted."""
-    if not result.accumulates or result.names_alone is None:
-        return kept.evidence.nats
-    alone = {each.candidate.label: each.evidence.nats for each in result.names_alone.named}
-    return alone.get(kept.candidate.label, kept.evidence.nats)
 
 
 def _least_share(result: StageResult) -> float:

@@ -13,7 +13,7 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import decision, thresholds
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.comparison import clearly_worse, difference, pays, pays_beside, simpler, typical_errors
+from sysid.gap.comparison import clearly_worse, difference, pays, simpler
 from sysid.gap.decision import FreeRun, decide
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.thresholds import BLOCK_NATS
@@ -452,25 +452,3 @@ def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
     assert len(numbers) == 5
     assert thresholds.PRICE == 1.0 + thresholds.STANDARD_ERRORS**2
     assert pytest.approx(1.959964, abs=1e-6) == thresholds.Z
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "alike", "paid"),
-    [
-        (30.0, 10.0, 0.0, True),  # formulas of the others right: the price of one effect
-        (30.0, 10.0, 12.0, True),  # more than the others are wrong by
-        (12.0, 4.0, 11.0, False),  # others are wrong by as much, and a chance fit reaches this
-        (12.0, 2.0, 11.0, True),  # the price of two effects: no chance fit
-        (12.0, 9.0, 0.0, False),
-    ],
-)
-def test_an_effect_within_the_error_of_similar_drives_needs_twice_the_price(
-    before: float, after: float, alike: float, paid: bool
-) -> None:
-    assert pays_beside(before, after, alike) == paid
-
-
-def test_the_typical_error_is_that_of_the_other_drives_with_wrong_formulas() -> None:
-    assert typical_errors([0.001, 0.002, 0.0, 0.03]) == [0.002, 0.001, 0.002, 0.001]
-    assert typical_errors([0.001, 0.0]) == [0.0, 0.001]
-    assert typical_errors([0.001]) == [0.0]
