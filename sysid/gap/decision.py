@@ -45,25 +45,11 @@ from sysid.gap.comparison import (
     within_equivalence,
 )
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
 from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
-
-
-#: Conditions that an effect without a name fails.
-PREDICTED_WITHOUT = "parts of the recordings that were left out are not predicted clearly better with it"
-NOT_EXCITED = "the recordings do not excite it enough"
-LITTLE = "it reduces the error by too little compared with what remains"
-REPLACED = "another model without it predicts as well"
-WITHOUT = "a model without it predicts as well"
-LOST = "on recordings left out of the fit it reduces the error by too little compared with what remains"
-BESIDE = "it reduces the error enough only beside an effect that is not certain"
-AT_BOUND = "a value ends at a bound of its range, so that something else is missing"
-UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
-REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
-PERIODIC = "a disturbance that is periodic in time explains the error better"
-POSITION = "a smooth function of the position explains the error better"
 
 
 @dataclass(frozen=True)
@@ -73,7 +59,7 @@ class NearMiss:
     candidate: Candidate
     values: Array
     deviations: Array
-    lacks: str
+    lacks: Reason
 
 
 @dataclass(frozen=True)
@@ -101,7 +87,7 @@ class Decision:
     exact: bool
     accumulates: bool
 
-    def without_names(self, lacks: Mapping[str, str]) -> Decision:
+    def without_names(self, lacks: Mapping[str, Reason]) -> Decision:
         """The same model without names and ties of some effects, near misses now; ``lacks``: label → the failed condition."""
         named = tuple(c for c in self.named if c.label not in lacks)
         tied = tuple(tie for tie in self.tied if tie[0].label not in lacks)
@@ -184,13 +170,13 @@ def decide(
     tying = {
         c.key: _partners(c, model, acceptable)
         for c in model.candidates
-        if lacking[c.key] == REPLACED and not within_equivalence(c, model, rope)
+        if lacking[c.key] == Reason.REPLACED and not within_equivalence(c, model, rope)
     }
     known = {f.labels: f for f in models}
     less = without or (lambda f, c: known[f.labels - {c.label}])
     for c in model.candidates if static else ():
         if not lacking[c.key] and _leaves_as_little(less(model, c), model):
-            lacking[c.key] = LITTLE
+            lacking[c.key] = Reason.LITTLE
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
@@ -203,7 +189,7 @@ def decide(
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
         if not (worth or candidate.label in apart) or candidate.key not in smallest:
-            lacks = LITTLE
+            lacks = Reason.LITTLE
         elif not lacks:
             named.append(candidate)
             continue
@@ -213,7 +199,7 @@ def decide(
     if static and fewest is None:
         richer = _less_left(model, survivors, unsure)
         more = [c for c in richer.candidates if c.label not in model.labels]
-        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), LITTLE) for c in more]
+        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), Reason.LITTLE) for c in more]
         model = richer
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
@@ -222,7 +208,7 @@ def decide(
             if candidate.key not in seen:
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
-                near.append(NearMiss(candidate, values, deviations, WITHOUT if predicts else LITTLE))
+                near.append(NearMiss(candidate, values, deviations, Reason.REPLACED if predicts else Reason.LITTLE))
     return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(acceptable), exact, accumulates)
 
 
@@ -300,17 +286,19 @@ def _likeliest_minimal(models: Sequence[ModelFit], unsure: set[str]) -> ModelFit
     return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=None)
 
 
-def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]) -> str:
-    """Condition for a name that an effect of the chosen model fails; empty where it fails none."""
+def _lacks(
+    candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]
+) -> Reason | None:
+    """Condition for a name that an effect of the chosen model fails; None where it fails none."""
     if candidate.label not in nameable:
-        return NOT_EXCITED
+        return Reason.NOT_EXCITED
     if any(at_bound(c, f) for f in models for c in f.candidates if c.key == candidate.key):
-        return AT_BOUND
+        return Reason.AT_BOUND
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
-        return REPLACED
+        return Reason.REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
-        return UNCERTAIN
-    return ""
+        return Reason.UNCERTAIN
+    return None
 
 
 def _partners(candidate: Candidate, model: ModelFit, acceptable: Sequence[ModelFit]) -> tuple[Candidate, ...]:

@@ -18,10 +18,10 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import equivalent_change, pays
 from sysid.gap.data import Data
-from sysid.gap.decision import BESIDE, LOST
 from sysid.gap.disagreement import stage_rmse
 from sysid.gap.fit import fit_candidates
 from sysid.gap.prepare.case import Stage
+from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import EXPLAINED
 
 Array = npt.NDArray[np.float64]
@@ -120,10 +120,10 @@ def without_cheap_names(stage: Stage) -> Stage:
     result, fitted = stage.found, stage.found.stage_fit
     if not result.named or fitted is None or fitted.decision.exact:
         return stage
-    lost = dict[str, str]()
+    lost = dict[str, Reason]()
     for kept in result.named:
         if not any(_pays(stage, *pair) for pair in comparisons_without(stage, kept.candidate.label)):
-            lost[kept.candidate.label] = LOST
+            lost[kept.candidate.label] = Reason.LOST
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
@@ -131,7 +131,7 @@ def without_cheap_names(stage: Stage) -> Stage:
         others = (comparisons_without(stage, label)[0][0] for label in lost)
         before, *alone = (cross_validated_error(stage, each) for each in (stage.nominal, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
-            lost |= dict.fromkeys(rest, BESIDE)
+            lost |= dict.fromkeys(rest, Reason.LOST)
     return replace(stage, result=result.without_names(lost))
 
 

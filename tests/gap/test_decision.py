@@ -11,11 +11,12 @@ import numpy.typing as npt
 import pytest
 from plant_data import arm, nominal, slide
 
-from sysid.gap import decision, thresholds
+from sysid.gap import thresholds
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.comparison import clearly_worse, difference, pays, simpler
 from sysid.gap.decision import FreeRun, decide
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import BLOCK_NATS
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +72,7 @@ def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
     found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL)
     (near,) = found.near_misses
     assert near.candidate is LAG
-    assert near.lacks == "a model without it predicts as well"
+    assert near.lacks == Reason.REPLACED
     assert near.values == pytest.approx([u.nominal + 0.1 for u in LAG.unknowns])
 
 
@@ -94,7 +95,7 @@ def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None
         found = decide([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
         assert (found.named == (DELAY,)) == named
         if not named:
-            assert "region of practical equivalence" in found.near_misses[0].lacks
+            assert found.near_misses[0].lacks is Reason.UNCERTAIN
 
 
 def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
@@ -109,14 +110,14 @@ def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
                 made = replace(model(candidate), values=values)
                 found = decide([NOTHING, made], ALL)
                 if end in (unknown.nominal, absent):
-                    assert not any(near.lacks == decision.AT_BOUND for near in found.near_misses)
+                    assert not any(near.lacks == Reason.AT_BOUND for near in found.near_misses)
                     continue
                 tried += 1
                 assert (found.named, found.tied) == ((), ()), f"{candidate.label}: {unknown.key} = {end}"
-                assert [near.lacks for near in found.near_misses] == [decision.AT_BOUND]
+                assert [near.lacks for near in found.near_misses] == [Reason.AT_BOUND]
                 values[k] = end - 0.01 * np.sign(end) * max(abs(end), 1e-3)
                 clear = decide([NOTHING, replace(made, values=values)], ALL)
-                assert not any(near.lacks == decision.AT_BOUND for near in clear.near_misses)
+                assert not any(near.lacks == Reason.AT_BOUND for near in clear.near_misses)
     assert tried > 40
 
 
@@ -140,7 +141,7 @@ def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: f
     assert found.model is (both if taken else alone)
     assert found.named == (BAND,)
     (near,) = found.near_misses
-    assert (near.candidate, near.lacks) == (LAG, decision.LITTLE if taken else decision.WITHOUT)
+    assert (near.candidate, near.lacks) == (LAG, Reason.LITTLE if taken else Reason.REPLACED)
 
 
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
@@ -168,7 +169,7 @@ def test_an_effect_has_to_divide_what_is_left_by_its_price(without: float, named
     found = decide([model(worse=4.0, left=without), model(DELAY, away=0.5, left=2.0)], ALL)
     assert (found.named == (DELAY,)) == named
     if not named:
-        assert found.near_misses[0].lacks == "it reduces the error by too little compared with what remains"
+        assert found.near_misses[0].lacks == Reason.LITTLE
 
 
 def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
@@ -177,7 +178,7 @@ def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
     found = decide([*models, model(BAND, LAG, DELAY, GAIN, left=2.5)], ALL)
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND, LAG, DELAY, GAIN), "their values go into the plant all the same"
-    assert {n.lacks for n in found.near_misses} == {"it reduces the error by too little compared with what remains"}
+    assert {n.lacks for n in found.near_misses} == {Reason.LITTLE}
 
 
 def test_two_effects_that_help_together_alone_are_both_named() -> None:
@@ -292,7 +293,7 @@ def test_effects_in_each_other_s_place_tie() -> None:
     assert found.named == ()
     assert found.tied == ((DELAY, LAG),)
     assert len(found.acceptable) == 2
-    assert found.near_misses[0].lacks == "another model without it predicts as well"
+    assert found.near_misses[0].lacks == Reason.REPLACED
 
 
 def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
@@ -325,7 +326,7 @@ def test_what_the_discrepancy_could_do_in_its_place_is_in_the_interval(could: fl
     found = decide([NOTHING, confounded], ALL, integrates=False)
     assert (found.named == (BAND,)) == named
     if not named:
-        assert "region of practical equivalence" in found.near_misses[0].lacks
+        assert found.near_misses[0].lacks is Reason.UNCERTAIN
 
 
 @pytest.mark.parametrize(("without", "named"), [(4.0, False), (4.4, True)])
@@ -335,7 +336,7 @@ def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float
     found = decide([nothing, model(BAND, left=2.0)], ALL, integrates=False)
     assert (found.named == (BAND,)) == named
     if not named:
-        assert found.near_misses[0].lacks == "it reduces the error by too little compared with what remains"
+        assert found.near_misses[0].lacks == Reason.LITTLE
 
 
 def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> None:
@@ -344,7 +345,7 @@ def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> No
     rest = model(LAG, GAIN, worse=4.0, left=10.0)
     found = decide([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
     assert found.named == (BAND,)
-    assert {n.lacks for n in found.near_misses} == {"it reduces the error by too little compared with what remains"}
+    assert {n.lacks for n in found.near_misses} == {Reason.LITTLE}
 
 
 @pytest.mark.parametrize(("without", "named"), [(22.0, ()), (23.1, (LAG,))])
@@ -375,7 +376,7 @@ def test_what_the_recordings_do_not_excite_is_not_named() -> None:
     alone = decide([NOTHING, model(BAND)], shown)
     assert alone.named == ()
     assert alone.model.candidates == (BAND,)
-    assert alone.near_misses[0].lacks == "the recordings do not excite it enough"
+    assert alone.near_misses[0].lacks == Reason.NOT_EXCITED
 
 
 def test_it_still_keeps_others_from_their_name() -> None:

@@ -13,11 +13,11 @@ from plant_data import ROLES, arm, arm_inputs, dataset_of, measured, nominal, sl
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, proof
 from sysid.gap.candidates import candidates_at
-from sysid.gap.decision import PREDICTED_WITHOUT, REFUTED, UNCERTAIN
 from sysid.gap.fit import Fit
 from sysid.gap.held_out import comparisons_without, without_cheap_names
 from sysid.gap.prepare.case import Stage
 from sysid.gap.prepare.resolution import CoarseSensor
+from sysid.gap.reasons import Reason
 from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
@@ -79,7 +79,7 @@ def test_a_scale_that_its_drive_contradicts_is_not_named() -> None:
     assert ("gain_error", "boom") not in {(effect.name, effect.target) for effect in found.effects}
     assert ("sensor_scale", "boom.cylinder") not in {(effect.name, effect.target) for effect in found.effects}
     (miss,) = (miss for miss in found.near_misses if (miss.name, miss.target) == ("sensor_scale", "boom.cylinder"))
-    assert miss.lacks == REFUTED
+    assert miss.lacks is Reason.REFUTED
     assert miss.parameters["scale"] == pytest.approx(1.01, abs=1e-3)
 
 
@@ -291,12 +291,14 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 @pytest.mark.parametrize(
     ("share", "absent", "nats", "refused"),
     [
-        (0.5, False, 3.1, ""),
-        (0.5, True, 50.0, UNCERTAIN),
-        (0.005, False, 50.0, "it closes 0.5% of the gap on held-out recordings"),
+        (0.5, False, 3.1, None),
+        (0.5, True, 50.0, Reason.UNCERTAIN),
+        (0.005, False, 50.0, Reason.LOST),
     ],
 )
-def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_refuses_a_name(
+    share: float, absent: bool, nats: float, refused: Reason | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
     assert proof._refusal(_stage(True), _kept(nats), np.empty(0), share) == refused
@@ -305,21 +307,21 @@ def test_what_refuses_a_name(share: float, absent: bool, nats: float, refused: s
 @pytest.mark.parametrize(
     ("gains", "refused"),
     [
-        ([2.0, 1.9], ""),
-        ([5.0, 4.9, -5.0, 4.8, -4.9, 0.4], PREDICTED_WITHOUT),  # 5.2 ± 10: two biases that cancel
-        ([5.0, 5.0, 5.0, -1.0, 4.0, 2.0], ""),  # 20 ± 5
-        ([0.1, 0.1], PREDICTED_WITHOUT),  # significant, and of no size
-        ([-4.0, -5.0], PREDICTED_WITHOUT),
+        ([2.0, 1.9], None),
+        ([5.0, 4.9, -5.0, 4.8, -4.9, 0.4], Reason.LOST),  # 5.2 ± 10: two biases that cancel
+        ([5.0, 5.0, 5.0, -1.0, 4.0, 2.0], None),  # 20 ± 5
+        ([0.1, 0.1], Reason.LOST),  # significant, and of no size
+        ([-4.0, -5.0], Reason.LOST),
     ],
 )
 def test_blocks_have_to_be_predicted_clearly_better_with_an_effect_where_errors_do_not_accumulate(
-    gains: list[float], refused: str, monkeypatch: pytest.MonkeyPatch
+    gains: list[float], refused: Reason | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not those of a force: the discrepancy replaces friction and a payload, whose values it does not take."""
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: False)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
     whole, less = (SimpleNamespace(predictive=np.array(each)) for each in (gains, [0.0] * len(gains)))
-    for name, expected in (("joint", refused), ("force", ""), ("links", "")):
+    for name, expected in (("joint", refused), ("force", None), ("links", None)):
         stage = _stage(False)
         stage.found.problem.stage = name
         stage.found.stage_fit = SimpleNamespace(decision=SimpleNamespace(model=whole), dropped={"leak": less})
@@ -348,7 +350,7 @@ def test_a_named_limit_of_the_pump_keeps_its_value_where_another_drive_does_not_
     )
     outcome = proof.ProofOutcome(plant.with_effect(named))
     outcome.named.append(proof.NamedEffect(named.name, "machine", {"limit": 1.8}, {"limit": (1.7, 1.9)}, 0.9))
-    monkeypatch.setattr(proof, "_refusal", lambda *_: UNCERTAIN)
+    monkeypatch.setattr(proof, "_refusal", lambda *_: Reason.UNCERTAIN)
     monkeypatch.setattr(proof, "_share", lambda *_: 0.5)
     monkeypatch.setattr(proof, "_uncertainty", lambda *_: SimpleNamespace(places=()))
     kept: Any = SimpleNamespace(candidate=pump, ties=())
