@@ -1,6 +1,7 @@
 """What each condition of the decision rule changes: sealed cases, decided again with one condition switched off.
 
-    .venv/bin/python pipelines/rule_trials.py [--own N] [--foreign N] [--seed N] [--work DIR] [--workers N] [--report] [--publish]
+    .venv/bin/python pipelines/rule_trials.py [--own N] [--foreign N] [--seed N] [--work DIR] [--workers N] [--report]
+        [--publish]
 
 A case is searched once, and what the rule asks of its sets of effects is remembered, so that a further decision takes a
 fraction of a second. A condition that changes no answer has no reason to be in the rule; one that changes some is argued on its
