@@ -27,6 +27,7 @@ CONDITIONS: Mapping[str, Changes] = {
     },
     "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
     "others leave as little": {"decision._leaves_as_little": _never},
+    "compensates for a similar effect": {"decision._repairs": _never},
     "at a bound": {"comparison.at_bound": _never},
     "preferred by blocks of the free run": {"free_run.LeastSquares.further": lambda *_: 0.0},
     "preferred by evidence": {"stage_model.StageSearch.own_evidence": lambda *_: 0.0},

@@ -17,7 +17,8 @@ Given models of one stage (sets of effects) under shared variances:
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
-   price, and where errors do not accumulate, the others leave more than a tenth more without the effect.
+   price, and where errors do not accumulate, the others leave more than a tenth more without the effect. Where they
+   accumulate, an effect confused with a larger one of its axis is not named.
 5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
@@ -119,6 +120,11 @@ class FreeRun:
         """Difference in remaining error between ``model`` and ``other``, in standard errors."""
         return 0.0
 
+    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+        """Change of the output by one of its effects."""
+        away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
+        return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
+
 
 def decide(
     models: Sequence[ModelFit],
@@ -190,6 +196,8 @@ def decide(
         lacks = lacking[candidate.key]
         if not (worth or candidate.label in apart) or candidate.key not in smallest:
             lacks = Reason.LITTLE
+        elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
+            lacks = Reason.REPAIRS
         elif not lacks:
             named.append(candidate)
             continue
@@ -299,6 +307,22 @@ def _lacks(
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
         return Reason.UNCERTAIN
     return None
+
+
+def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
+    """Whether an effect moves the output less than another one of its axis with which it is confused.
+
+    The formulas of valves and servos are idealisations, those of geometry and forces are not: an error in the form of a curve
+    looks like a gain.
+    """
+    if candidate.effect.stage != "command":
+        return False
+    alike = [c for c in model.candidates if c.target == candidate.target and _confused(c, candidate)]
+    return any(free.moved(model, candidate) < free.moved(model, other) for other in alike)
+
+
+def _confused(one: Candidate, other: Candidate) -> bool:
+    return one.effect.name in other.effect.confused_with or other.effect.name in one.effect.confused_with
 
 
 def _partners(candidate: Candidate, model: ModelFit, acceptable: Sequence[ModelFit]) -> tuple[Candidate, ...]:

@@ -80,6 +80,11 @@ class LeastSquares(FreeRun):
             variance += 2.0 * (1.0 - lag / (LAGS + 1)) * float((away[lag:] * away[:-lag])[together].sum())
         return float(blocks.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
 
+    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+        """Error without one of the effects, the others refitted, less the error with it (in quadrature)."""
+        less = self.proposals.without(self.nearest(model), candidate)
+        return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))
+
     def extended(self, model: ModelFit) -> ModelFit | None:
         """The set with the further effect that leaves least, if this is a tenth less."""
         size = len(model.candidates) + 1

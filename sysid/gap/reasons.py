@@ -31,6 +31,10 @@ class Reason(StrEnum):
         "it lowers the error on recordings left out of the fit by too little",
     )
     # Other explanations.
+    REPAIRS = (
+        "it may compensate for the formula of a similar effect",
+        "it may stand in for the wrong formula of a similar effect",
+    )
     REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
     PERIODIC = "a disturbance that is periodic in time explains the error better"
     POSITION = "a smooth function of the position explains the error better"

@@ -221,13 +221,16 @@ def test_two_forms_of_an_effect_are_one_hypothesis() -> None:
 
 
 class Compared(FreeRun):
-    """By how many standard errors one effect leaves more than another."""
+    """By how many standard errors one effect leaves more than another; what each moves."""
 
-    def __init__(self, further: float) -> None:
-        self.standard_errors = further
+    def __init__(self, further: float = 0.0, moved: dict[Candidate, float] | None = None) -> None:
+        self.standard_errors, self.moves = further, moved or {}
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
         return self.standard_errors * (len(model.labels & {LAG.label}) - len(other.labels & {LAG.label}))
+
+    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+        return self.moves[candidate]
 
 
 @pytest.mark.parametrize(("standard_errors", "named"), [(1.9, False), (2.1, True)])
@@ -301,6 +304,18 @@ def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
     found = decide(models, ALL)
     assert found.named == (BAND,)
     assert found.tied == ((DELAY, LAG),)
+
+
+@pytest.mark.parametrize(("moves", "named"), [(9.9, False), (10.1, True)])
+def test_what_may_repair_the_formula_of_an_effect_that_it_looks_like_has_no_name(moves: float, named: bool) -> None:
+    """The one that moves more is named; a band and a gain are not confused."""
+    models = [model(worse=9.0, left=30.0), model(LAG, DELAY)]
+    found = decide(models, ALL, free=Compared(moved={LAG: 10.0, DELAY: moves}))
+    assert (DELAY in found.named) == named
+    assert (LAG in found.named) != named
+    assert found.near_misses[0].lacks == Reason.REPAIRS
+    apart = decide([models[0], model(BAND, GAIN)], ALL, free=Compared(moved={BAND: 10.0, GAIN: moves}))
+    assert set(apart.named) == {BAND, GAIN}
 
 
 # -- where formulas are right, and where nothing adds up ---------------------------------------------------------------------

@@ -79,6 +79,7 @@ def test_one_set_leaves_more_than_another_by_standard_errors_of_the_blocks() -> 
     assert free.further(none, both) > 4.0
     assert free.further(both, none) == pytest.approx(-free.further(none, both))
     assert free.further(one, one) == 0.0
+    assert free.moved(both, G) == pytest.approx(np.sqrt(one.left**2 - both.left**2))
 
 
 def test_the_error_of_neighbouring_blocks_counts_together() -> None:
