@@ -1,6 +1,7 @@
 """What each condition of the decision rule changes: sealed cases, decided again with one condition switched off.
 
-    .venv/bin/python pipelines/rule_trials.py [--own N] [--foreign N] [--seed N] [--work DIR] [--workers N] [--publish]
+    .venv/bin/python pipelines/rule_trials.py [--own N] [--foreign N] [--seed N] [--work DIR] [--workers N] [--report]
+        [--publish]
 
 A case is searched once, and what the rule asks of its sets of effects is remembered, so that a further decision takes a
 fraction of a second. A condition that changes no answer has no reason to be in the rule; one that changes some is argued on its
@@ -66,25 +67,31 @@ def table_of(result: dict[str, Any]) -> str:
     silent = ", ".join(trial for trial, each in result["trials"].items() if not each["changed"])
     needed = ", ".join(f"{condition} ({count})" for condition, count in result["needed"].items())
     cases = str(result["cases"]) if result["cases"] == result["listed"] else f"{result['cases']} of {result['listed']}"
-    head = f"{cases} sealed cases, seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
+    groups = ", ".join(f"{name} {count}" for name, count in result["groups"].items())
+    head = f"{cases} sealed cases ({groups}), seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
     table = markdown(("switched off, or changed", "answers that change", "of these"), rows, "lrl")
     together = f"All others switched off together, these are needed in some case: {needed}."
     return f"{head}\n\n{table}\n\nNo answer changes without: {silent}.\n\n{together}"
 
 
-def main(counts: dict[str, int], seed: int, work: Path, workers: int, publish: bool) -> None:
-    listed = [(bench, spec) for bench, count in counts.items() for spec in specs_of(bench, count, seed)]
-    with ThreadPoolExecutor(workers) as pool:
-        results = list(pool.map(lambda item: decided(*item, work / f"seed-{seed}"), listed))
-    each = [(f"{bench}-{spec.name}", result) for (bench, spec), result in zip(listed, results, strict=True) if result]
-    found = {name: result["answers"] for name, result in each}
-    needed = Counter(condition for _, result in each for condition in result["needed"])
+def main(counts: dict[str, int], seed: int, work: Path, workers: int, publish: bool, report: bool) -> None:
+    folder = work / f"seed-{seed}"
+    if report:
+        every = {path.stem: read(path) for path in sorted((folder / "answers").glob("*.json"))}
+    else:
+        listed = [(bench, spec) for bench, count in counts.items() for spec in specs_of(bench, count, seed)]
+        with ThreadPoolExecutor(workers) as pool:
+            results = list(pool.map(lambda item: decided(*item, folder), listed))
+        every = {f"{bench}-{spec.name}": result for (bench, spec), result in zip(listed, results, strict=True) if result}
+    found = {name: result["answers"] for name, result in every.items()}
+    needed = Counter(condition for result in every.values() for condition in result["needed"])
     verdicts = Counter(verdict(answers[""]) for answers in found.values())
-    given = " ".join(f"--{bench} {count}" for bench, count in counts.items())
+    given = "--report" if report else " ".join(f"--{bench} {count}" for bench, count in counts.items())
     result = {
         **provenance(f"python pipelines/rule_trials.py {given} --seed {seed}", seed),
         "cases": len(found),
-        "listed": len(listed),
+        "groups": dict(sorted(Counter(name.rpartition("-")[0].replace("-", " ") for name in found).items())),
+        "listed": len(found) if report else len(listed),
         "verdicts": dict(sorted(verdicts.items())),
         "trials": changed(found),
         "needed": dict(needed.most_common()),
@@ -106,5 +113,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--publish", action="store_true", help="write the result and the table of the page")
+    parser.add_argument("--report", action="store_true", help="of the cases that have answers; no further ones are made")
     options = parser.parse_args()
-    main({"own": options.own, "foreign": options.foreign}, options.seed, options.work, options.workers, options.publish)
+    counts = {"own": options.own, "foreign": options.foreign}
+    main(counts, options.seed, options.work, options.workers, options.publish, options.report)

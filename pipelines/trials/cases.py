@@ -90,10 +90,10 @@ def changed(cases: Mapping[str, Mapping[str, Answer]]) -> dict[str, dict[str, An
     """Trial → how many answers change, from which verdict to which, and the cases.
 
     Args:
-        cases: by name, the answer of every trial; that of the rule itself has no name.
+        cases: by name, the answer of every trial (the same ones in all of them); that of the rule itself has no name.
     """
     table: dict[str, dict[str, Any]] = {}
-    for trial in TRIALS:
+    for trial in next(iter(cases.values()), {}):
         moves, names = Counter[str](), []
         for name, answers in cases.items():
             before, after = answers[""], answers[trial]

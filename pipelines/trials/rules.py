@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.gap import comparison, decision, proof
+from sysid.gap import decision, proof
 
 Changes = Mapping[str, Any]
 
@@ -21,28 +22,19 @@ def _always(*_: object, **__: object) -> bool:
 #: Trial → names below `sysid.gap` that are replaced, and by what.
 CONDITIONS: Mapping[str, Changes] = {
     "evidence with the discrepancy of each set alone": {"stage_model.StageSearch.own_evidence": lambda _, fit: fit.evidence},
-    "a survivor with more effects that is clearly likelier": {"comparison.replaced": _never},
+    "formulas right: by the noise floor instead": {
+        "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= decision.EXPLAINED else math.inf
+    },
     "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
-    "effects that the discrepancy must not replace": {"comparison.outdone": _never},
-    "survival by predictive density": {"comparison.survives": lambda f, best: f.evidence > best.evidence - decision.LEAST},
-    "alternatives that may be absent themselves": {"decision._is_alternative": _always},
-    "formulas right: no set certainly leaves less": {"decision._exact": lambda f, _, needed, *__: needed(f) < decision.LEAST},
-    "formulas right: by the noise floor instead": {"decision._exact": lambda f, *_: f.left <= decision.EXPLAINED},
-    "compensates for a similar effect": {"decision._repairs": _never},
-    "changes some speeds only": {"decision._contradicted": _never},
-    "known value within a tenth": {"comparison.near_known": _never},
-    "useful only beside one that may be absent": {"decision._pay_alone": _always},
     "others leave as little": {"decision._leaves_as_little": _never},
-    "servo: certain effects beyond their price": {"decision._beyond_price": lambda f, *_: ([], f)},
-    "too fast for the rate": {"comparison.beyond_rate": _never},
+    "compensates for a similar effect": {"decision._repairs": _never},
     "at a bound": {"comparison.at_bound": _never},
     "preferred by blocks of the free run": {"free_run.LeastSquares.further": lambda *_: 0.0},
-    "preferred by evidence": {"decision._likelier": _never},
+    "preferred by evidence": {"stage_model.StageSearch.own_evidence": lambda *_: 0.0},
     "the price where the effects act": {"free_run.LeastSquares.priced": lambda free, f: free.left(f)},
     "the plant: a larger survivor": {"decision._whole": lambda smallest, *_: smallest},
     "the plant: a survivor that leaves less": {"decision._less_left": lambda f, *_: f},
     "open clocks and dead times": {"stage_search._equivalence": lambda *_: {}},
-    "scales shared with a drive": {"stage_search._scales_of_drives": lambda _: set()},
     "scales that their drive contradicts": {"sensor_scales.with_sensor_scales": lambda stages, _: tuple(stages)},
     "weight of unknown masses": {"stage_search._without_masses": lambda case, stage, fitted: fitted},
     "a periodic disturbance instead": {"unnamed.instead.without_periodic_names": lambda stage, _: stage},
@@ -52,11 +44,8 @@ CONDITIONS: Mapping[str, Changes] = {
         "servo.ties.sag_tie": lambda *_: None,
     },
     "the names alone on held-out recordings": {"proof._with_proven_model": proof.with_intervals},
-    "the price on recordings left out": {"held_out.without_cheap_names": list},
-    "the error of the other drives": {"comparison.pays_beside": lambda before, after, _: comparison.pays(before, after)},
-    "one effect pays for several drives": {"held_out._proven_together": lambda *_: frozenset()},
+    "the price on recordings left out": {"held_out.without_cheap_names": lambda stage: stage},
     "better on held-out recordings": {"held_out.is_better": _always},
-    "whole recordings instead of blocks": {"proof._shown_by_recordings": _always},
     "may be absent by the stated interval": {"stage_intervals.may_be_absent": _never},
     "a share of the gap": {"proof._least_share": lambda _: 0.0},
 }

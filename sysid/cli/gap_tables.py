@@ -176,22 +176,10 @@ def entry(out: Printer, text: str, bullet: str = "") -> None:
 
 def plain_reason(why: str) -> str:
     """The condition that an effect without a name fails, in plain words."""
-    from sysid.gap import decision
+    from sysid.gap.reasons import Reason
 
-    if "region of practical equivalence" in why:
-        return "its interval includes values too small to matter"
-    return {
-        decision.NOT_EXCITED: "the recordings do not excite it enough",
-        decision.LITTLE: "it lowers the error by little compared with what remains",
-        decision.LOST: "it lowers the error on recordings left out of the fit by too little",
-        decision.REPLACED: "another effect in its place predicts as well",
-        decision.WITHOUT: "the simulation predicts as well without it",
-        decision.REPAIRS: "it may stand in for the wrong formula of a similar effect",
-        decision.KNOWN: "its value is within a tenth of the known one",
-        decision.TOO_FAST: "the recordings have too few samples in its period; it may be a dead time",
-        decision.PREDICTED_WITHOUT: "parts that were left out are not predicted clearly better with it",
-        "": "it was fitted beside the others",
-    }.get(why, why)
+    known = {str(reason): reason.plain for reason in Reason}
+    return known.get(why, why) or "it was fitted beside the others"  # a stored result may have one that is no more
 
 
 def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:

@@ -40,8 +40,6 @@ class Parameter:
             for SI values.
         stepwise: a small change may have no effect (a threshold between two samples of a command): a fit uses a grid.
         secondary: it determines how the effect acts, not how much, and has no meaning without the others.
-        samples: of a frequency, the samples in a period that a recording needs to show it. A faster oscillation looks like the
-            dead time of a drive with faster dynamics than the plant has.
         sets: for each component, the slots that take its value; by default the slot of the same name.
     """
 
@@ -54,7 +52,6 @@ class Parameter:
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
     secondary: bool = False
-    samples: float = 0.0
     scale: Literal["", "force", "1/load", "response"] = ""
 
     @property

@@ -27,9 +27,7 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter(
-                    "frequency", "Hz", (1.0, ABSENT), (4.0, 7.0, 12.0), 0.3, "natural frequency of load on oil", samples=5.0
-                ),
+                Parameter("frequency", "Hz", (1.0, ABSENT), (4.0, 7.0, 12.0), 0.3, "natural frequency of load on oil"),
                 Parameter("damping_ratio", "1", (0.005, 0.6), (0.05, 0.2), 0.5, "of the oscillation", secondary=True),
             )
         ),

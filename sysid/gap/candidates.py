@@ -56,7 +56,6 @@ class Unknown:
         nominal: its value in the plant under test.
         negligible: a negligible change; steps and tolerances of fits derive from it.
         stepwise: the output is not differentiable by it; a fit searches it on a grid as well.
-        shown: largest value that recordings at the rate of the machine show.
     """
 
     key: str
@@ -65,7 +64,6 @@ class Unknown:
     nominal: float
     negligible: float
     stepwise: bool = False
-    shown: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -249,8 +247,7 @@ def _candidate(
             if parameter.scale == "1/load":  # the range follows from the load: an elbow of a servo arm and a crane boom differ
                 most = LOAD_BOUND * max(abs(start) for start in parameter.starts) * unit
                 bounds = max(bounds[0], -most), min(bounds[1], most)
-            shown_up_to = plant.machine.rate_hz / parameter.samples if parameter.samples else np.inf
-            unknowns.append(Unknown(key, tuple(group), bounds, nominal, negligible, parameter.stepwise, shown_up_to))
+            unknowns.append(Unknown(key, tuple(group), bounds, nominal, negligible, parameter.stepwise))
             starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))

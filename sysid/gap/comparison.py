@@ -6,7 +6,6 @@ known value of a parameter; a value at a bound of its range is no estimate.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, Z
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS, Z
 from sysid.machine import EffectKey
 
 
@@ -22,11 +21,6 @@ def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
     """Sum of the clipped block differences of two models, and its standard error [nats]."""
     blocks = np.clip(better.predictive - other.predictive, -BLOCK_NATS, BLOCK_NATS)
     return float(blocks.sum()), float(blocks.std() * np.sqrt(len(blocks)))
-
-
-def survives(model: ModelFit, best: ModelFit) -> bool:
-    """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
-    return not clearly_worse(model, best) or model.evidence > best.evidence - LEAST
 
 
 def clearly_worse(model: ModelFit, other: ModelFit) -> bool:
@@ -47,13 +41,6 @@ def _covers(richer: Candidate, candidate: Candidate) -> bool:
     if richer.key == candidate.key:
         return len(richer.unknowns) >= len(candidate.unknowns)
     return richer.contains(candidate)
-
-
-def replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
-    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
-    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
-    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
@@ -109,14 +96,6 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
     return after <= EXPLAINED or divides(before, after, effects)
 
 
-def pays_beside(before: float, after: float, alike: float) -> bool:
-    """Whether an effect is worth its price where similar drives of the machine are wrong by ``alike`` without any effect.
-
-    It moves the output by more than that, or it is worth the price of two effects. Errors in noise floors.
-    """
-    return pays(before, max(after, alike)) or pays(before, after, 2)
-
-
 def divides(before: float, after: float, effects: int = 1) -> bool:
     """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
     return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
@@ -145,18 +124,6 @@ def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, av
     return float(np.sqrt(max(1.0 + variance / rows.sum(), 0.0)))
 
 
-def typical_errors(errors: Sequence[float]) -> list[float]:
-    """For each drive of a machine, the lower median of the errors of the others with wrong formulas; 0 without one.
-
-    Args:
-        errors: shares of the distance moved; 0 for a drive whose formulas are right.
-    """
-    others = ([e for j, e in enumerate(errors) if j != k and e > 0.0] for k in range(len(errors)))
-    return [statistics.median_low(some) if some else 0.0 for some in others]
-
-
-# -- practical equivalence and bounds ------------------------------------------------------------------------------------------
-
 #: Distance from a bound at which a fit stops, as a share of the bound, or of the negligible change where it is zero.
 AT = 1e-3
 
@@ -168,22 +135,6 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
         for u, value, absent in zip(candidate.unknowns, model.values_of(candidate), candidate.absent, strict=True)
         for bound in u.bounds
     )
-
-
-def near_known(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether the plant has the effect already, and the intervals of all its values reach within a tenth of the known ones.
-
-    An owner has fitted them to other motion; where formulas are wrong, the best values differ between motions. Of a ratio it is
-    a tenth of its distance from one, where the effect is absent.
-    """
-    nominal, absent = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.absent)
-    tenth = (EXPLAINED - 1.0) * np.minimum(np.abs(nominal), np.abs(nominal - absent))
-    return candidate.known and reaches(candidate, model, tenth)
-
-
-def beyond_rate(candidate: Candidate, model: ModelFit) -> bool:
-    """Whether a value of an effect is larger than the rate of the recordings shows."""
-    return any(value > u.shown for u, value in zip(candidate.unknowns, model.values_of(candidate), strict=True))
 
 
 def equivalent_change(left: float) -> float:
@@ -202,11 +153,7 @@ def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[Effe
 
     They include what the discrepancy could do in its place.
     """
-    return reaches(candidate, model, np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0)))
-
-
-def reaches(candidate: Candidate, model: ModelFit, half: Array) -> bool:
-    """Whether the 95 % intervals of all parameters of an effect reach within ``half`` (k,) of their known values."""
+    half = np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0))
     reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())

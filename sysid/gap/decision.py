@@ -2,39 +2,27 @@
 
 Given models of one stage (sets of effects) under shared variances:
 
-1. *Predictive density.* Each block of a few seconds is predicted from all other blocks, in closed form.
-2. *Survivors.* A model survives if it is not significantly worse than the best: the sum of its block differences is below
-   ``STANDARD_ERRORS`` standard errors or below ``LEAST`` nats, or its evidence is not lower by as much. A block counts for
-   ``BLOCK_NATS`` at most, so that several have to agree. A model that lacks an effect of another predicts as well where the
-   discrepancy replaces that effect, and so does one that needs more parameters; there the evidence decides, the discrepancy of
-   each estimated beside it alone.
-3. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
-   survivor, and no set with as few effects leaves a tenth less of the free run, where the disturbance accumulates by
-   ``STANDARD_ERRORS`` too): the minimal survivors are acceptable, those of which no simpler one survives, without those whose
-   other effects may all be absent or lie at the bounds of their range.
-4. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
+1. *Survivors.* A model survives if its evidence is within ``LEAST`` nats of the likeliest. The *minimal* survivors are those of
+   which no simpler one survives.
+2. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
+   survivor): the minimal survivors are acceptable.
+3. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
    acceptable. The price of each effect is that the variance above the noise floor falls to a fifth (it moves the output by
    ``STANDARD_ERRORS`` times what remains), in the recordings that the set moves if these contain most of the error. Of equally
    large sets within this price, those are acceptable that leave no more than another by ``STANDARD_ERRORS`` of the difference
    between blocks, and of which no other is likelier by more than twice ``BLOCK_NATS`` and by a fifth of what a discrepancy
-   gains beside it, at their values of least error. The set that is chosen has to be worth its own price for a name. The plant
-   gets its values, unless a survivor with further effects leaves less.
-   *Formulas wrong, errors do not accumulate*: the minimal survivors, if their certain effects are worth the price of that many
-   effects, without those in which the discrepancy replaces effects worth their price. An effect is not certain if
-   the others leave at most a tenth more without it.
-   The plant gets the likeliest minimal survivor with further effects that leaves less by more than a tenth.
+   gains beside it. The plant gets the values of the chosen set, unless a survivor with further effects leaves less.
+   *Formulas wrong, errors do not accumulate*: the minimal survivors. The plant gets the likeliest minimal survivor with further
+   effects that leaves less by more than a tenth.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
-5. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value, and no value lies at a bound of its range. Where errors do not accumulate, that interval includes
-   what the discrepancy could do in its place, and the named effects have to be worth their price without those that may be
-   absent.
-   Where they accumulate, an effect confused with a larger one of its axis is not named, nor is one that changes every speed by
-   one share and is absent from some speeds (:mod:`sysid.gap.free_run`), nor one that is worth its price only beside it.
-6. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
-7. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
-   (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation, and with twice
-   the price where it moves the output by less than the machine's other drives are wrong by (:mod:`sysid.gap.held_out`).
-   An effect of the machine pays once for all drives that show it.
+4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
+   around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
+   price, and where errors do not accumulate, the others leave more than a tenth more without the effect. Where they
+   accumulate, an effect confused with a larger one of its axis is not named.
+5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
+6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
+   (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
+   (:mod:`sysid.gap.held_out`).
 
 The region of practical equivalence of a parameter is the change that adds a tenth, in quadrature, to the remaining error of the
 stage; at least what is known to be open otherwise, of a clock for instance.
@@ -51,42 +39,18 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import (
     at_bound,
-    beyond_rate,
-    near_known,
-    outdone,
     pays,
-    replaced,
     simpler,
     simplest,
     smallest_sets,
-    survives,
     within_equivalence,
 )
 from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
 from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
-
-
-#: Conditions that an effect without a name fails.
-PREDICTED_WITHOUT = "parts of the recordings that were left out are not predicted clearly better with it"
-KNOWN = "its known value is within a tenth, which another motion would change where formulas are wrong"
-TOO_FAST = "it oscillates with fewer samples in a period than show it, which looks like a dead time"
-NOT_EXCITED = "the recordings do not excite it enough"
-LITTLE = "it reduces the error by too little compared with what remains"
-REPLACED = "another model without it predicts as well"
-WITHOUT = "a model without it predicts as well"
-REPAIRS = "it may compensate for the formula of a similar effect"
-PARTIAL = "it changes only some of the speeds, which it would change alike"
-LOST = "on recordings left out of the fit it reduces the error by too little compared with what remains"
-BESIDE = "it reduces the error enough only beside an effect that is not certain"
-AT_BOUND = "a value ends at a bound of its range, so that something else is missing"
-UNCERTAIN = "its 95 % interval reaches into the region of practical equivalence"
-REFUTED = "the drive in front of this sensor shows the right speed without it, and needs a further effect with it"
-PERIODIC = "a disturbance that is periodic in time explains the error better"
-POSITION = "a smooth function of the position explains the error better"
-ORDINARY = "it moves the output by too little compared with the error of the machine's other drives"
 
 
 @dataclass(frozen=True)
@@ -96,7 +60,7 @@ class NearMiss:
     candidate: Candidate
     values: Array
     deviations: Array
-    lacks: str
+    lacks: Reason
 
 
 @dataclass(frozen=True)
@@ -124,7 +88,7 @@ class Decision:
     exact: bool
     accumulates: bool
 
-    def without_names(self, lacks: Mapping[str, str]) -> Decision:
+    def without_names(self, lacks: Mapping[str, Reason]) -> Decision:
         """The same model without names and ties of some effects, near misses now; ``lacks``: label → the failed condition."""
         named = tuple(c for c in self.named if c.label not in lacks)
         tied = tuple(tie for tie in self.tied if tie[0].label not in lacks)
@@ -161,20 +125,11 @@ class FreeRun:
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
-    def left_without(self, model: ModelFit, candidates: Sequence[Candidate]) -> float:
-        """Remaining error without some of its effects, the others refitted."""
-        return self.left(model)
-
-    def absent_at_some_speed(self, model: ModelFit, candidate: Candidate, repairs: Sequence[Candidate] = ()) -> bool:
-        """Whether slow or fast motion shows that one of its effects is absent there; without its effects ``repairs``."""
-        return False
-
 
 def decide(
     models: Sequence[ModelFit],
     nameable: Sequence[str],
     rope: Mapping[EffectKey, float] | None = None,
-    shared: Sequence[str] = (),
     own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
     needed: Callable[[ModelFit], float] = lambda model: np.inf,
     integrates: bool = True,
@@ -189,8 +144,6 @@ def decide(
     Args:
         nameable: labels of the candidates that the recordings excite enough.
         rope: least half-widths of regions of equivalence, by effect.
-        shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
-            effects that are not excited, is chosen.
         own_evidence: evidence of a model with the discrepancy estimated beside it alone.
         needed: gain in evidence of a model by a discrepancy [nats].
         integrates: whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow.
@@ -203,77 +156,58 @@ def decide(
         fewest: where formulas are wrong and errors do not accumulate, the acceptable sets of fewest effects of a model.
     """
     rope, free = rope or {}, free or FreeRun()
-    best = max(models, key=lambda f: float(f.predictive.sum()))
-    survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
-    unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
-    likely = _likely([f for f in survivors if integrates or not outdone(f, survivors)], unsure, own_evidence, rope)
+    least = max(f.evidence for f in models) - LEAST
+    survivors = sorted((f for f in models if f.evidence > least), key=lambda f: -f.evidence)
+    unsure = {c.label for f in models for c in f.candidates if c.label not in nameable}
+    likely = _likely(survivors, unsure)
     if not integrates and not independent:
         likely = list({f.labels: f for f in (simplest(f, models) for f in likely)}.values())
-    exact = _exact(likely[0], models, needed, free, integrates)
-    accumulates = integrates and not exact
-    servo = fewest is not None and not exact and not integrates
-    if not accumulates:
-        acceptable = likely if fewest is None or not servo else list(fewest(likely[0]))
-        model = acceptable[0]
-    else:
+    exact = needed(likely[0]) < LEAST
+    accumulates, static = integrates and not exact, not (integrates or exact)
+    if accumulates:
         acceptable = _nearest(models, unsure, free, own_evidence, needed)
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
-    nothing = next((f.left for f in models if not f.candidates), np.inf)
-    # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
-    tested = (model, *acceptable) if not accumulates else tuple(free.least_squares(f) for f in acceptable)
+        # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
+        tested = [free.least_squares(f) for f in acceptable]
+    else:
+        acceptable = likely if fewest is None or not static else list(fewest(likely[0]))
+        model, tested = acceptable[0], acceptable
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
-    if accumulates and free.left(acceptable[0]) > EXPLAINED:
-        lacking |= {c.key: KNOWN for c in model.candidates if not lacking[c.key] and all(near_known(c, f) for f in tested)}
     tying = {
         c.key: _partners(c, model, acceptable)
         for c in model.candidates
-        if lacking[c.key] == REPLACED and not within_equivalence(c, model, rope)
+        if lacking[c.key] == Reason.REPLACED and not within_equivalence(c, model, rope)
     }
-    smallest = {c.key for c in acceptable[0].candidates}
-    if not exact and not integrates:
-        known = {f.labels: f for f in models}
-        less = without or (lambda f, c: known[f.labels - {c.label}])
-        for c in model.candidates:
-            if not lacking[c.key] and _leaves_as_little(less(model, c), model):
-                lacking[c.key] = LITTLE
-    alone = model
-    if servo and without is not None:
-        lost, alone = _beyond_price(model, lacking, nothing, without)
-        lacking |= dict.fromkeys(lost, LITTLE)
-    elif not integrates and without is not None and not _pay_alone(model, lacking, nothing, without):
-        lacking |= {key: BESIDE for key, lacks in lacking.items() if not lacks}
+    known = {f.labels: f for f in models}
+    less = without or (lambda f, c: known[f.labels - {c.label}])
+    for c in model.candidates if static else ():
+        if not lacking[c.key] and _leaves_as_little(less(model, c), model):
+            lacking[c.key] = Reason.LITTLE
+    nothing = next((f.left for f in models if not f.candidates), np.inf)
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
+    smallest = {c.key for c in acceptable[0].candidates}
     certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
-    if accumulates:
-        worth = pays(nothing, free.priced(acceptable[0]), len(acceptable[0].candidates))
-    else:
-        worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
-    partial = [c for c in acceptable[0].candidates if accumulates and _contradicted(c, acceptable[0], free)]
-    rest = len(acceptable[0].candidates) - len(partial)
-    beside_partial = bool(partial and rest) and not pays(nothing, free.left_without(acceptable[0], partial), rest)
+    left, count = (free.priced(acceptable[0]), len(smallest)) if accumulates else (model.left, max(certain, 1))
+    worth = exact or pays(reference, left, count)
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
         if not (worth or candidate.label in apart) or candidate.key not in smallest:
-            lacks = LITTLE
+            lacks = Reason.LITTLE
         elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
-            lacks = REPAIRS
-        elif not lacks and any(candidate.key == c.key for c in partial):
-            lacks = PARTIAL
-        elif not lacks and beside_partial:
-            lacks = BESIDE
+            lacks = Reason.REPAIRS
         elif not lacks:
             named.append(candidate)
             continue
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
-    if not (exact or integrates or servo):
+    if static and fewest is None:
         richer = _less_left(model, survivors, unsure)
         more = [c for c in richer.candidates if c.label not in model.labels]
-        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), LITTLE) for c in more]
+        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), Reason.LITTLE) for c in more]
         model = richer
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
@@ -282,21 +216,18 @@ def decide(
             if candidate.key not in seen:
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
-                near.append(NearMiss(candidate, values, deviations, WITHOUT if predicts else LITTLE))
+                near.append(NearMiss(candidate, values, deviations, Reason.REPLACED if predicts else Reason.LITTLE))
     return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(acceptable), exact, accumulates)
 
 
 # -- the whitened likelihood: formulas right, or errors that do not accumulate ---------------------------------------------
 
 
-def _likely(
-    survivors: Sequence[ModelFit], unsure: set[str], own_evidence: Callable[[ModelFit], float], rope: Mapping[EffectKey, float]
-) -> list[ModelFit]:
+def _likely(survivors: Sequence[ModelFit], unsure: set[str]) -> list[ModelFit]:
     """The minimal survivors, the likeliest first."""
-    stay = [f for f in survivors if not replaced(f, survivors, own_evidence)]
-    minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
+    minimal = [f for f in survivors if not any(simpler(g, f) for g in survivors)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
-    return [chosen, *(f for f in _with_other_effects(minimal, chosen) if _is_alternative(f, chosen, rope))]
+    return [chosen, *_with_other_effects(minimal, chosen)]
 
 
 def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[ModelFit]:
@@ -310,90 +241,7 @@ def _leaves_as_little(less: ModelFit, model: ModelFit) -> bool:
     return less.left <= EXPLAINED * max(model.left, 1.0)
 
 
-def _beyond_price(
-    model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
-) -> tuple[list[EffectKey], ModelFit]:
-    """Certain effects that are not worth a name, and the set of the others alone.
-
-    One by one, the effect that leaves least without it: while the others alone leave at most a tenth more, since effects that
-    are not certain may exchange with it (a dead time with a lag), and until the others are worth the price of their number.
-    """
-    lost, alone = list[EffectKey](), model
-    for candidate in model.candidates:
-        if lacking[candidate.key]:
-            alone = without(alone, candidate)
-    while alone.candidates:
-        first = min(alone.candidates, key=lambda c: without(alone, c).left)
-        less = without(alone, first)
-        if not _leaves_as_little(less, alone) and pays(nothing, alone.left, len(alone.candidates)):
-            break
-        lost.append(first.key)
-        alone = less
-    return lost, alone
-
-
-def _pay_alone(
-    model: ModelFit, lacking: Mapping[EffectKey, str], nothing: float, without: Callable[[ModelFit, Candidate], ModelFit]
-) -> bool:
-    """Whether the certain effects are worth their price without those that may be absent, the others refitted.
-
-    Nothing has to be worth it where the latter leave at most a tenth less. A dead time that is 14 ms too short beside a second-
-    order lag that may be absent describes a longer lag: alone it reduces nothing. An effect beside which the rest leaves as
-    little without it costs no price: a limit of a servo's speed beyond every speed of the recordings.
-    """
-    rest = model
-    for candidate in (c for c in model.candidates if lacking[c.key] == UNCERTAIN):
-        rest = without(rest, candidate)
-    if rest is model or _leaves_as_little(rest, model):
-        return True
-    for candidate in (c for c in model.candidates if lacking[c.key] == LITTLE):
-        less = without(rest, candidate)
-        rest = less if _leaves_as_little(less, rest) else rest
-    return pays(nothing, rest.left, len(rest.candidates))
-
-
-def _is_alternative(other: ModelFit, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
-    """Whether ``other`` lacks an effect of ``model``, or has one in its place that is certainly present.
-
-    An effect at a bound stands for another: oil that is warm after five seconds, for a gain.
-    """
-    here = {c.key for c in model.candidates}
-    instead = [c for c in other.candidates if c.key not in here]
-    return not instead or any(not within_equivalence(c, other, rope) and not at_bound(c, other) for c in instead)
-
-
-def _exact(
-    model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun, integrates: bool
-) -> bool:
-    """Whether formulas are right up to a random disturbance: no discrepancy is needed, no set as small certainly leaves less.
-
-    Less by a tenth; where a disturbance accumulates, which another set may replace by chance, also by two standard errors.
-    """
-    if needed(model) >= LEAST:
-        return False
-    as_small = [f for f in models if len(f.candidates) <= len(model.candidates)]
-    less = [f for f in as_small if model.left > EXPLAINED * max(free.left(f), 1.0)]
-    return not less or (integrates and all(free.further(model, f) <= STANDARD_ERRORS for f in less))
-
-
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
-
-
-def _likelier(
-    better: ModelFit,
-    other: ModelFit,
-    free: FreeRun,
-    own_evidence: Callable[[ModelFit], float],
-    needed: Callable[[ModelFit], float],
-) -> bool:
-    """Whether a set is clearly likelier than another of its size, each with its values of least squares.
-
-    Its likeliest values may explain fast errors alone. Where formulas are wrong, very strong evidence of one block is not
-    enough, nor is less than a fifth of what the formulas lack beside the set.
-    """
-    evidence = [own_evidence(f.with_values(free.least_squares(f))) for f in (better, other)]
-    gained = evidence[0] - evidence[1]
-    return gained > 2.0 * BLOCK_NATS and gained > needed(better) / PRICE
 
 
 def _nearest(
@@ -406,11 +254,19 @@ def _nearest(
     """The smallest sets of effects that explain the output and to which no other is preferred; least remaining error first."""
     close = smallest_sets(models, free.priced)
 
+    def likelier(f: ModelFit, g: ModelFit) -> bool:
+        """Clearly, each with its values of least squares: its likeliest values may explain fast errors alone.
+
+        Where formulas are wrong, very strong evidence of one block is not enough, nor a fifth of what they lack beside the set.
+        """
+        better, other = (own_evidence(each.with_values(free.least_squares(each))) for each in (f, g))
+        return better - other > max(2.0 * BLOCK_NATS, needed(f) / PRICE)
+
     def preferred(f: ModelFit, g: ModelFit) -> bool:
         """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
         edges = [any(at_bound(c, each) for c in each.candidates) for each in (f, g)]
-        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence, needed)) and not more
+        return (less or simpler(f, g) or edges == [False, True] or likelier(f, g)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
     chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))
@@ -438,19 +294,19 @@ def _likeliest_minimal(models: Sequence[ModelFit], unsure: set[str]) -> ModelFit
     return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=None)
 
 
-def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]) -> str:
-    """Condition for a name that an effect of the chosen model fails; empty where it fails none."""
+def _lacks(
+    candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]
+) -> Reason | None:
+    """Condition for a name that an effect of the chosen model fails; None where it fails none."""
     if candidate.label not in nameable:
-        return NOT_EXCITED
-    if any(beyond_rate(c, f) for f in models for c in f.candidates if c.key == candidate.key):
-        return TOO_FAST
+        return Reason.NOT_EXCITED
     if any(at_bound(c, f) for f in models for c in f.candidates if c.key == candidate.key):
-        return AT_BOUND
+        return Reason.AT_BOUND
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
-        return REPLACED
+        return Reason.REPLACED
     if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
-        return UNCERTAIN
-    return ""
+        return Reason.UNCERTAIN
+    return None
 
 
 def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
@@ -463,27 +319,6 @@ def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
         return False
     alike = [c for c in model.candidates if c.target == candidate.target and _confused(c, candidate)]
     return any(free.moved(model, candidate) < free.moved(model, other) for other in alike)
-
-
-def _contradicted(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
-    """Whether an effect that changes all speeds by one share is certainly absent from some of them.
-
-    Effects that may compensate for the formula of a similar one are left out: a curve of the gain would hide it. So are smaller
-    functions of the command: a gain and a dead-band together are any straight line of the speed over the command, the first
-    approximation of any curve.
-    """
-    if not candidate.effect.proportional:
-        return False
-    others = [c for c in model.candidates if c.key != candidate.key]
-    return free.absent_at_some_speed(
-        model, candidate, [c for c in others if _repairs(c, model, free) or _smaller_curve(c, candidate, model, free)]
-    )
-
-
-def _smaller_curve(one: Candidate, other: Candidate, model: ModelFit, free: FreeRun) -> bool:
-    """Whether an effect without memory of the command of an axis moves the output less than another one of that axis."""
-    alike = one.target == other.target and one.effect.stage == "command" and one.effect.memory(1.0) == 0
-    return alike and free.moved(model, one) < free.moved(model, other)
 
 
 def _confused(one: Candidate, other: Candidate) -> bool:

@@ -12,11 +12,8 @@ import numpy.typing as npt
 from sysid.effects import flexible_drive, gain_error, inertia_error
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import clearly_worse
-from sysid.gap.decision import NOT_EXCITED, PREDICTED_WITHOUT, UNCERTAIN
 from sysid.gap.disagreement import stage_rmse
 from sysid.gap.held_out import (
-    comparisons_without,
-    gain_of_recordings,
     held_out_error,
     is_better,
     is_excited,
@@ -28,13 +25,14 @@ from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.problem import FORCES
+from sysid.gap.reasons import Reason
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.servo.arm import with_coupled_values
 from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import EXPLAINED, LEAST, SHARE, Z
+from sysid.gap.thresholds import EXPLAINED, SHARE, Z
 from sysid.gap.unnamed.description import describe_period, describe_residual
 from sysid.gap.unnamed.instead import without_names_of_position, without_periodic_names
 from sysid.gap.written import near_misses
@@ -43,9 +41,8 @@ from sysid.plant import Plant, PlantNumber, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
-#: Effects that correct a value of the description, by its key in machine.toml; and why one has no name.
+#: Effects that correct a value of the description, by its key in machine.toml.
 DESCRIBED = {gain_error.EFFECT.name: "gain", inertia_error.EFFECT.name: "inertia"}
-BETTER_ESTIMATE = "the description only estimates this value: it is a better one"
 #: Sensor steps are named if they account for this share of the error of the stage above its noise.
 MIN_SHARE_OF_STEPS = 0.5
 #: A secondary parameter is determined if the half-width of its 95 % interval is at most this share of its value.
@@ -63,7 +60,7 @@ class ProofOutcome:
     notes: list[str] = field(default_factory=list)
     carried: list[ResidualModelResult] = field(default_factory=list)
     near_misses: list[NearMissResult] = field(default_factory=list)
-    refused: dict[EffectKey, str] = field(default_factory=dict)
+    refused: dict[EffectKey, Reason] = field(default_factory=dict)
 
 
 def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
@@ -74,10 +71,10 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     known = [without_sensor_names(case, _with_proven_model(case, searched)) for searched in stages]
     machine = case.plant.machine
     smooth = [without_names_of_position(without_periodic_names(stage, machine), machine) for stage in known]
-    for stage in without_cheap_names(smooth):
+    for stage in map(without_cheap_names, smooth):
         result = stage.found
         proven = bool(result.fit.candidates) and is_better(stage)
-        refused = dict[str, str]()
+        refused = dict[str, Reason]()
         if proven:
             refused = _accept(stage, outcome)
         elif result.named:
@@ -109,7 +106,7 @@ def _without_estimates(case: Case, outcome: ProofOutcome) -> ProofOutcome:
     estimated = {(name, axis.name) for name, key in DESCRIBED.items() for axis in machine.axes if key in axis.estimated}
     for effect in outcome.named:
         if (effect.name, effect.target) in estimated:
-            outcome.refused[effect.name, effect.target, effect.side] = BETTER_ESTIMATE
+            outcome.refused[effect.name, effect.target, effect.side] = Reason.ESTIMATED
     outcome.named = [effect for effect in outcome.named if (effect.name, effect.target) not in estimated]
     return outcome
 
@@ -132,7 +129,7 @@ def _with_proven_model(case: Case, searched: Stage) -> Stage:
     return with_intervals_of(stage, alone) if searched.found.accumulates else stage
 
 
-def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
+def _without_name(case: Case, stage: Stage, refused: Mapping[str, Reason], outcome: ProofOutcome) -> None:
     """Add to ``unnamed`` a stage whose gap is closed by effects that are excited but not certain enough for a name.
 
     ``refused``: by label, why a name of the decision is not kept.
@@ -142,9 +139,9 @@ def _without_name(case: Case, stage: Stage, refused: Mapping[str, str], outcome:
     decision = result.stage_fit.decision
     here = {c.label for c in decision.model.candidates}
     lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
-    if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
+    if not lacking or all(lacks is Reason.NOT_EXCITED for lacks in lacking.values()):
         return
-    together: dict[str, list[str]] = {}
+    together: dict[Reason, list[str]] = {}
     for label, lacks in lacking.items():
         together.setdefault(lacks, []).append(label)
     form = "; ".join(f"{' + '.join(labels)} fits, not named: {lacks}" for lacks, labels in together.items())
@@ -215,10 +212,10 @@ def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
     return (min(error, stepped) - floor) / (error - floor) if min(error, stepped) > EXPLAINED * floor else 0.0
 
 
-def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
+def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, Reason]:
     """Name the significant effects and put the whole model into the plant; returns by label why effects lose their name."""
     result = stage.found
-    refused = dict[str, str]()
+    refused = dict[str, Reason]()
     assert result.stage_fit is not None
     limits = result.limits if result.limits is not None else limits_of(result)
     deciding = result.deciding if result.deciding is not None else limits
@@ -234,7 +231,9 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
                 outcome.notes.append(f"{instance.name} on {instance.target} is not certain at the {stage.label}: {why}")
                 continue
             refused[candidate.label] = outcome.refused[candidate.key] = why
-            outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
+            outcome.notes.append(
+                f"{candidate.effect.name} on {candidate.target} is not named: {why} (its share of the gap: {share:.1%})"
+            )
             adjusted.append(candidate)
             continue
         if elsewhere:
@@ -274,37 +273,20 @@ def _is_named(candidate: Candidate, outcome: ProofOutcome) -> bool:
     return bool(others & {(e.name, e.target) for e in outcome.named if e.side == candidate.side})
 
 
-def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> str:
-    """Condition for a name that an effect of the decision fails by its proof; empty if it fails none."""
+def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> Reason | None:
+    """Condition for a name that an effect of the decision fails by its proof; None if it fails none."""
     result = stage.found
     if share < _least_share(result):
-        return f"it closes {share:.1%} of the gap on held-out recordings"
+        return Reason.LOST
     if may_be_absent(result, kept.candidate, limits):
-        return UNCERTAIN
-    if result.problem.integrates:
-        return PREDICTED_WITHOUT if _nats(result, kept) < LEAST and not _shown_by_recordings(stage, kept) else ""
-    # Friction and payloads are smooth functions of speed and posture: the discrepancy replaces them, without their values.
-    if result.problem.stage in FORCES:
-        return ""
+        return Reason.UNCERTAIN
+    # Slow errors accumulate beyond a block; friction and payloads are smooth functions of speed and posture, which the
+    # discrepancy replaces, without their values.
+    if result.problem.integrates or result.problem.stage in FORCES:
+        return None
     assert result.stage_fit is not None
     less = result.stage_fit.dropped[kept.candidate.label]
-    return "" if clearly_worse(less, result.stage_fit.decision.model) else PREDICTED_WITHOUT
-
-
-def _shown_by_recordings(stage: Stage, kept: AcceptedEffect) -> bool:
-    """Whether whole recordings are predicted clearly better with an effect whose errors accumulate too slowly for blocks."""
-    if not stage.found.accumulates:
-        return False
-    pairs = comparisons_without(stage, kept.candidate.label)
-    return any(gain_of_recordings(stage, *pair) >= LEAST for pair in pairs)
-
-
-def _nats(result: StageResult, kept: AcceptedEffect) -> float:
-    """Gain of an effect on blocks that were left out; where errors accumulate without the effects that are only adjusted."""
-    if not result.accumulates or result.names_alone is None:
-        return kept.evidence.nats
-    alone = {each.candidate.label: each.evidence.nats for each in result.names_alone.named}
-    return alone.get(kept.candidate.label, kept.evidence.nats)
+    return None if clearly_worse(less, result.stage_fit.decision.model) else Reason.LOST
 
 
 def _least_share(result: StageResult) -> float:

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 from sysid.effects import sensor_scale
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import REFUTED, NearMiss
+from sysid.gap.decision import NearMiss
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Stage
+from sysid.gap.reasons import Reason
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
@@ -88,7 +89,7 @@ def _without(stage: Stage, search: Search, refuted: frozenset[EffectKey]) -> Sta
     result = found.found
     if result.stage_fit is None:
         return found
-    misses = (NearMiss(c, model.values_of(c), model.deviations_of(c), REFUTED) for c in lost)
+    misses = (NearMiss(c, model.values_of(c), model.deviations_of(c), Reason.REFUTED) for c in lost)
     decision = result.stage_fit.decision
     decision = replace(decision, near_misses=(*decision.near_misses, *misses))
     return replace(found, result=replace(result, stage_fit=replace(result.stage_fit, decision=decision)))

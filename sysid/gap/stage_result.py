@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.fit import Fit
 from sysid.gap.problem import Problem
+from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit
 
@@ -63,7 +64,7 @@ class StageResult:
         """Whether the formulas of the stage are wrong and their errors accumulate."""
         return self.stage_fit is not None and self.stage_fit.decision.accumulates
 
-    def without_names(self, lacks: Mapping[str, str]) -> StageResult:
+    def without_names(self, lacks: Mapping[str, Reason]) -> StageResult:
         """The result without some of its names; their values stay in the plant. ``lacks``: label → the failed condition."""
         named = tuple(kept for kept in self.named if kept.candidate.label not in lacks)
         adjusted = (*self.adjusted, *(kept.candidate for kept in self.named if kept.candidate.label in lacks))

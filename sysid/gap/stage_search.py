@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
-from sysid.gap.arm.posture import WEIGHT, posture_share
+from sysid.gap.arm.posture import posture_share
 from sysid.gap.arm.rows import CERTAIN
 from sysid.gap.arm.stage import fit_links_stage, links_adjusted
 from sysid.gap.candidates import Candidate, adjusted_link
@@ -28,8 +28,8 @@ from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.prepare.clocks import open_offset
 from sysid.gap.problem import Problem
+from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
-from sysid.gap.sensor_scales import BEHIND, SCALE
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED
@@ -38,9 +38,6 @@ from sysid.plant import compile_plant
 from sysid.progress import Progress
 
 Array = npt.NDArray[np.float64]
-#: Condition that an error of a rotor's inertia fails.
-ROTOR = "the inertia of its link is adjusted, and forces determine the sum of both"
-LOAD = "the first moment of its link is adjusted, and the postures of the recordings do not separate its torque from a constant"
 #: Stage of the links of an arm.
 LINKS = "links"
 
@@ -101,11 +98,10 @@ def find_stage(
         result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
         model, rope = compile_plant(case.plant), _equivalence(case, candidates)
-        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
 
         def search(some: Sequence[Candidate]) -> StageFit:
             seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return search_stage(model, *seen_by, some, nameable, fits).decided(rope, shared)
+            return search_stage(model, *seen_by, some, nameable, fits).decided(rope)
 
         fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":
@@ -136,9 +132,9 @@ def _beside_links(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
     axis, model, chosen = stage.problem.target, compile_plant(case.plant), fitted.decision.model
     if model.rigid is None or axis not in links_adjusted(model, stage.theta, case.theta):
         return fitted
-    lacks = {c.label: ROTOR for c in chosen.candidates if c.effect is inertia_error.EFFECT}
+    lacks = {c.label: Reason.LINKS for c in chosen.candidates if c.effect is inertia_error.EFFECT}
     loads = [c for c in chosen.candidates if c.effect is load_bias.EFFECT]
-    lacks |= {c.label: LOAD for c in loads if abs(chosen.values_of(c)[0]) < CERTAIN * stage.open_load}
+    lacks |= {c.label: Reason.LINKS for c in loads if abs(chosen.values_of(c)[0]) < CERTAIN * stage.open_load}
     return replace(fitted, decision=fitted.decision.without_names(lacks)) if lacks else fitted
 
 
@@ -150,8 +146,8 @@ def _without_masses(case: Case, stage: Stage, fitted: StageFit) -> StageFit:
     share = posture_share(problem, machine, stage.split.seen, float(stage.sigma[0]), case.dataset.units)
     if share is None or not share.dominates:
         return fitted
-    lacks = {c.label: WEIGHT for c in fitted.decision.model.candidates}
-    return replace(fitted, decision=fitted.decision.without_names(lacks), cause=WEIGHT)
+    lacks = {c.label: Reason.WEIGHT for c in fitted.decision.model.candidates}
+    return replace(fitted, decision=fitted.decision.without_names(lacks), cause=Reason.WEIGHT)
 
 
 def _found_in_poses(case: Case, stage: Stage, offer: Offer) -> StageResult:
@@ -175,11 +171,6 @@ def _found_in_poses(case: Case, stage: Stage, offer: Offer) -> StageResult:
         by_fold = {k: part.dropped.get(label, part.decision.model).theta for k, part in parts.items()}
         known.append((less.theta, by_fold))
     return replace(result, problem=replace(problem, predict=FoldValues(known, problem.predict).predict))
-
-
-def _scales_of_drives(case: Case) -> set[EffectKey]:
-    """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
-    return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
 def _equivalence(case: Case, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:

@@ -14,6 +14,7 @@ from sysid.effects import effect_named
 from sysid.effects.described import side_of
 from sysid.effects.units import parameter_unit
 from sysid.gap.prepare.case import Stage
+from sysid.gap.reasons import Reason
 from sysid.gap.result import AxisDelay, NamedEffect, NearMissResult, WrittenEffect
 from sysid.gap.thresholds import Z
 from sysid.machine import EffectKey, KnownEffect
@@ -32,7 +33,7 @@ def written_effects(
     named: Sequence[NamedEffect],
     ties: Sequence[Sequence[tuple[str, str]]],
     misses: Sequence[NearMissResult],
-    refused: Mapping[EffectKey, str],
+    refused: Mapping[EffectKey, Reason],
 ) -> tuple[WrittenEffect, ...]:
     """The effects in which ``after`` differs from ``before``: named, representing a tie, adjusted without a name."""
     known = {effect_key(item): item for item in before.effects}

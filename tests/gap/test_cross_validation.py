@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, place
-from sysid.gap.held_out import cross_validated_error, gain_of_recordings
+from sysid.gap.held_out import cross_validated_error
 from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect
@@ -89,22 +89,3 @@ def test_where_errors_accumulate_values_are_those_of_least_squares() -> None:
     squares = [np.nansum(np.concatenate(free.residuals(f.theta[None]), axis=1) ** 2) for f in (fit, found)]
     assert squares[1] < squares[0]
     assert found.values[0] > fit_candidates(drifting, stage.theta, fit.candidates, [fit.values]).values[0]
-
-
-def test_whole_recordings_show_an_effect_that_all_of_them_have() -> None:
-    stage, fit = study()
-    more = dataset_of(PLANT.with_effect(KnownEffect("gain_error", "boom", {"ratio": TRUE})), seed=1).recordings
-    seen = (*stage.split.fit, *(replace(r, name=f"more-{r.name}") for r in more))
-    stage = replace(stage, split=replace(stage.split, fit=seen))
-    assert gain_of_recordings(stage, stage.nominal, fit) > 3.0
-    assert gain_of_recordings(stage, fit, stage.nominal) == 0.0
-    assert gain_of_recordings(stage, fit, fit) == 0.0
-
-
-def test_one_recording_of_several_does_not_show_an_effect() -> None:
-    """The other recordings have the gain of the plant."""
-    stage, fit = study()
-    same = dataset_of(PLANT)
-    rest = [r for r in same.recordings if r.name != stage.split.held_out[0].name]
-    mixed = replace(stage, split=replace(stage.split, fit=tuple(rest), select=()))
-    assert gain_of_recordings(mixed, mixed.nominal, fit) < 3.0

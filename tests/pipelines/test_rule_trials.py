@@ -69,7 +69,7 @@ def test_changed_answers_are_counted_by_what_they_were() -> None:
 
 def test_of_two_conditions_that_stand_for_each_other_one_is_needed() -> None:
     right, wrong = answer("delay"), answer("leak", wrong=("leak",))
-    first, second, alone = "at a bound", "too fast for the rate", "a share of the gap"
+    first, second, alone = "at a bound", "open clocks and dead times", "a share of the gap"
 
     def decided(changes: Changes) -> dict[str, Any]:
         off = [name for name in CONDITIONS if CONDITIONS[name].items() <= changes.items()]

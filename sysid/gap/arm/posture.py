@@ -23,8 +23,6 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Condition that effects of an axis fail whose force depends on the posture more than on its motion.
-WEIGHT = "its force depends on the posture of the joints, as by gravity: give the masses of the links (a URDF)"
 #: Rows for each column at least.
 ROWS_PER_COLUMN = 4
 

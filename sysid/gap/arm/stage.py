@@ -44,6 +44,7 @@ from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, Prior, prior_of
 from sysid.gap.problem import Problem
+from sysid.gap.reasons import Reason
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import BLOCK_NATS, LEAST
 from sysid.machine.rigid_body import PARAMETERS
@@ -63,8 +64,6 @@ ROUNDS = 3
 STEPS, SETTLED = 8, 0.01
 #: Least gain in evidence of an exchange [nats].
 GAIN = 1e-6
-#: Condition that a near miss fails.
-SMALL_ERRORS = "small errors of all links and force constants may explain it"
 Set = frozenset[int]
 
 
@@ -362,7 +361,7 @@ def _decided(whole: _Whole, best: Set) -> StageFit:
     for members in further:
         richer = model_of(members)
         candidate = next(whole.candidates[k] for k in members - best)
-        near.append(NearMiss(candidate, richer.values_of(candidate), richer.deviations_of(candidate), SMALL_ERRORS))
+        near.append(NearMiss(candidate, richer.values_of(candidate), richer.deviations_of(candidate), Reason.LINKS))
     models = [model_of(s) for s in dict.fromkeys((best, *(best - {k} for k in sorted(best)), *further))]
     decision = Decision(chosen, tuple(named), tuple(tied), tuple(near), (chosen,), (chosen,), exact=True, accumulates=False)
     dropped = {c.label: _absent(chosen, model_of(best - {k}), c) for k, c in enumerate(whole.candidates) if k in best}

@@ -15,15 +15,12 @@ from sysid.effects import joint_compliance, sensor_bias
 from sysid.gap.comparison import equivalent_change
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Case, Stage
+from sysid.gap.reasons import Reason
 from sysid.gap.servo.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error
 from sysid.gap.thresholds import STANDARD_ERRORS
 from sysid.plant import compile_plant, gravity_load
 
 Tie = tuple[tuple[str, str], ...]
-#: Condition for a name that an error of the sensor fails.
-LOAD_UNKNOWN = "the gravity load of the axis is not known, and sag under a load looks the same"
-#: The same where the load is known.
-LOAD_ALIKE = "sag in proportion to the gravity load of the axis looks the same, within what remains unexplained"
 
 
 def without_sensor_names(case: Case, stage: Stage) -> Stage:
@@ -32,10 +29,9 @@ def without_sensor_names(case: Case, stage: Stage) -> Stage:
     named = [k.candidate.label for k in result.named if k.candidate.effect in OF_SENSOR and not k.ties]
     if not named or result.stage_fit is None or not _of_servo(case, stage):
         return stage
-    unknown = _load_unknown(case, stage)
-    if not unknown and not sag_replaces(case, stage):
+    if not _load_unknown(case, stage) and not sag_replaces(case, stage):
         return stage
-    return replace(stage, result=result.without_names(dict.fromkeys(named, LOAD_UNKNOWN if unknown else LOAD_ALIKE)))
+    return replace(stage, result=result.without_names(dict.fromkeys(named, Reason.SAG)))
 
 
 def sag_tie(case: Case, stage: Stage) -> tuple[Tie, str] | None:
@@ -49,7 +45,7 @@ def sag_tie(case: Case, stage: Stage) -> tuple[Tie, str] | None:
     misses = fitted.decision.near_misses if fitted is not None else ()
     unknown = _load_unknown(case, stage)
     error = _static_error(case, stage) if unknown else None
-    if error is None and not any(m.lacks in (LOAD_UNKNOWN, LOAD_ALIKE) for m in misses):
+    if error is None and not any(m.lacks is Reason.SAG for m in misses):
         return None
     axis = case.plant.machine.axis(stage.problem.target)
     there = [c.key[:2] for c in stage.result.fit.candidates if c.effect in OF_SENSOR]

@@ -18,11 +18,11 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
 from sysid.gap.comparison import divides
-from sysid.gap.decision import PERIODIC, POSITION
 from sysid.gap.fit import spread_of
 from sysid.gap.held_out import comparisons_without
 from sysid.gap.likelihood.discrepancy.shapes import filled, span_of
 from sysid.gap.prepare.case import Stage
+from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import PRICE
 from sysid.gap.unnamed.description import MAX_P_VALUE, moving_parts, worst_residual
 from sysid.gap.unnamed.periodic import find_periodic_disturbance
@@ -45,7 +45,7 @@ def without_periodic_names(stage: Stage, machine: Machine) -> Stage:
     both = [name for name in before if name in after]
     if not _better([before[name] for name in both], [after[name] for name in both]):
         return stage
-    lost = dict.fromkeys((kept.candidate.label for kept in result.named), PERIODIC)
+    lost = dict.fromkeys((kept.candidate.label for kept in result.named), Reason.PERIODIC)
     fitted = replace(result.stage_fit, decision=result.stage_fit.decision.without_names(lost))
     rmse = result.nominal_rmse
     without = replace(result, named=(), adjusted=(), fit=stage.nominal, final_rmse=rmse, stage_fit=fitted, names_alone=None)
@@ -93,11 +93,11 @@ def without_names_of_position(stage: Stage, machine: Machine) -> Stage:
     result, problem = stage.found, stage.problem
     if problem.stage != "command" or result.stage_fit is None or result.stage_fit.decision.exact:
         return stage
-    axis, lost = machine.axis(problem.target), dict[str, str]()
+    axis, lost = machine.axis(problem.target), dict[str, Reason]()
     for kept in result.named:
         pair = comparisons_without(stage, kept.candidate.label)[0]
         if replaces(*(position_residuals(stage, each.theta, axis) for each in pair)):
-            lost[kept.candidate.label] = POSITION
+            lost[kept.candidate.label] = Reason.POSITION
     return replace(stage, result=result.without_names(lost)) if lost else stage
 
 

@@ -8,7 +8,7 @@ from numpy.polynomial.legendre import legvander
 from unnamed_data import BASE, MACHINE, Rate, disturbed_dataset
 
 from sysid.gap import find_gap
-from sysid.gap.decision import POSITION
+from sysid.gap.reasons import Reason
 from sysid.gap.unnamed.instead import DEGREE, PositionResidual, left_out, replaces
 
 LOW, HIGH = MACHINE.axis("boom").stroke or (0.0, 1.0)
@@ -31,7 +31,7 @@ def test_a_gear_that_is_uneven_over_the_stroke_is_no_gain_error(rate: Rate, name
     assert [(e.name, e.target) for e in found.effects] == [("gain_error", "boom")] * named
     if not named:
         (miss,) = (m for m in found.near_misses if (m.name, m.target) == ("gain_error", "boom"))
-        assert miss.lacks == POSITION
+        assert miss.lacks is Reason.POSITION
         assert {u.target for u in found.unnamed} == {"boom"}
 
 
