@@ -22,8 +22,8 @@ AUTOLOG = ROOT / "datasets" / "autolog"
 PICTURE = ROOT / "docs" / "images" / "demo.svg"
 SECONDS = {"manual-01": 30.0, "manual-02": 30.0, "manual-06": 30.0, "poses": 800.0}
 QUICK = {
-    "actuator": {"samples": 400, "training": {"epochs": 50, "learning_rate": 1e-3}},
-    "forward": {"training": {"epochs": 50}},
+    "actuator": {"samples": 400, "training": {"epochs": 150, "learning_rate": 1e-3}},
+    "forward": {"training": {"epochs": 150}},
 }
 
 
