@@ -7,14 +7,16 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
+from read_here import read_here
 
 # Properties are tried on the same examples each run, so that a failure belongs to the change under test;
 # `make test-slow` draws new ones (HYPOTHESIS_PROFILE=explore). No deadlines: each test has its time limit.
-# What sets no number of its own is tried on a quarter of the examples of the slow tier, which draws new ones.
-settings.register_profile("steady", derandomize=True, deadline=None, max_examples=25)
+# What sets no number of its own is tried on an eighth of the examples of the slow tier, which draws new ones.
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=12)
 settings.register_profile("explore", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
@@ -22,6 +24,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # one processor each: their threads wou
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ROOT = Path(__file__).parents[1]
+#: Folders of tests that read many log files and are of something else: not the readers, hostile input or faults.
+READ_HERE = ("cli", "datasets", "fleet", "registry", "reports", "versions")
 
 
 def pytest_collection_finish() -> None:
@@ -42,6 +46,32 @@ def _collect_and_keep() -> None:
     """Free what is in cycles; later collections skip what is left, such as modules, collected tests and compiled code."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _what_is_kept_stays_kept() -> Iterator[None]:
+    """The loop of the runner collects all garbage, freezes the rest and lets go of it at the end, which would undo
+    :func:`_collect_and_keep`: every loop in this process would then go through the objects of all tests, for half a second.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        kept = {name: getattr(gc, name) for name in ("collect", "isenabled", "enable", "disable")}
+        patch.setattr("sysid_rl.run.realtime.gc", SimpleNamespace(**kept, freeze=lambda: None, unfreeze=lambda: None))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _files_are_read_here(request: pytest.FixtureRequest) -> Iterator[None]:
+    """In :data:`READ_HERE` log files are read in this process: a fork for every file takes longer than reading it.
+
+    Not in processes that a test starts, nor in a module with ``READS_IN_PROCESSES``. That each reader gives the same in a
+    process of its own, and that errors are the same, is tested in ``logs/test_confined.py``.
+    """
+    folder = request.path.relative_to(ROOT / "tests").parts[0]
+    with pytest.MonkeyPatch.context() as patch:
+        if folder in READ_HERE and not getattr(request.module, "READS_IN_PROCESSES", False):
+            for name in ("reader", "inspection"):
+                patch.setattr(f"sysid.logs.{name}.confined", read_here)
+        yield
 
 
 @pytest.fixture

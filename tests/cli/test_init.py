@@ -36,7 +36,6 @@ def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:
     assert {axis.actuation for axis in machine.axes} == {"velocity"}, "what no --kind means: hydraulic"
 
 
-@pytest.mark.parametrize("kind", KINDS)
 def test_what_is_commented_out_in_a_template_is_valid_too(kind: str, tmp_path: Path) -> None:
     """Every key that a template offers in a comment exists, and every line with a key has a comment that explains it."""
     run("init", tmp_path, "--name", "arm", "--kind", kind)
@@ -134,24 +133,30 @@ MACHINES = {
 }
 
 
-def ingested(kind: str, tmp_path: Path) -> None:
-    """A folder of ``kind`` with three recordings, ingested with its templates as they are."""
-    assert run("init", tmp_path / "mine", "--kind", kind) == 0
-    folder = tmp_path / "mine" / "datasets" / "mine"
+@pytest.fixture(scope="module", params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def ingested(kind: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace: a folder of ``kind`` with three recordings, ingested with its templates as they are."""
+    place = tmp_path_factory.mktemp(kind)
+    assert run("init", place / "mine", "--kind", kind) == 0
+    folder = place / "mine" / "datasets" / "mine"
     for day in (1, 2, 3):
         (folder / "logs" / f"day-{day}").mkdir()
         table = pd.DataFrame(MACHINES[kind][0](np.random.default_rng(day)))
         table.to_csv(folder / "logs" / f"day-{day}" / "log.csv", index=False, float_format="%.9g")
-    assert run("--workspace", tmp_path / "ws", "ingest", folder) == 0
+    assert run("--workspace", place / "ws", "ingest", folder) == 0
+    return place / "ws"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_logs_in_the_laid_out_folder_are_ingested_as_the_templates_stand(kind: str, tmp_path: Path) -> None:
-    ingested(kind, tmp_path)
-    dataset = Store(tmp_path / "ws").load("mine")
+def test_logs_in_the_laid_out_folder_are_ingested_as_the_templates_stand(kind: str, ingested: Path, tmp_path: Path) -> None:
+    dataset = Store(ingested).load("mine")
     assert list(dataset.splits.values()) == ["fit", "select", "held_out"]
     _, _, missing = MACHINES[kind]
-    assert run("--workspace", tmp_path / "ws", "gap", "mine", "--localise", "--json", tmp_path / "where.json") == 0
+    assert run("--workspace", ingested, "gap", "mine", "--localise", "--json", tmp_path / "where.json") == 0
     stages = {stage["signal"]: stage for stage in json.loads((tmp_path / "where.json").read_text())["localised"]}
     for axis in missing:
         driven = dataset.machine.axis(axis).driven
@@ -160,10 +165,8 @@ def test_logs_in_the_laid_out_folder_are_ingested_as_the_templates_stand(kind: s
         assert stages[signal]["stage_rmse"] > 10.0 * stages[signal]["noise_floor"], "what the template's simulation lacks shows"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_laid_out_machine_gets_its_effect_named(kind: str, tmp_path: Path) -> None:
-    ingested(kind, tmp_path)
-    assert run("--workspace", tmp_path / "ws", "gap", "mine", "--json", tmp_path / "gap.json") == 0
+def test_a_laid_out_machine_gets_its_effect_named(kind: str, ingested: Path, tmp_path: Path) -> None:
+    assert run("--workspace", ingested, "gap", "mine", "--json", tmp_path / "gap.json") == 0
     _, name, missing = MACHINES[kind]
     effects = json.loads((tmp_path / "gap.json").read_text())["effects"]
     assert {(effect["name"], effect["target"]) for effect in effects} == {(name, axis) for axis in missing}

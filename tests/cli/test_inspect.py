@@ -363,7 +363,7 @@ def test_a_stroke_that_is_missing_is_proposed(tmp_path: Path, capsys: pytest.Cap
     assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "log.csv", "--recipe", draft) == 0
 
 
-@pytest.mark.parametrize("kind", ["csv", "mcap"])
+@pytest.mark.parametrize("kind", [pytest.param("csv", marks=pytest.mark.slow), "mcap"])
 def test_looking_costs_no_more_than_ingesting(tmp_path: Path, kind: str) -> None:
     """Each file is read in a process of its own, which must not load libraries again for every file."""
     for number in range(24):

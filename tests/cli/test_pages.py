@@ -35,6 +35,8 @@ PAGES = {
     "datasets/ur10e/README.md": "ur10e_arm",
     "datasets/xl330/README.md": "bam_xl330",
 }
+#: Pages that are short, which show how commands are followed; that the commands of all exist: tests/contract.
+FAST = ("docs/guide/electric-arm.md", "docs/guide/mujoco.md", "docs/guide/export.md")
 
 
 def steps(name: str, folder: Path, request: pytest.FixtureRequest, slow: bool) -> Iterator[Step]:
@@ -49,11 +51,7 @@ def steps(name: str, folder: Path, request: pytest.FixtureRequest, slow: bool) -
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name.startswith("datasets/") and PAGES[name] else ())
-        for name in PAGES
-        if name != EXCAVATOR
-    ],
+    [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in PAGES if name != EXCAVATOR],
 )
 def test_a_page_works_word_by_word(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """Its quick commands. Long ones are marked on the page and run below."""
@@ -74,6 +72,7 @@ def test_every_machine_has_a_page_that_is_followed() -> None:
     assert [name for name in pages if f"]({name}/README.md)" not in listed] == []
 
 
+@pytest.mark.slow
 def test_the_excavator_page_works_word_by_word_and_what_it_says_of_its_logs_is_true(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

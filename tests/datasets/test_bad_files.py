@@ -134,9 +134,9 @@ def test_every_bad_file_is_named_and_the_remedy_works(data: st.DataObject, tmp_p
 def test_tasks_name_them_all_too_and_give_the_same_version(tmp_path: Path) -> None:
     logs = folder(tmp_path, {"run-1": "ragged", "run-3": "binary"}, 5)
     alone = refusal(logs, tmp_path / "alone")
-    assert refusal(logs, tmp_path / "tasks", executor=LocalExecutor(2)) == alone
+    assert refusal(logs, tmp_path / "tasks", executor=LocalExecutor()) == alone
     follow(alone)
-    one, other = ingest(logs, tmp_path / "alone"), ingest(logs, tmp_path / "tasks", executor=LocalExecutor(2))
+    one, other = ingest(logs, tmp_path / "alone"), ingest(logs, tmp_path / "tasks", executor=LocalExecutor())
     assert one.digest == other.digest
     assert one.quality["notes"] == other.quality["notes"]
 

@@ -97,7 +97,7 @@ def described(folder: Path, given: dict[str, str] | None = None, kind: str | Non
     return describe(files, folder, "m", Answers(given or {}), kind)
 
 
-@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(8, 100))])
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 100))])
 def test_what_is_drafted_is_right_or_asked(tmp_path: Path, seed: int) -> None:
     folder = tmp_path / "logs"
     truth = logs(folder, seed)
@@ -293,7 +293,7 @@ def test_the_scale_of_a_force_without_a_unit_is_asked_and_masses_follow_it(tmp_p
 
 def test_tables_without_a_time_have_the_rate_that_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The remedy of the refusal, followed to the letter, and records in a file whose suffix says nothing."""
-    logs(tmp_path / "logs", 1)
+    logs(tmp_path / "logs", 47)
     for path in (tmp_path / "logs").glob("*.csv"):
         table = pd.read_csv(path).drop(columns="time")
         path.with_suffix(".json").write_text(table.to_json(orient="records"))
@@ -347,7 +347,7 @@ def test_whatever_the_columns_hold_there_is_a_description_or_a_reason(
 
 def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, workspace, result = tmp_path / "digger", tmp_path / "ws", tmp_path / "start.json"
-    logs(folder, 0)
+    logs(folder, 24)
     verb = ("--workspace", workspace, "start", folder)
     assert run(*verb) == 2
     assert not (folder / "machine.toml").exists()
@@ -367,7 +367,7 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_description_that_is_there_is_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A machine.toml and canonical columns need no recipe; a recipe needs its machine."""
     folder = tmp_path / "logs"
-    logs(folder, 0)
+    logs(folder, 202)
     (folder / "recipe.toml").write_text("schema = 1\n")
     assert run("--workspace", tmp_path / "ws", "start", folder, "--yes") == 2
     assert "without machine.toml" in capsys.readouterr().err
@@ -378,8 +378,8 @@ def test_a_description_that_is_there_is_used(tmp_path: Path, capsys: pytest.Capt
         (own / path.stem).mkdir()
         table = pd.read_csv(path).iloc[:, :3]
         table.set_axis(["time", "lift.command", "lift.cylinder [mm]"], axis=1).to_csv(own / path.stem / "log.csv", index=False)
-    text = described(folder).machine.split("[[axes]]")
-    (own / "machine.toml").write_text(text[0] + "[[axes]]" + text[1].replace('"axis_1"', '"lift"'))
+    found = described(folder, {"drives": "cylinder"})
+    (own / "machine.toml").write_text(found.machine.replace(f'name = "{found.axes[0]}"', 'name = "lift"'))
     assert run("--workspace", tmp_path / "ws", "start", own, "--yes") == 0
     assert f"kept  {own / 'machine.toml'}" in capsys.readouterr().out
 

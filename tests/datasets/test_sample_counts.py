@@ -54,7 +54,7 @@ def smooth(times: np.ndarray) -> np.ndarray:
     return np.sin(1.3 * times) + 0.2 * np.sin(4.1 * times + 0.5)
 
 
-@pytest.mark.parametrize("kept", [1, 2, 3, 7, 10, 40])
+@pytest.mark.parametrize("kept", [1, 3, 40, *(pytest.param(kept, marks=pytest.mark.slow) for kept in (2, 7, 10))])
 @given(phase=st.integers(0, 39), late=st.floats(0.0, 9e-3))
 def test_a_signal_has_the_rate_of_its_own_samples(
     tmp_path_factory: pytest.TempPathFactory, kept: int, phase: int, late: float
@@ -159,9 +159,9 @@ def test_a_recording_is_cut_at_its_pause(tmp_path: Path) -> None:
     assert found.between <= 200
 
 
-@pytest.mark.parametrize("workers", [False, True])
-def test_copies_get_no_role(tmp_path: Path, workers: bool) -> None:
-    from sysid.execution import open_executor
+@pytest.mark.parametrize("tasks", [False, True])
+def test_copies_get_no_role(tmp_path: Path, tasks: bool) -> None:
+    from sysid.execution import LocalExecutor
 
     times = np.arange(1000) / 100.0
     tables = {
@@ -169,7 +169,7 @@ def test_copies_get_no_role(tmp_path: Path, workers: bool) -> None:
         for name, seed in (("a", 0), ("b", 0), ("c", 1), ("d", 2), ("e", 0))
     }
     ingested(tmp_path, tables)
-    executor = open_executor(None, 2) if workers else None
+    executor = LocalExecutor() if tasks else None
     dataset = ingest(tmp_path / "logs", tmp_path / "other", machine=tmp_path / "machine.toml", executor=executor)
     assert dataset.splits == {"a": "fit", "c": "select", "d": "held_out"}
     assert [note for note in dataset.quality["notes"] if "copy" in note] == [

@@ -88,7 +88,7 @@ def _save(workspace: Path, dataset: Dataset, channels: dict[str, tuple[Channel, 
     return Store(workspace).save(dataset, channels, PartRecord(1)).reference
 
 
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_writer_killed_at_any_step_leaves_a_whole_version_or_none(tmp_path: Path, every: int) -> None:
     made = ingest(make_logs(tmp_path / "logs", rows=100), tmp_path / "made")
     channels = {r.name: (Channel("a.joint", "log.csv", "machine", np.arange(5), np.zeros(5)),) for r in made.recordings}

@@ -39,7 +39,7 @@ def content(workspace: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("count", "kills", "longest"),
     [
-        pytest.param(10, 2, 4.0, id="10"),
+        pytest.param(10, 2, 4.0, id="10", marks=pytest.mark.slow),  # in this process: test_watch_arrivals.py
         pytest.param(1000, 20, 40.0, id="1000", marks=[pytest.mark.slow, pytest.mark.timeout(7200)]),
     ],
 )

@@ -52,6 +52,7 @@ def test_named_with_its_values_beside_dry_friction() -> None:
     assert by_name["coulomb_friction"].parameters["force"] == pytest.approx(DRY, rel=0.05)
 
 
+@pytest.mark.slow
 def test_no_candidate_of_a_rigid_drive() -> None:
     result = found(0.0)
     assert {effect.name for effect in result.effects} == {"coulomb_friction"}
@@ -75,6 +76,7 @@ def notched(values: Array) -> Array:
 
 #: Distortions of force and position of a rigid drive, each of which changes the response of force to motion coherently.
 DISTORTED: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "nothing": (lambda f: f, lambda x: x),
     "force behind a lag": (lambda f: low_pass(f, 40.0, 1), lambda x: x),
     "force behind a second-order filter": (lambda f: low_pass(f, 20.0, 2), lambda x: x),
     "force behind a notch": (notched, lambda x: x),

@@ -39,7 +39,7 @@ PARTS = {
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
-    return dataset_of(nominal(COULOMB, machine=slide()), 8.0)
+    return dataset_of(nominal(COULOMB, machine=slide()), 5.0)
 
 
 @pytest.fixture(scope="module")

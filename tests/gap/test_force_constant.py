@@ -14,9 +14,9 @@ VISCOUS = KnownEffect("viscous_friction", "slide", {"coefficient": 35.0})
 CONSTANT = KnownEffect("force_constant_error", "slide", {"ratio": 0.85})
 
 
-def searched(known: tuple[KnownEffect, ...], *truth: KnownEffect) -> GapResult:
+def searched(known: tuple[KnownEffect, ...], *truth: KnownEffect, seconds: float = 15.0) -> GapResult:
     """The result of a simulation that knows ``known``, on recordings of a machine with ``truth``."""
-    return find_gap(dataset_of(nominal(*truth, machine=slide()), 15.0), nominal(*known, machine=slide()))
+    return find_gap(dataset_of(nominal(*truth, machine=slide()), seconds), nominal(*known, machine=slide()))
 
 
 def test_it_takes_the_place_of_inertia_and_friction() -> None:
@@ -53,7 +53,7 @@ def test_without_described_friction_it_is_an_alias() -> None:
 )
 def test_one_wrong_part_keeps_its_name(truth: tuple[KnownEffect, ...]) -> None:
     changed = next(item for item in truth if item not in (COULOMB, VISCOUS))
-    (found,) = searched((COULOMB, VISCOUS), *truth).effects
+    (found,) = searched((COULOMB, VISCOUS), *truth, seconds=8.0).effects
     assert (found.name, found.aliases) == (changed.name, ())
 
 

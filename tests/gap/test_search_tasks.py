@@ -34,7 +34,7 @@ HIDDEN = (
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A workspace with recordings of an arm that hides a dead-band and a backlash."""
     folder = tmp_path_factory.mktemp("workspace")
-    made = dataset_of(nominal(*HIDDEN), 14.0, seed=3)
+    made = dataset_of(nominal(*HIDDEN), 10.0, seed=3)
     channels = {recording.name: () for recording in made.recordings}
     units = {
         signal: "1" if "command" in signal else "rad" if "joint" in signal else "m" for signal in made.recordings[0].signals
@@ -79,9 +79,11 @@ def test_the_plain_form_of_a_result_is_complete(dataset: Dataset) -> None:
     assert [k for k, model in enumerate(again.stage_fit.models) if model is again.stage_fit.decision.model] == shared
 
 
-def test_two_processes_give_the_result_of_one(dataset: Dataset, workspace: Path, alone: Any) -> None:
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_tasks_give_the_result_of_one_process(dataset: Dataset, workspace: Path, alone: Any, workers: int) -> None:
     tasks = search_tasks(workspace, open_executor(workers=2))
     assert tasks is not None
+    tasks = replace(tasks, executor=LocalExecutor(workers))
     shares = list[float]()
     found = find_gap(
         dataset, nominal_plant(dataset.machine), Registry(workspace), forms="simple", tasks=tasks,

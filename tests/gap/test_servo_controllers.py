@@ -129,7 +129,7 @@ def dataset_of(folder: Path, hidden: Hidden) -> tuple[Machine, Dataset]:
 
 
 @pytest.mark.parametrize(
-    "case", [name if name in ("nothing", "three") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "case", [name if name in ("nothing", "friction") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
 def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> None:
     machine, dataset = dataset_of(tmp_path, CASES[case])

@@ -28,6 +28,7 @@ def test_named_alone_with_its_values(effect: KnownEffect) -> None:
     assert found.parameters["width"] == pytest.approx(0.15, rel=0.05)
 
 
+@pytest.mark.slow
 def test_sharp_friction_keeps_its_name() -> None:
     (found,) = find_gap(*measured(SHARP)).effects
     assert found.name == "coulomb_friction"

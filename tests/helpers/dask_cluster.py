@@ -53,14 +53,15 @@ def cluster(
         _workers(address, workers)
         yield address, started
     finally:
-        for process in reversed(started):
-            process.send_signal(signal.SIGCONT)  # one that a test has stopped
-            process.send_signal(signal.SIGTERM)
-        for process in started:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(10.0)
-            process.kill()
-            process.wait()
+        for processes in (started[1:], started[:1]):  # the scheduler last: workers wait for one that has ended
+            for process in processes:
+                process.send_signal(signal.SIGCONT)  # one that a test has stopped
+                process.send_signal(signal.SIGTERM)
+            for process in processes:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(10.0)
+                process.kill()
+                process.wait()
 
 
 def _address(log: Path) -> str:

@@ -14,8 +14,8 @@ from sysid_rl.run.cycle import Cycle
 from sysid_rl.run.flight_log import FlightLog
 from sysid_rl.run.transport import MachineInputs, Measurement
 
-#: Most cycles in a piece of the log.
-PIECE = 100
+#: Most cycles in a piece of the log, and seconds from one piece to the next.
+PIECE, SYNC_EVERY = 100, 0.01
 
 
 def fly(folder: Path, band: float, seed: int) -> Path:
@@ -27,8 +27,10 @@ def fly(folder: Path, band: float, seed: int) -> Path:
     table = recorded(band, seed)
     log = FlightLog(folder / "flights", machine, ("boom",), ("boom.joint",), {}, clock_ns=0)
     # The loop is much faster than a real one: as many pieces as if it were not, on a busy computer too.
-    with mock.patch.object(flight_log, "SYNC_EVERY", 0.01), log:
+    with mock.patch.object(flight_log, "SYNC_EVERY", SYNC_EVERY), log:
         for number, (command, joint) in enumerate(zip(table["boom.command"], table["boom.joint [rad]"], strict=True)):
+            if number % PIECE == PIECE - 1:
+                time.sleep(1.2 * SYNC_EVERY)  # the writer syncs with this cycle, instead of a tenth of a second after it
             log.record(cycle(number, float(command), float(joint)))
             while number % PIECE == PIECE - 1 and log.written <= number and not log.fault:
                 time.sleep(0.002)

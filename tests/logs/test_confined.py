@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from read_here import read_here
 from small_logs import LOGS, STATED, write_log
 
 from sysid.confined import confined
-from sysid.errors import InputError, SettingsError
+from sysid.errors import InputError, SettingsError, SysidError
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.limits import Budget
 from sysid.logs.reader import read_confined
@@ -70,7 +71,7 @@ def test_an_array_of_several_names_comes_back_as_one() -> None:
 
 
 def fill_the_memory() -> None:
-    held = [np.ones(2**20) for _ in range(2000)]
+    held = [np.empty(2**20) for _ in range(2000)]  # address space is what is limited: nothing need be written
     raise AssertionError(len(held))
 
 
@@ -104,6 +105,32 @@ def test_errors_come_back_as_they_were_raised() -> None:
         run(work)
     with pytest.raises(PermissionError, match=r"log\.csv"):
         run(lambda: (_ for _ in ()).throw(PermissionError(13, "Permission denied", "log.csv")))
+
+
+def damaged() -> None:
+    raise KeyError("a")
+
+
+def refused() -> None:
+    raise InputError("log.csv", "this", "that", "Do it.")
+
+
+def forbidden() -> None:
+    raise PermissionError(13, "Permission denied", "log.csv")
+
+
+def incomplete() -> None:
+    raise ModuleNotFoundError("No module named 'absent'", name="absent")
+
+
+@pytest.mark.parametrize("work", [damaged, refused, forbidden, incomplete])
+def test_errors_where_other_tests_read_in_their_process_are_the_same(work: Callable[[], None]) -> None:
+    errors = []
+    for reads in (confined, read_here):
+        with pytest.raises((SysidError, OSError, ModuleNotFoundError)) as caught:
+            reads(lambda report: work(), "log.csv", SMALL.limits, ())
+        errors.append((type(caught.value), str(caught.value)))
+    assert errors[0] == errors[1]
 
 
 def children() -> set[int]:

@@ -10,11 +10,9 @@ from plant_data import dataset_of
 from sysid.gap import GapResult, find_gap
 from sysid.machine import KnownEffect
 
-#: Effects of command, drive, force and tool for the fast tier; the logs of ``make demo`` hide some more.
+#: Effects of drive and force for the fast tier; the logs of ``make demo`` hide some of command and tool.
 FAST = (
-    "valve_deadband-slew",
     "backlash-boom-drive",
-    "gripper_sway-tool",
     "load_bias-slide",
 )
 #: Recordings [s] that show what goes on for long.

@@ -43,7 +43,7 @@ def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:
 @pytest.mark.parametrize("truth", CASES, ids=label)
 def test_parameters_come_back(truth: KnownEffect) -> None:
     plant = base(truth)
-    found = fitted(truth, plant, dataset_of(plant.with_effect(truth), 20.0, noise=0.2))
+    found = fitted(truth, plant, dataset_of(plant.with_effect(truth), 12.0, noise=0.2))
     for key, value in truth.parameters.items():
         true = np.atleast_1d(np.asarray(value, dtype=float))
         share = TOLERANCE.get(truth.name, {}).get(key, 0.01)
@@ -72,7 +72,7 @@ def test_play_driven_by_a_noisy_input_is_found_a_little_too_wide() -> None:
     ],
     ids=["lags", "bare", "slide", "masses"],
 )
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> None:
     result = find_gap(dataset_of(plant, 25.0, seed), plant)
     assert result.effects == ()

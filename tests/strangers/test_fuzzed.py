@@ -19,8 +19,8 @@ TOKENS = (
 )  # fmt: skip
 #: Inputs of each target; a workspace takes ten times as long as a text, and whole verbs a thousand times.
 COUNT = {
-    "workspace": 20, "machine": 120, "urdf": 120, "recipe": 80, "mjcf": 60,
-    "edges": 1, "current-folder": 1, "gap-result": 5, "arrivals": 12, "export-names": 30,
+    "workspace": 20, "machine": 120, "urdf": 120, "recipe": 80, "mjcf": 30,
+    "edges": 1, "current-folder": 1, "gap-result": 3, "arrivals": 12, "export-names": 30,
 }  # fmt: skip
 
 

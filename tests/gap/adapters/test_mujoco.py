@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,6 +142,7 @@ def test_a_passive_tool_hangs_at_the_start() -> None:
     np.testing.assert_allclose(offset, [0.0, 0.0, -0.6], atol=5e-3)
 
 
+@functools.cache
 def hidden_delay() -> Dataset:
     """A joint whose actuator is one and a half samples late."""
     machine, tables, spec = machine_of("joint"), [], mujoco.MjSpec.from_file(str(robot("joint")))

@@ -116,7 +116,7 @@ def test_nothing_hidden_is_named_nothing_at_the_cost_of_a_few_runs() -> None:
 
 
 def test_page_step_by_step(capsys: pytest.CaptureFixture[str]) -> None:
-    dataset = lift_data(at_input=dead_band)
+    dataset = lift_data(at_input=dead_band, seconds=15.0)
     names: dict[str, Any] = {"dataset": dataset}
     for block in page():
         exec(compile(block, str(PAGE), "exec"), names)

@@ -66,6 +66,7 @@ def test_a_recording_in_which_the_axis_stands_still_is_left_out() -> None:
     assert list(_series(stage, BASE.vector(), MACHINE)) == ["moving"]
 
 
+@pytest.mark.slow
 def test_a_pump_that_pulsates_strongly_is_described_and_gets_no_name() -> None:
     """The plant keeps its values."""
     found = find_gap(disturbed_dataset(strongly), BASE)

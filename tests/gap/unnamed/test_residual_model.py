@@ -173,7 +173,7 @@ def _said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
 
 
 def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(ripple), BASE), modelled(ripple, 0.03)
+    registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(heavy), BASE), modelled(heavy)
     proof = steps.measure(study, outcome)
     (item,) = outcome.carried
     assert proof.stage_gap.after["boom.cylinder"] == item.after < 0.5 * proof.stage_gap.before["boom.cylinder"]
@@ -186,7 +186,7 @@ def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.C
     assert version.lineage["plant"] == "arm@1"
     assert version.lineage["named"] == []
     plant = plant_from_files(version.files, version.reference)
-    recording = data(ripple).recording("run-4")
+    recording = data(heavy).recording("run-4")
     error = free_run(plant, recording)["boom.cylinder"] - recording.values("boom.cylinder")
     assert float(np.sqrt(np.mean(error**2))) == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
     assert steps.store(study, proof, registry) == reference, "the same again is the same version"
@@ -194,7 +194,7 @@ def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.C
     assert "plant *" in said[0]
     assert ["unnamed_residual: a bounded network" in text for text in said] == [True, True, False]
     assert ["without a physical cause" in " ".join(text.split()) for text in said] == [True, True, False]
-    located = find_gap(data(ripple), plant, localise_only=True)
+    located = find_gap(data(heavy), plant, localise_only=True)
     assert located.gap.before["boom.cylinder"] == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
 
 
