@@ -35,6 +35,8 @@ CONDITIONS: Mapping[str, Changes] = {
     "the plant: a larger survivor": {"decision._whole": lambda smallest, *_: smallest},
     "the plant: a survivor that leaves less": {"decision._less_left": lambda f, *_: f},
     "open clocks and dead times": {"stage_search._equivalence": lambda *_: {}},
+    "servo: certain effects beyond their price": {"decision._beyond_price": lambda f, *_: ([], f)},
+    "scales shared with a drive": {"stage_search._scales_of_drives": lambda _: set()},
     "scales that their drive contradicts": {"sensor_scales.with_sensor_scales": lambda stages, _: tuple(stages)},
     "weight of unknown masses": {"stage_search._without_masses": lambda case, stage, fitted: fitted},
     "a periodic disturbance instead": {"unnamed.instead.without_periodic_names": lambda stage, _: stage},

@@ -3,7 +3,7 @@
 Given models of one stage (sets of effects) under shared variances:
 
 1. *Survivors.* A model survives if its evidence is within ``LEAST`` nats of the likeliest. The *minimal* survivors are those of
-   which no simpler one survives.
+   which no simpler one survives; the likeliest without effects that another stage shares, or that are not excited, is chosen.
 2. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
    survivor): the minimal survivors are acceptable.
 3. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
@@ -130,6 +130,7 @@ def decide(
     models: Sequence[ModelFit],
     nameable: Sequence[str],
     rope: Mapping[EffectKey, float] | None = None,
+    shared: Sequence[str] = (),
     own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
     needed: Callable[[ModelFit], float] = lambda model: np.inf,
     integrates: bool = True,
@@ -144,6 +145,8 @@ def decide(
     Args:
         nameable: labels of the candidates that the recordings excite enough.
         rope: least half-widths of regions of equivalence, by effect.
+        shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
+            effects that are not excited, is chosen.
         own_evidence: evidence of a model with the discrepancy estimated beside it alone.
         needed: gain in evidence of a model by a discrepancy [nats].
         integrates: whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow.
@@ -158,7 +161,7 @@ def decide(
     rope, free = rope or {}, free or FreeRun()
     least = max(f.evidence for f in models) - LEAST
     survivors = sorted((f for f in models if f.evidence > least), key=lambda f: -f.evidence)
-    unsure = {c.label for f in models for c in f.candidates if c.label not in nameable}
+    unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
     likely = _likely(survivors, unsure)
     if not integrates and not independent:
         likely = list({f.labels: f for f in (simplest(f, models) for f in likely)}.values())
@@ -183,14 +186,19 @@ def decide(
     for c in model.candidates if static else ():
         if not lacking[c.key] and _leaves_as_little(less(model, c), model):
             lacking[c.key] = Reason.LITTLE
-    nothing = next((f.left for f in models if not f.candidates), np.inf)
+    nothing, alone = next((f.left for f in models if not f.candidates), np.inf), model
+    if static and fewest is not None and without is not None:
+        lost, alone = _beyond_price(model, lacking, nothing, without)
+        lacking |= dict.fromkeys(lost, Reason.LITTLE)
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
     reference, apart = (beside, first) if paid else (nothing, frozenset())
     smallest = {c.key for c in acceptable[0].candidates}
     certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
-    left, count = (free.priced(acceptable[0]), len(smallest)) if accumulates else (model.left, max(certain, 1))
-    worth = exact or pays(reference, left, count)
+    if accumulates:
+        worth = pays(nothing, free.priced(acceptable[0]), len(smallest))
+    else:
+        worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -239,6 +247,31 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
 def _leaves_as_little(less: ModelFit, model: ModelFit) -> bool:
     """Whether a set with fewer effects leaves at most a tenth more."""
     return less.left <= EXPLAINED * max(model.left, 1.0)
+
+
+def _beyond_price(
+    model: ModelFit,
+    lacking: Mapping[EffectKey, Reason | None],
+    nothing: float,
+    without: Callable[[ModelFit, Candidate], ModelFit],
+) -> tuple[list[EffectKey], ModelFit]:
+    """Certain effects that are not worth a name, and the set of the others alone.
+
+    One by one, the effect that leaves least without it: while the others alone leave at most a tenth more, since effects that
+    are not certain may exchange with it (a dead time with a lag), and until the others are worth the price of their number.
+    """
+    lost, alone = list[EffectKey](), model
+    for candidate in model.candidates:
+        if lacking[candidate.key]:
+            alone = without(alone, candidate)
+    while alone.candidates:
+        first = min(alone.candidates, key=lambda c: without(alone, c).left)
+        less = without(alone, first)
+        if not _leaves_as_little(less, alone) and pays(nothing, alone.left, len(alone.candidates)):
+            break
+        lost.append(first.key)
+        alone = less
+    return lost, alone
 
 
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------

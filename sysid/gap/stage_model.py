@@ -101,10 +101,10 @@ class StageSearch:
             self._evidence[key] = fit.evidence - fit_model(self.bare, fit.candidates, fit.values[None]).evidence
         return self._evidence[key]
 
-    def decided(self, rope: Mapping[EffectKey, float]) -> StageFit:
-        """The decision on the stage; ``rope`` as in :func:`sysid.gap.decision.decide`."""
+    def decided(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> StageFit:
+        """The decision on the stage; ``rope`` and ``shared`` as in :func:`sysid.gap.decision.decide`."""
         proposals = self.proposals
-        decision = self._decide(rope)
+        decision = self._decide(rope, shared)
         for _ in range(4):  # every survivor without each of its effects, until nothing new survives
             before = len(proposals.fits)
             for survivor in (decision.model, *decision.acceptable):
@@ -112,7 +112,7 @@ class StageSearch:
                     proposals.without(survivor, candidate)
             if len(proposals.fits) == before:
                 break
-            decision = self._decide(rope)
+            decision = self._decide(rope, shared)
         fitted = _fitted(proposals, decision, self.free)
         if not decision.named or len(decision.named) == len(decision.model.candidates):
             return fitted
@@ -120,13 +120,14 @@ class StageSearch:
         alone = replace(decision, model=names, acceptable=(names,), tied=())
         return replace(fitted, names_alone=_fitted(proposals, alone, self.free))
 
-    def _decide(self, rope: Mapping[EffectKey, float]) -> Decision:
+    def _decide(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> Decision:
         proposals = self.proposals
         models = {f.labels: f for f in (*proposals.near(), *(proposals.fits[labels] for labels in self.smallest))}
         return decide(
             tuple(models.values()),
             self.nameable,
             rope,
+            shared,
             self.own_evidence,
             self.needed,
             proposals.likelihood.rows.problem.integrates,

@@ -30,6 +30,7 @@ from sysid.gap.prepare.clocks import open_offset
 from sysid.gap.problem import Problem
 from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
+from sysid.gap.sensor_scales import BEHIND, SCALE
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import EXPLAINED
@@ -98,10 +99,11 @@ def find_stage(
         result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
         model, rope = compile_plant(case.plant), _equivalence(case, candidates)
+        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
 
         def search(some: Sequence[Candidate]) -> StageFit:
             seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return search_stage(model, *seen_by, some, nameable, fits).decided(rope)
+            return search_stage(model, *seen_by, some, nameable, fits).decided(rope, shared)
 
         fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":
@@ -171,6 +173,11 @@ def _found_in_poses(case: Case, stage: Stage, offer: Offer) -> StageResult:
         by_fold = {k: part.dropped.get(label, part.decision.model).theta for k, part in parts.items()}
         known.append((less.theta, by_fold))
     return replace(result, problem=replace(problem, predict=FoldValues(known, problem.predict).predict))
+
+
+def _scales_of_drives(case: Case) -> set[EffectKey]:
+    """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
+    return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
 def _equivalence(case: Case, candidates: Sequence[Candidate]) -> dict[EffectKey, float]:

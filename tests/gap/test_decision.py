@@ -128,6 +128,30 @@ def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     assert unsure.named == ()
 
 
+def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_servo() -> None:
+    """A dead time and a lag fit fast errors; beside the sag alone neither reduces the error, which is worth its price."""
+    remains = {
+        (): 15.9,
+        (BAND,): 2.9,
+        (LAG,): 15.9,
+        (DELAY,): 19.1,
+        (BAND, LAG): 3.0,
+        (BAND, DELAY): 11.2,
+        (LAG, DELAY): 16.3,
+        (BAND, LAG, DELAY): 4.5,
+    }
+    fits = {frozenset(c.label for c in some): model(*some, left=left, worse=0.1 * left) for some, left in remains.items()}
+
+    def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
+        return fits[fit.labels - {candidate.label}]
+
+    nothing, whole = fits[frozenset()], fits[frozenset({BAND.label, LAG.label, DELAY.label})]
+    best = model(*whole.candidates, left=whole.left)
+    found = decide([nothing, best], ALL, integrates=False, without=without, fewest=lambda fit: [fit])
+    assert found.named == (BAND,)
+    assert {near.candidate for near in found.near_misses} == {LAG, DELAY}
+
+
 @pytest.mark.parametrize(("left", "needed", "taken"), [(1.5, 50.0, True), (2.4, 50.0, False), (1.5, 0.0, False)])
 def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: float, needed: float, taken: bool) -> None:
     """More than a tenth less than 2.6 beside wrong formulas, by less than its price: adjusted without a name."""

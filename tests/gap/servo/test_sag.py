@@ -11,9 +11,10 @@ from sagging_servo import AXES, DELAY, LAG, NOISE, Servos, machine_files, record
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.decision import LITTLE, REPLACED, decide
+from sysid.gap.decision import decide
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import drive_problem
+from sysid.gap.reasons import Reason
 from sysid.gap.servo.sag import StaticError, fewest_sets, load_known, static_error
 from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import KnownEffect, machine_from_files
@@ -171,7 +172,7 @@ def test_sag_ties_with_a_bias_that_explains_as_much(bias: float, tied: bool) -> 
     assert names(found.model) == {"second_order_lag", "input_delay", "joint_compliance"}
     assert (SAG in found.named) == (not tied)
     assert found.tied == (((SAG, BIAS),) if tied else ())
-    assert all(near.lacks == REPLACED for near in found.near_misses if near.candidate is SAG)
+    assert all(near.lacks == Reason.REPLACED for near in found.near_misses if near.candidate is SAG)
 
 
 def test_the_effects_that_are_worth_their_price_are_named() -> None:
@@ -189,4 +190,4 @@ def test_the_effects_that_are_worth_their_price_are_named() -> None:
         fewest=lambda f: fewest_sets(f, OFFERED, refit, EXPLAINED),
     )
     assert set(found.named) == {SECOND_LAG, SAG}
-    assert {near.candidate.effect.name: near.lacks for near in found.near_misses} == {"input_delay": LITTLE}
+    assert {near.candidate.effect.name: near.lacks for near in found.near_misses} == {"input_delay": Reason.LITTLE}
