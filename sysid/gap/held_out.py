@@ -7,7 +7,7 @@ Friedman, 2nd ed., section 7.10). The rule is in docs/decisions/decision-rule.md
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -120,25 +120,33 @@ def without_cheap_names(stage: Stage) -> Stage:
     result, fitted = stage.found, stage.found.stage_fit
     if not result.named or fitted is None or fitted.decision.exact:
         return stage
+    known: dict[bytes, float] = {}
+
+    def error(model: Fitted) -> float:
+        key = model.theta.tobytes()
+        if key not in known:
+            known[key] = cross_validated_error(stage, model)
+        return known[key]
+
     lost = dict[str, Reason]()
     for kept in result.named:
-        if not any(_pays(stage, *pair) for pair in comparisons_without(stage, kept.candidate.label)):
+        if not any(_pays(stage, *pair, error) for pair in comparisons_without(stage, kept.candidate.label)):
             lost[kept.candidate.label] = Reason.LOST
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
     if stage.problem.integrates and rest:
         others = (comparisons_without(stage, label)[0][0] for label in lost)
-        before, *alone = (cross_validated_error(stage, each) for each in (stage.nominal, *others))
+        before, *alone = (error(each) for each in (stage.nominal, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
             lost |= dict.fromkeys(rest, Reason.LOST)
     return replace(stage, result=result.without_names(lost))
 
 
-def _pays(stage: Stage, without: Fitted, model: Fitted) -> bool:
-    """Whether a name is worth its price, by sets without and with its effect."""
+def _pays(stage: Stage, without: Fitted, model: Fitted, error: Callable[[Fitted], float]) -> bool:
+    """Whether a name is worth its price, by sets without and with its effect; ``error``: by cross-validation."""
     if stage.problem.integrates:
-        return pays(cross_validated_error(stage, without), cross_validated_error(stage, model))
+        return pays(error(without), error(model))
     excited = is_excited(stage, without.theta, model.theta)
     return not excited or pays(held_out_error(stage, without.theta), held_out_error(stage, model.theta))
 
