@@ -22,6 +22,8 @@ def _always(*_: object, **__: object) -> bool:
 #: Trial → names below `sysid.gap` that are replaced, and by what.
 CONDITIONS: Mapping[str, Changes] = {
     "evidence with the discrepancy of each set alone": {"stage_model.StageSearch.own_evidence": lambda _, fit: fit.evidence},
+    "a survivor with more effects that is clearly likelier": {"comparison.replaced": _never},
+    "survival by predictive density": {"comparison.survives": lambda f, best: f.evidence > best.evidence - decision.LEAST},
     "formulas right: by the noise floor instead": {
         "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= decision.EXPLAINED else math.inf
     },

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS, Z
+from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, Z
 from sysid.machine import EffectKey
 
 
@@ -21,6 +21,11 @@ def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
     """Sum of the clipped block differences of two models, and its standard error [nats]."""
     blocks = np.clip(better.predictive - other.predictive, -BLOCK_NATS, BLOCK_NATS)
     return float(blocks.sum()), float(blocks.std() * np.sqrt(len(blocks)))
+
+
+def survives(model: ModelFit, best: ModelFit) -> bool:
+    """Whether a model is not significantly worse than the best, by predictive density or by evidence."""
+    return not clearly_worse(model, best) or model.evidence > best.evidence - LEAST
 
 
 def clearly_worse(model: ModelFit, other: ModelFit) -> bool:
@@ -41,6 +46,13 @@ def _covers(richer: Candidate, candidate: Candidate) -> bool:
     if richer.key == candidate.key:
         return len(richer.unknowns) >= len(candidate.unknowns)
     return richer.contains(candidate)
+
+
+def replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
+    """Whether a survivor with more effects, or with fewer parameters, is clearly likelier."""
+    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
+    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
+    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:

@@ -2,8 +2,13 @@
 
 Given models of one stage (sets of effects) under shared variances:
 
-1. *Survivors.* A model survives if its evidence is within ``LEAST`` nats of the likeliest. The *minimal* survivors are those of
-   which no simpler one survives; the likeliest without effects that another stage shares, or that are not excited, is chosen.
+1. *Survivors.* Each block of a few seconds is predicted from all other blocks, in closed form. A model survives if it is not
+   significantly worse than the best: the sum of its block differences is below ``STANDARD_ERRORS`` standard errors or below
+   ``LEAST`` nats, or its evidence is not lower by as much. A block counts for ``BLOCK_NATS`` at most, so that several have to
+   agree. A model that lacks an effect of another predicts as well where the discrepancy replaces that effect, and so does one
+   that needs more parameters; there the evidence decides, the discrepancy of each estimated beside it alone. The *minimal*
+   survivors are those of which no simpler one survives; the likeliest without effects that another stage shares, or that are
+   not excited, is chosen.
 2. *Formulas right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest minimal
    survivor): the minimal survivors are acceptable.
 3. *Formulas wrong, errors accumulate* (a stage that integrates): the smallest sets of effects that explain the free run are
@@ -40,9 +45,11 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import (
     at_bound,
     pays,
+    replaced,
     simpler,
     simplest,
     smallest_sets,
+    survives,
     within_equivalence,
 )
 from sysid.gap.likelihood.stage import ModelFit
@@ -159,10 +166,10 @@ def decide(
         fewest: where formulas are wrong and errors do not accumulate, the acceptable sets of fewest effects of a model.
     """
     rope, free = rope or {}, free or FreeRun()
-    least = max(f.evidence for f in models) - LEAST
-    survivors = sorted((f for f in models if f.evidence > least), key=lambda f: -f.evidence)
+    best = max(models, key=lambda f: float(f.predictive.sum()))
+    survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
-    likely = _likely(survivors, unsure)
+    likely = _likely(survivors, unsure, own_evidence)
     if not integrates and not independent:
         likely = list({f.labels: f for f in (simplest(f, models) for f in likely)}.values())
     exact = needed(likely[0]) < LEAST
@@ -231,9 +238,10 @@ def decide(
 # -- the whitened likelihood: formulas right, or errors that do not accumulate ---------------------------------------------
 
 
-def _likely(survivors: Sequence[ModelFit], unsure: set[str]) -> list[ModelFit]:
+def _likely(survivors: Sequence[ModelFit], unsure: set[str], own_evidence: Callable[[ModelFit], float]) -> list[ModelFit]:
     """The minimal survivors, the likeliest first."""
-    minimal = [f for f in survivors if not any(simpler(g, f) for g in survivors)]
+    stay = [f for f in survivors if not replaced(f, survivors, own_evidence)]
+    minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
     chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
     return [chosen, *_with_other_effects(minimal, chosen)]
 

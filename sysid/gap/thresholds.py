@@ -14,5 +14,7 @@ SHARE = 0.01
 EXPLAINED = 1.1
 #: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
 PRICE = 1.0 + STANDARD_ERRORS**2
+#: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.
+LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964

@@ -13,7 +13,7 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import thresholds
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.comparison import clearly_worse, difference, pays, simpler
+from sysid.gap.comparison import difference, pays, simpler, survives
 from sysid.gap.decision import FreeRun, decide
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.reasons import Reason
@@ -357,6 +357,14 @@ def test_where_formulas_are_right_the_likelihood_decides() -> None:
     assert decide(models, ALL).named == (), "9 floors are not divided by the price"
 
 
+def test_the_discrepancy_is_learned_beside_each_alone() -> None:
+    """The model without the effect predicts every block as well; shared variances favour the one they were learned with."""
+    without, whole = model(worse=0.001, evidence=-80.0, left=10.0), model(BAND, evidence=0.0)
+    for own, named in ((-5.0, True), (-2.0, False)):
+        found = decide([without, whole], ALL, needed=right, own_evidence=lambda f, own=own: own if not f.candidates else 0.0)  # type: ignore[misc]
+        assert (found.named == (BAND,)) == named, own
+
+
 @pytest.mark.parametrize(("could", "named"), [(0.1, False), (0.02, True)])
 def test_what_the_discrepancy_could_do_in_its_place_is_in_the_interval(could: float, named: bool) -> None:
     """Its value is 0.1 away from its absence, sure to 0.001 were there no discrepancy that does the same."""
@@ -440,20 +448,29 @@ def test_a_block_counts_for_a_few_nats_at_most() -> None:
     total, error = difference(model(), model(worse=blocks))
     assert total == BLOCK_NATS
     assert error == pytest.approx(BLOCK_NATS * np.sqrt(1.0 - 1.0 / BLOCKS))
-    assert not clearly_worse(model(worse=blocks), model()), "one block alone proves nothing"
-    assert clearly_worse(model(worse=np.where(np.arange(BLOCKS) < 6, 1600.0, 0.0)), model()), "several that agree do"
+    assert survives(model(worse=blocks), model()), "one block alone proves nothing"
+    assert not survives(model(worse=np.where(np.arange(BLOCKS) < 6, 1600.0, 0.0)), model()), "several that agree do"
     assert difference(model(worse=blocks), model()) == (-total, error)
 
 
 def test_three_nats_are_no_difference_however_regular() -> None:
-    assert not clearly_worse(model(worse=2.9 / BLOCKS), model())
-    assert clearly_worse(model(worse=3.1 / BLOCKS), model())
+    assert survives(model(worse=2.9 / BLOCKS), model())
+    assert not survives(model(worse=3.1 / BLOCKS), model())
 
 
 def test_a_sum_has_to_exceed_two_standard_errors() -> None:
     swings = np.where(np.arange(BLOCKS) % 2 == 0, 2.0, -2.0)  # standard error 2·√20 = 8.9
-    assert not clearly_worse(model(worse=swings + 0.85), model())
-    assert clearly_worse(model(worse=swings + 0.95), model())
+    assert survives(model(worse=swings + 0.85), model())
+    assert not survives(model(worse=swings + 0.95), model())
+
+
+def test_a_loser_loses_by_its_evidence_as_well() -> None:
+    """Of many models one predicts better by chance; evidence knows what its parameters cost."""
+    worse = model(BAND, worse=3.0)
+    assert not survives(worse, model(BAND, LAG))
+    for lost, stays in ((2.9, True), (3.1, False)):
+        likely = ModelFit(**{**vars(worse), "evidence": model(BAND, LAG).evidence - lost})
+        assert survives(likely, model(BAND, LAG)) == stays
 
 
 def test_a_model_is_simpler_than_one_that_holds_its_effects() -> None:
