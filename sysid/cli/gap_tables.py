@@ -175,11 +175,11 @@ def entry(out: Printer, text: str, bullet: str = "") -> None:
 
 
 def plain_reason(why: str) -> str:
-    """The condition that an effect without a name fails, in plain words."""
+    """The condition that an effect without a name fails, in plain words; one that only a stored result has, as it is."""
     from sysid.gap.reasons import Reason
 
     known = {str(reason): reason.plain for reason in Reason}
-    return known.get(why, why) or "it was fitted beside the others"  # a stored result may have one that is no more
+    return known.get(why, why) or "it was fitted beside the others"
 
 
 def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:

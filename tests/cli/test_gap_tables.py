@@ -130,6 +130,8 @@ def test_a_sentence_is_whole_in_lines_of_80_columns(text: str, bullet: str) -> N
 def test_every_reason_of_the_decision_has_plain_words() -> None:
     for why in Reason:
         assert "equivalence" not in plain_reason(why)
+    for why in (Reason.NOT_EXCITED, Reason.LITTLE, Reason.LOST, Reason.REPLACED, Reason.REPAIRS):
+        assert not plain_reason(why).startswith("a ")
     assert plain_reason("something new") == "something new"
 
 

@@ -289,19 +289,13 @@ def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(l
 
 
 @pytest.mark.parametrize(
-    ("share", "absent", "nats", "refused"),
-    [
-        (0.5, False, 3.1, None),
-        (0.5, True, 50.0, Reason.UNCERTAIN),
-        (0.005, False, 50.0, Reason.LOST),
-    ],
+    ("share", "absent", "refused"),
+    [(0.5, False, None), (0.5, True, Reason.UNCERTAIN), (0.005, False, Reason.LOST)],
 )
-def test_what_refuses_a_name(
-    share: float, absent: bool, nats: float, refused: Reason | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_refuses_a_name(share: float, absent: bool, refused: Reason | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: absent)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
-    assert proof._refusal(_stage(True), _kept(nats), np.empty(0), share) == refused
+    assert proof._refusal(_stage(True), _kept(), np.empty(0), share) == refused
 
 
 @pytest.mark.parametrize(
@@ -325,7 +319,7 @@ def test_blocks_have_to_be_predicted_clearly_better_with_an_effect_where_errors_
         stage = _stage(False)
         stage.found.problem.stage = name
         stage.found.stage_fit = SimpleNamespace(decision=SimpleNamespace(model=whole), dropped={"leak": less})
-        assert proof._refusal(stage, _kept(0.0), np.empty(0), 0.5) == expected
+        assert proof._refusal(stage, _kept(), np.empty(0), 0.5) == expected
 
 
 def _stage(integrates: bool, accumulates: bool = False) -> Any:
@@ -333,8 +327,8 @@ def _stage(integrates: bool, accumulates: bool = False) -> Any:
     return SimpleNamespace(found=result)
 
 
-def _kept(nats: float) -> Any:
-    return SimpleNamespace(candidate=SimpleNamespace(label="leak"), evidence=SimpleNamespace(nats=nats))
+def _kept() -> Any:
+    return SimpleNamespace(candidate=SimpleNamespace(label="leak"))
 
 
 @pytest.mark.parametrize("uncertain", [True, False])

@@ -19,12 +19,12 @@ def read_here(
     progress: Callable[[float], None] = lambda share: None,
 ) -> T:
     """The result of ``work``; errors of libraries are errors of the file."""
-    from sysid.errors import InputError, SysidError
+    from sysid.confined import _raised
+    from sysid.errors import SysidError
 
     try:
         return work(progress)
     except (SysidError, OSError, ModuleNotFoundError):
         raise
     except Exception as error:
-        found, expected = f"cannot be read ({type(error).__name__}: {error})", f"{limits.what} of its format"
-        raise InputError(where, found, expected, "The file is damaged or malicious.") from None
+        raise _raised(["Exception", f"{type(error).__name__}: {error}"], where, limits) from None
