@@ -63,13 +63,13 @@ def settling(p, axes):
 
 
 @inlined
-def advance(p, arrays, s, load, demands, work, kept, command, dt, nets, t):
+def advance(p, arrays, s, load, demands, servos, command, dt, nets, t):
     """One step of all axes with ``command`` (A,); axes without a position stay as they are.
 
-    ``demands`` (A,), and ``work`` and ``kept`` of :mod:`sysid.plant.servo_arm`, are used inside.
+    ``demands`` (A,) and ``servos`` (:func:`sysid.plant.servo_arm.workspace`) are used inside.
     """
-    if arrays.axes[0, KIND] == SERVO:  # then all of them
-        servo_arm.advance(p, arrays, s, command, dt, work, kept, False)
+    if servos is not None:  # a branch of the type: what a machine does not have is not compiled
+        servo_arm.advance(p, arrays, s, command, dt, servos, False)
         return
     size = len(s) // len(arrays.axes)
     demand = 0.0
@@ -120,7 +120,7 @@ def enter(p, arrays, i, s, size, load, start, command, dt, nets, t):
 
 @loop
 def _run(
-    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, work, kept, structure, row, scratch, at,
+    p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, servos, structure, row, scratch, at,
     nets, t,
 ):  # fmt: skip
     count, axes = drive.shape
@@ -144,11 +144,11 @@ def _run(
             row[i] = commands[k, i]
             if arrays.axes[i, KIND] == POSITION and k + 1 < len(commands):
                 row[i] = commands[k + 1, i]
-        advance(p, arrays, s, load, demands, work, kept, row, dt, nets, t)
+        advance(p, arrays, s, load, demands, servos, row, dt, nets, t)
 
 
 @kernel
-def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, load, nets, t):
+def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, load, servos, nets, t):
     """Free run of all axes from their commands.
 
     Args:
@@ -157,15 +157,15 @@ def run_machine(p, arrays, commands, edges, starts, dt, drive, joints, tip, s, l
         starts: (A, m, size) as :func:`sysid.plant.axis_run.find_starts` gives them.
         drive, joints: out, (n, A), NaN outside of the stretches; ``tip`` (n, 3), NaN where any joint is.
         s, load: (A · size,) NaN and (A,) zero before; after it the state that the n steps lead to.
+        servos: of :func:`sysid.plant.servo_arm.workspace`.
         nets: residual networks, with their memory ``t``; both None where the plant has none.
     """
     axes = commands.shape[1]
     size = len(s) // axes
     demands, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
     scratch = np.empty((len(arrays.links), SCRATCH))
-    work, kept = servo_arm.workspace(axes, len(arrays.bodies))
     at = np.zeros(axes, dtype=np.int64)
     _run(
-        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, work, kept, structure, row, scratch,
-        at, nets, t,
+        p, arrays, commands, edges, starts, dt, size, drive, joints, tip, s, load, demands, servos, structure, row, scratch, at,
+        nets, t,
     )  # fmt: skip

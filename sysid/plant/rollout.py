@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.plant import axis_run, layout, servo_axis
+from sysid.plant import axis_run, layout, servo_arm, servo_axis
 from sysid.plant.machine_run import run_machine
 from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
 from sysid.plant.plant import Plant
@@ -116,7 +116,7 @@ def run_steps(
     memory, load = np.full(model.axes * starts.states.shape[2], np.nan), np.zeros(model.axes)
     run_machine(
         model.theta, model.arrays, starts.commands[: count + 1], starts.edges, starts.states, dt, drive, joints, tip, memory,
-        load, model.nets, networks,
+        load, servo_arm.workspace(model.arrays), model.nets, networks,
     )  # fmt: skip
     return (drive, joints, tip), MachineState(memory, load, networks)
 

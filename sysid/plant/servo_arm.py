@@ -12,8 +12,10 @@ Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 6; Mirtich and 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.effects import input_delay
 from sysid.effects.compiled import inlined, kernel, loop
@@ -21,7 +23,7 @@ from sysid.machine.moved_bodies import PARAMETERS
 from sysid.plant import chain, servo_axis, servo_law
 from sysid.plant.arm_dynamics import BODY, dynamics, true_bodies
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_arrays import GIVE, IMPLICIT, LEAD
+from sysid.plant.machine_arrays import GIVE, IMPLICIT, KIND, LEAD, SERVO, MachineArrays
 
 #: Longest step of a moving arm [s]: its posture counts as that of the middle of a step.
 LONGEST = 0.002
@@ -42,24 +44,33 @@ ON_FLANK = 1e-9
 ) = range(33)  # fmt: skip
 
 
-@kernel
-def workspace(axes, joints):
-    """Arrays ``work`` and ``kept`` that :func:`advance` needs for a machine of so many axes and joints of its chain."""
-    return np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY + PARAMETERS))
+class Workspace(NamedTuple):
+    """Arrays that :func:`advance` uses inside."""
+
+    work: npt.NDArray[np.float64]
+    kept: npt.NDArray[np.float64]
+
+
+def workspace(arrays: MachineArrays) -> Workspace | None:
+    """The arrays for a machine of servos; None for another, whose runs are compiled without :func:`advance`."""
+    axes, joints = len(arrays.axes), len(arrays.bodies)
+    if arrays.axes[0, KIND] != SERVO:  # then none is
+        return None
+    return Workspace(np.empty((3 * axes + _ROWS, axes)), np.empty((joints, BODY + PARAMETERS)))
 
 
 @loop
-def advance(p, arrays, s, command, dt, work, kept, watched):
+def advance(p, arrays, s, command, dt, servos, watched):
     """One step of all axes under the ``command`` (A,) held over it; nothing moves while an axis has no position.
 
     Args:
-        s: state (A · size,); ``work`` and ``kept`` of :func:`workspace` are used inside.
+        s: state (A · size,); the arrays ``servos`` of a :class:`Workspace` are used inside.
         watched: as in :func:`_solve`.
     """
-    axes = len(arrays.axes)
+    axes, work = len(arrays.axes), servos.work
     size = len(s) // axes
     mass, at = work[:axes], work[3 * axes :]
-    kept, bodies = kept[:, :BODY], kept[:, BODY:]
+    kept, bodies = servos.kept[:, :BODY], servos.kept[:, BODY:]
     for i in range(axes):
         if np.isnan(s[i * size + STATE.position]):
             return
@@ -350,22 +361,22 @@ def _rub(p, about, h, own, matrix, at):
 
 
 @kernel
-def run_servos(p, arrays, commands, s, dt, places, speeds, undamped):
+def run_servos(p, arrays, commands, s, dt, places, speeds, undamped, servos):
     """Motion of servo axes from the state ``s`` (A · size,) under ``commands`` (n, A), each held until the next.
 
     Args:
         places, speeds: out, (n, A).
         undamped: out, (n, A): torque more that the other joints exert on each without implicit damping, in one step of the
             described simulator [N·m or N].
+        servos: a :class:`Workspace`.
     """
-    axes = commands.shape[1]
+    axes, work = commands.shape[1], servos.work
     size = len(s) // axes
-    work, kept = workspace(axes, len(arrays.bodies))
     for k in range(len(commands)):
         for i in range(axes):
             places[k, i], speeds[k, i] = chain.servo_motion(p, i * AXIS_WIDTH, s, i * size)
         work[3 * axes + _UNDAMPED, :] = np.nan
-        advance(p, arrays, s, commands[k], dt, work, kept, True)
+        advance(p, arrays, s, commands[k], dt, servos, True)
         for i in range(axes):
             undamped[k, i] = 0.0
             for j in range(axes):

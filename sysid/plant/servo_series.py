@@ -19,7 +19,7 @@ from sysid.plant.arm_dynamics import link_series, mass_ratios
 from sysid.plant.known_runs import KnownRuns
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD, MachineArrays
-from sysid.plant.servo_arm import LONGEST, run_servos
+from sysid.plant.servo_arm import LONGEST, run_servos, workspace
 from sysid.plant.servo_axis import OWN, PLACE, SERIES, SLOPE, SPEED, UNDAMPED, starts_of
 from sysid.plant.smooth_motion import POSITION_HZ, second_difference, smooth_motion
 from sysid.plant.stretches import Segments, common_stretches, held_for
@@ -208,7 +208,7 @@ def _run(arrays: MachineArrays, theta: Array, commands: Array, dt: float, fine: 
     for i in range(axes):
         starts_of(theta, arrays, i, begin[0, i : i + 1], begin[1, i : i + 1], whole, dt / fine, states[i])
     found = np.empty((3, count * fine, axes))
-    run_servos(theta, arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found)
+    run_servos(theta, arrays, np.repeat(commands[:count], fine, axis=0), states.ravel(), dt / fine, *found, workspace(arrays))
     return found
 
 

@@ -20,7 +20,7 @@ from sysid.effects.compiled import kernel
 from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.machine.rigid_body import moves_masses
-from sysid.plant import axis_loop, chain, layout, residual, swing
+from sysid.plant import axis_loop, chain, layout, residual, servo_arm, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION, SERVO
 from sysid.plant.machine_run import advance, enter, observe, settling
@@ -29,7 +29,6 @@ from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH
 from sysid.plant.residual import check_step, new_memory
 from sysid.plant.rollout import MachineState, StartStates, run_steps, start_states, true_run
-from sysid.plant.servo_arm import workspace
 from sysid.plant.settled_pose import settled_loads
 from sysid.plant.stretches import held_for
 
@@ -191,8 +190,8 @@ class Stepper:
         def stretch(worker: int) -> None:
             first, last = worker * self.lanes // workers, (worker + 1) * self.lanes // workers
             _advance_lanes(
-                first, last, self.thetas, self.model.arrays, self._memory, self._load, command, self.dt, self.model.nets,
-                self._left,
+                first, last, self.thetas, self.model.arrays, self._memory, self._load, command, self.dt,
+                servo_arm.workspace(self.model.arrays), self.model.nets, self._left,
             )  # fmt: skip
             self._observe(first, last)
 
@@ -387,12 +386,11 @@ def _reset_residuals(t):
 
 
 @kernel
-def _advance_lanes(first, last, thetas, arrays, memory, load, command, dt, nets, left):
+def _advance_lanes(first, last, thetas, arrays, memory, load, command, dt, servos, nets, left):
     demands = np.empty(len(arrays.axes))
-    work, kept = workspace(len(arrays.axes), len(arrays.bodies))
     for lane in range(first, last):
         t = None if nets is None else left[lane]
-        advance(thetas[lane], arrays, memory[lane], load[lane], demands, work, kept, command[lane], dt, nets, t)
+        advance(thetas[lane], arrays, memory[lane], load[lane], demands, servos, command[lane], dt, nets, t)
 
 
 @kernel
