@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.gap import decision, proof
+from sysid.gap import decision, proof, thresholds
 
 Changes = Mapping[str, Any]
 
@@ -25,7 +25,7 @@ CONDITIONS: Mapping[str, Changes] = {
     "a survivor with more effects that is clearly likelier": {"comparison.replaced": _never},
     "survival by predictive density": {"comparison.survives": lambda f, best: f.evidence > best.evidence - decision.LEAST},
     "formulas right: by the noise floor instead": {
-        "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= decision.EXPLAINED else math.inf
+        "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= thresholds.TENTH else math.inf
     },
     "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
     "others leave as little": {"decision._leaves_as_little": _never},

@@ -23,7 +23,7 @@ from sysid.gap.data import Data
 from sysid.gap.fit import ROUGH, Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.stage_model import StageFit
-from sysid.gap.thresholds import EXPLAINED, LEAST
+from sysid.gap.thresholds import LEAST, as_little
 
 Array = npt.NDArray[np.float64]
 #: Difference in log-likelihood of two sets that make the same prediction, by the tolerance of fits [nats].
@@ -74,14 +74,13 @@ def _left(data: Data, fit: Fit | ModelFit) -> float:
 
 def _fewest(data: Data, theta: Array, left: float, fit: Fit) -> Fit:
     """The fit without the effects beside the alternative, one by one, while it leaves at most a tenth more than ``left``."""
-    most = EXPLAINED * max(left, 1.0)
-    while len(fit.candidates) > 1 and _left(data, fit) <= most:
+    while len(fit.candidates) > 1 and as_little(_left(data, fit), left):
         *rest, alternative = fit.candidates
         fewer = [[*(c for c in rest if c is not left_out), alternative] for left_out in rest]
         starts = [[np.concatenate([fit.values_of(c) for c in some])] for some in fewer]
         fits = [fit_candidates(data, theta, *each, ROUGH) for each in zip(fewer, starts, strict=True)]
         least = min(fits, key=lambda each: _left(data, each))
-        if _left(data, least) > most:
+        if not as_little(_left(data, least), left):
             break
         fit = least
     return fit

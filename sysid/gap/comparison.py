@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, Z
+from sysid.gap.thresholds import BLOCK_NATS, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, TENTH, Z, at_floor
 from sysid.machine import EffectKey
 
 
@@ -60,21 +60,8 @@ def simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
 
     A base turned about the axis of the first joint is an offset of that joint, whatever its other five parameters compensate.
     """
-    within = [f for f in models if f.left <= EXPLAINED and simpler(f, model)]
+    within = [f for f in models if at_floor(f.left) and simpler(f, model)]
     return min(within, key=lambda f: (len(f.unknowns), -f.evidence), default=model)
-
-
-def outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
-    """Whether a survivor has effects that are worth their price, which the discrepancy must not replace.
-
-    Further effects, or others in their place: these have to be worth the price of one. A set with further effects that reaches
-    the noise floor, while a tenth more is left without them, is worth any price.
-    """
-    if model.left <= EXPLAINED:
-        return False
-    more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
-    reaches_floor = any(n > 0 and f.left <= EXPLAINED and model.left > EXPLAINED * max(f.left, 1.0) for f, n in more)
-    return reaches_floor or any(divides(model.left, f.left, max(n, 1)) for f, n in more)
 
 
 Array = npt.NDArray[np.float64]
@@ -93,9 +80,9 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     least, size = np.inf, 0
     for f in sorted(models, key=lambda f: len(f.candidates)):
         n = len(f.candidates)
-        if (EXPLAINED**2 - 1.0) * PRICE**n >= least and n != size:
+        if (TENTH**2 - 1.0) * PRICE**n >= least and n != size:
             break  # no remaining error justifies more effects
-        found = max(left(f), EXPLAINED) ** 2 - 1.0
+        found = max(left(f), TENTH) ** 2 - 1.0
         variance.setdefault(n, []).append((found, f))
         if found * PRICE**n < least:
             least, size = found * PRICE**n, n
@@ -105,12 +92,12 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
 
 def pays(before: float, after: float, effects: int = 1) -> bool:
     """Whether effects are worth their price; RMS errors of the output without and with them, in noise floors."""
-    return after <= EXPLAINED or divides(before, after, effects)
+    return at_floor(after) or divides(before, after, effects)
 
 
 def divides(before: float, after: float, effects: int = 1) -> bool:
     """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
-    return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
+    return before**2 - 1.0 >= PRICE**effects * (max(after, TENTH) ** 2 - 1.0)
 
 
 def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, averaged_out: float = 0.0) -> float:
@@ -129,7 +116,7 @@ def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, av
         RMS error with the effects, in noise floors.
     """
     noise = (1.0 - averaged_out) * rows
-    variance, acts = float((after - noise).sum()), moved > (EXPLAINED**2 - 1.0) * rows
+    variance, acts = float((after - noise).sum()), moved > (TENTH**2 - 1.0) * rows
     there = float((before - noise)[acts].sum())
     if there > 0.0 and before[acts].sum() > before[~acts].sum():
         variance = float((before - noise).sum() * (after - noise)[acts].sum()) / there
@@ -151,7 +138,7 @@ def at_bound(candidate: Candidate, model: ModelFit) -> bool:
 
 def equivalent_change(left: float) -> float:
     """Change of the output that adds a tenth, in quadrature, to its remaining error ``left``; both in noise floors."""
-    return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
+    return float(np.sqrt(TENTH**2 - 1.0) * max(1.0, left))
 
 
 def equivalent_half(candidate: Candidate, model: ModelFit) -> Array:

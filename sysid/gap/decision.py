@@ -54,7 +54,7 @@ from sysid.gap.comparison import (
 )
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.reasons import Reason
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, LEAST, PRICE, STANDARD_ERRORS
+from sysid.gap.thresholds import BLOCK_NATS, LEAST, PRICE, STANDARD_ERRORS, as_little
 from sysid.machine import EffectKey
 
 Array = npt.NDArray[np.float64]
@@ -254,7 +254,7 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
 
 def _leaves_as_little(less: ModelFit, model: ModelFit) -> bool:
     """Whether a set with fewer effects leaves at most a tenth more."""
-    return less.left <= EXPLAINED * max(model.left, 1.0)
+    return as_little(less.left, model.left)
 
 
 def _beyond_price(
@@ -326,7 +326,7 @@ def _less_left(model: ModelFit, survivors: Sequence[ModelFit], unsure: set[str])
 
     In the likelihood the discrepancy replaces what such a model has besides; the plant has no discrepancy.
     """
-    less = [f for f in survivors if model.labels < f.labels and EXPLAINED * max(f.left, 1.0) < model.left]
+    less = [f for f in survivors if model.labels < f.labels and not as_little(model.left, f.left)]
     return _likeliest_minimal(less, unsure) or model
 
 

@@ -21,7 +21,7 @@ from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.proposals import Proposals
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import as_little, at_floor
 
 Array = npt.NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class LeastSquares(FreeRun):
         size = len(model.candidates) + 1
         larger = [f for f in self.proposals.fits.values() if len(f.candidates) == size and model.labels < f.labels]
         best = min(larger, key=lambda f: f.left, default=None)
-        return best if best is not None and best.left * EXPLAINED < model.left else None
+        return best if best is not None and not as_little(model.left, best.left) else None
 
     def _of_recordings(self, values: Array) -> Array:
         """Sums of values (rows,) over each recording, (recordings,)."""
@@ -109,15 +109,14 @@ class LeastSquares(FreeRun):
         level = [self.proposals.fit(())]
         found = list(level)
         for _ in range(MAX_EFFECTS):
-            first = not level[0].candidates
-            most = None if first else ADDITIONS
+            most = ADDITIONS if level[0].candidates else None
             grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, most)}
             best = level[0].left
             level = sorted(grown.values(), key=lambda f: f.left)
             found += level
             for model in level[:BEST_SETS]:
                 self._refit_subsets(model)
-            if not level or level[0].left <= EXPLAINED or level[0].left * EXPLAINED > best:
+            if not level or at_floor(level[0].left) or as_little(best, level[0].left):
                 break
         return [self.proposals.fits[f.labels] for f in found]
 

@@ -22,7 +22,7 @@ from sysid.gap.disagreement import stage_rmse
 from sysid.gap.fit import fit_candidates
 from sysid.gap.prepare.case import Stage
 from sysid.gap.reasons import Reason
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import TENTH
 
 Array = npt.NDArray[np.float64]
 
@@ -36,11 +36,11 @@ def is_better(stage: Stage) -> bool:
     after = stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)
     there = ~np.isnan(before) & ~np.isnan(after)
     before, after, sigma = before[there], after[there], stage.sigma[there]
-    if not there.any() or (after > EXPLAINED * np.maximum(before, sigma)).any():
+    if not there.any() or (after > TENTH * np.maximum(before, sigma)).any():
         return False
     if float(np.sum((after / sigma) ** 2)) < float(np.sum((before / sigma) ** 2)):
         return True
-    kept = (after <= np.maximum(before, EXPLAINED * sigma)).all()
+    kept = (after <= np.maximum(before, TENTH * sigma)).all()
     return bool(kept and not is_excited(stage, stage.theta, stage.found.fit.theta))
 
 
@@ -52,7 +52,7 @@ def is_excited(stage: Stage, without: Array, theta: Array) -> bool:
     error = held_out_error(stage, theta)
     moved = [np.diff(stage.problem.predict(np.array([without, theta]), r), axis=0)[0] for r in stage.split.held_out]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
-    return held_out_error(stage, stage.theta) > EXPLAINED and size > equivalent_change(error)
+    return held_out_error(stage, stage.theta) > TENTH and size > equivalent_change(error)
 
 
 def held_out_error(stage: Stage, theta: Array) -> float:

@@ -32,7 +32,7 @@ from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import EXPLAINED, SHARE, Z
+from sysid.gap.thresholds import SHARE, Z, as_little, at_floor
 from sysid.gap.unnamed.description import describe_period, describe_residual
 from sysid.gap.unnamed.instead import without_names_of_position, without_periodic_names
 from sysid.gap.written import near_misses
@@ -94,7 +94,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(case, stage, refused, outcome)
         # What remains of the forces of an arm shows at its axes, each with its friction.
-        if stage.problem.stage != "links" and (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
+        if stage.problem.stage != "links" and not at_floor(result.final_rmse if proven else result.nominal_rmse):
             _describe(case, stage, proven, outcome)
     outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
     return _without_estimates(case, outcome)
@@ -124,7 +124,7 @@ def _with_proven_model(case: Case, searched: Stage) -> Stage:
         return stage
     alone = with_intervals(case, replace(searched, result=names))
     whole, least = (held_out_error(each, each.found.fit.theta) for each in (stage, alone))
-    if is_better(alone) and not (passes and whole <= EXPLAINED * least):
+    if is_better(alone) and not (passes and as_little(whole, least)):
         return alone
     return with_intervals_of(stage, alone) if searched.found.accumulates else stage
 
@@ -158,7 +158,7 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
     remainder = result.stage_fit.remainder
     if proven or not result.fit.candidates:
         theta = result.fit.theta
-        if remainder.before <= EXPLAINED * max(remainder.after, 1.0):
+        if as_little(remainder.before, remainder.after):
             if found := describe_period(stage.problem, theta, stage.split.seen, case.plant.machine):
                 outcome.unnamed += found
                 return
@@ -209,7 +209,7 @@ def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
     tried = (stage.theta, stage.found.fit.theta)
     error = min(float(stage_rmse(stage.problem, theta, stage.split.held_out)[k]) for theta in tried)
     stepped = float(stage.sigma[k])
-    return (min(error, stepped) - floor) / (error - floor) if min(error, stepped) > EXPLAINED * floor else 0.0
+    return (min(error, stepped) - floor) / (error - floor) if not at_floor(min(error, stepped) / floor) else 0.0
 
 
 def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, Reason]:

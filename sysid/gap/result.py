@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from sysid.gap.statement import Agreement, CommandOrder, Missing, ResponseDifference, Verdict, headline
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import at_floor
 from sysid.registry.decision import Check as Check
 from sysid.registry.decision import Promotion as Promotion
 
@@ -319,6 +319,11 @@ class StageGap:
     share: float
     frequency: float = 0.0
 
+    @property
+    def disagrees(self) -> bool:
+        """Whether its stage is above the noise floor."""
+        return not at_floor(self.stage_rmse / self.noise_floor)
+
 
 @dataclass(frozen=True)
 class Share:
@@ -448,7 +453,7 @@ class GapResult:
     @property
     def headline(self) -> str:
         """The verdict in words, with the largest error that remains."""
-        above = any(item.stage_rmse > EXPLAINED * item.noise_floor for item in self.localised)
+        above = any(item.disagrees for item in self.localised)
         found = "located" if self.verdict == "unnamed" and self.settings.get("localise_only") else self.verdict
         return headline(found, len(self.effects), self.agreement, disagrees=above or bool(self.unnamed))
 

@@ -16,7 +16,7 @@ from sysid.gap.fit import place
 from sysid.gap.prepare.case import Stage
 from sysid.gap.reasons import Reason
 from sysid.gap.stage_result import StageResult
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import as_little
 from sysid.machine import EffectKey
 
 #: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
@@ -76,7 +76,7 @@ def _contradicts(drive: Stage, scaled: Stage) -> bool:
     a coincidence, unless the owner's gain was identified with that sensor.
     """
     more = len(scaled.found.fit.candidates) > len(drive.found.fit.candidates)
-    return more and EXPLAINED * scaled.found.final_rmse > max(drive.found.final_rmse, 1.0)
+    return more and as_little(drive.found.final_rmse, scaled.found.final_rmse)
 
 
 def _without(stage: Stage, search: Search, refuted: frozenset[EffectKey]) -> Stage:

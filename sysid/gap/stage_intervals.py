@@ -33,7 +33,7 @@ from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
-from sysid.gap.thresholds import EXPLAINED, Z
+from sysid.gap.thresholds import TENTH, Z
 
 Array = npt.NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
         squares = known_of(replace(seen, drifting=False), stage.theta, result.fit, case.noise, case.seed)
         presence = _hull(own, squares.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
-    margin = 1.0 if stage.problem.stage in SPANS else EXPLAINED
+    margin = 1.0 if stage.problem.stage in SPANS else TENTH
     fit = known.fit if margin * after < before else result.fit
     return replace(stage, result=replace(result, fit=fit, limits=limits, presence=presence))
 

@@ -10,18 +10,17 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import outdone, smallest_sets
+from sysid.gap.comparison import smallest_sets
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
-from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
+from sysid.gap.likelihood.variances import Start, estimated, first_variances, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
 from sysid.gap.servo.sag import fewest_sets, sags
-from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import EffectKey
 from sysid.plant import Model
 
@@ -29,9 +28,11 @@ Array = npt.NDArray[np.float64]
 
 #: A typical disturbance, as a share of the root-mean-square speed (or of the range, where nothing integrates).
 TYPICAL = 0.01
-#: First standard deviations of the discrepancy's coefficients, as shares of what a stage does: with a small one the effects of
-#: the catalogue enter first. One value where errors accumulate, beside the effects that explain the free run.
-FIRST_TAUS, FREE_RUN_TAU = (1e-5, 1e-3), 1e-3
+#: First standard deviations of the discrepancy's coefficients, as shares of what a stage does: so small that the effects of the
+#: catalogue enter first; larger where errors accumulate, beside the effects that explain the free run.
+FIRST_TAU, FREE_RUN_TAU = 1e-5, 1e-3
+#: Effects and variances are estimated alternately.
+ROUNDS = 2
 #: Where errors accumulate and a discrepancy gains this much beside the likeliest model [nats], the free run decides, and the
 #: search around that model is left out.
 MISSPECIFIED = 30.0
@@ -137,7 +138,7 @@ class StageSearch:
         )
 
     def _fewest(self, fit: ModelFit) -> list[ModelFit]:
-        return fewest_sets(fit, self.excited, self.proposals.warm, EXPLAINED)
+        return fewest_sets(fit, self.excited, self.proposals.warm)
 
 
 def search_stage(
@@ -173,19 +174,21 @@ def search_stage(
     excited = [c for c in candidates if c.label in nameable]
     free = free_run_of(rows, _discrepancy(model, rows, theta, sample).absent, excited)
     sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
-    taus = (FREE_RUN_TAU,) if problem.integrates else FIRST_TAUS
     known = dict(free.proposals.fits)
-    found = [_converged(model, rows, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
-    # A large discrepancy would replace effects that explain the output, whatever its evidence.
-    likeliest = [each[2] for each in found]
-    kept = [each for each in found if problem.integrates or not outdone(each[2], likeliest)]
-    discrepancy, variances, rich = max(kept, key=lambda each: each[2].evidence + log_prior(each[1], start))
+    discrepancy = _discrepancy(model, rows, theta, sample)
+    variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.integrates else FIRST_TAU)
+    rich = sets[0]
+    for _ in range(ROUNDS):
+        first = Proposals(StageLikelihood(rows, discrepancy, variances, extra), excited, on_fit, known)
+        rich = first.forward(first.warm(rich.candidates, rich))
+        known |= first.fits
+        del first, discrepancy  # the largest table of a stage, before the next one
+        discrepancy = _discrepancy(model, rows, rich.theta, sample)
+        variances = estimated(rows, discrepancy, variances, start, extra, rich)
     variances = robust(StageLikelihood(rows, discrepancy, variances, extra), rich)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     proposals = Proposals(likelihood, candidates, on_fit, known)
-    del found, kept  # tables of all rows
-    for other in likeliest:
-        proposals.warm(other.candidates, other)
+    proposals.warm(rich.candidates, rich)
 
     bare = StageLikelihood(rows, discrepancy.absent, replace(variances, groups=np.zeros(0)), extra)
     sagging, smallest = sags(model.machine, problem, excited), tuple(f.labels for f in sets)
@@ -212,47 +215,6 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
     """A model with the values that the decision uses."""
     return model.with_values(free.least_squares(model)) if decision.accumulates else model
-
-
-def _converged(
-    model: Model,
-    rows: StageRows,
-    sample: float,
-    start: Start,
-    extra: Sequence[Array],
-    candidates: Sequence[Candidate],
-    tau: float,
-    first: ModelFit,
-    known: dict[frozenset[str], ModelFit],
-    on_fit: Callable[[str], None],
-) -> tuple[Discrepancy, Variances, ModelFit]:
-    """Effects and variances estimated alternately, from the effects ``first``: the variances, and their likeliest model.
-
-    ``known``: fits under other variances, as start values; those of this one are added.
-    """
-    discrepancy = _discrepancy(model, rows, rows.theta, sample)
-    variances = first_variances(rows, start, len(discrepancy.groups), tau)
-    rich = first
-
-    def proposals_under(variances: Variances, discrepancy: Discrepancy) -> Proposals:
-        return Proposals(StageLikelihood(rows, discrepancy, variances, extra), candidates, on_fit, known)
-
-    def searched(variances: Variances, discrepancy: Discrepancy, before: ModelFit) -> ModelFit:
-        proposals = proposals_under(variances, discrepancy)
-        found = proposals.forward(proposals.warm(before.candidates, before))
-        known.update(proposals.fits)
-        return found
-
-    for _ in range(2):
-        rich = searched(variances, discrepancy, rich)
-        del discrepancy  # the largest table of a stage, before the next one
-        discrepancy = _discrepancy(model, rows, rich.theta, sample)
-        variances = estimated(rows, discrepancy, variances, start, extra, rich)
-    proposals = proposals_under(variances, discrepancy)
-    proposals.warm(rich.candidates, rich)
-    for candidate in rich.candidates:
-        proposals.without(rich, candidate)
-    return discrepancy, variances, proposals.best
 
 
 def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:

@@ -33,7 +33,7 @@ from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import BEHIND, SCALE
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import at_floor
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.progress import Progress
@@ -86,7 +86,7 @@ def find_stage(
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
-    if nominal <= EXPLAINED and problem.stage != LINKS:  # thousands of rows determine masses from errors below the noise
+    if at_floor(nominal) and problem.stage != LINKS:  # thousands of rows determine masses from errors below the noise
         progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
     fits = FitCount(progress, stage.label)

@@ -10,11 +10,21 @@ LEAST = 3.0
 BLOCK_NATS = 5.0
 #: Least share of the closable gap on held-out recordings: less has no practical significance.
 SHARE = 0.01
-#: A stage within this multiple of its noise floor is explained.
-EXPLAINED = 1.1
+#: Ratio of two RMS errors without practical significance, of an error and its noise floor for instance.
+TENTH = 1.1
 #: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
 PRICE = 1.0 + STANDARD_ERRORS**2
 #: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.
 LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
+
+
+def at_floor(left: float) -> bool:
+    """Whether an error is at the noise floor; ``left`` in noise floors."""
+    return left <= TENTH
+
+
+def as_little(left: float, other: float) -> bool:
+    """Whether no more than a tenth more is left than by another, or than the noise floor; both in noise floors."""
+    return left <= TENTH * max(other, 1.0)

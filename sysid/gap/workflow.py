@@ -20,7 +20,6 @@ from sysid.gap.result import NOT_MEASURED, GapResult
 from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.stage_search import Forms
 from sysid.gap.statement import left_out_sentence
-from sysid.gap.thresholds import EXPLAINED
 from sysid.gap.written import with_units
 from sysid.plant import Plant
 from sysid.progress import Progress, part, silent
@@ -104,7 +103,7 @@ def find_gap(
         *filter(None, [left_out_sentence(case.plant.machine.left_out) if case.adapter is None else ""]),
         *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
     )
-    above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
+    above = {item.target for item in located if item.disagrees}
     following = Following(
         study,
         steps.Proof(outcome, NOT_MEASURED, NOT_MEASURED, ()),

@@ -90,7 +90,7 @@ def test_the_model_without_effects_alone_is_a_decision() -> None:
 
 
 def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None:
-    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     for away, named in ((0.9 * half, False), (1.2 * half, True)):
         found = decide([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
         assert (found.named == (DELAY,)) == named
@@ -122,7 +122,7 @@ def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
 
 
 def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
-    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     sure, unsure = (decide([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
     assert sure.named == (DELAY,)
     assert unsure.named == ()
@@ -169,7 +169,7 @@ def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: f
 
 
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
-    half = float(np.sqrt(thresholds.EXPLAINED**2 - 1.0)) / RESPONSE
+    half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
     assert decide([NOTHING, chosen], ALL).named == (DELAY,)
     left = ModelFit(**{**vars(chosen), "left": 3.0})

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.forces import friction_columns
 from sysid.gap.problem import Problem
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import at_floor
 from sysid.machine import Machine
 from sysid.plant.force import force_inputs
 from sysid.plant.smooth_motion import smooth_motion
@@ -37,7 +37,7 @@ class PostureShare:
     @property
     def dominates(self) -> bool:
         """Whether the posture explains more of what friction and inertia leave than anything else can."""
-        return self.friction > EXPLAINED and 2.0 * self.posture**2 < self.friction**2
+        return not at_floor(self.friction) and 2.0 * self.posture**2 < self.friction**2
 
 
 def posture_share(

@@ -28,7 +28,7 @@ from sysid.gap.fit import Fit, fit_candidates, jacobian, place, starting_values
 from sysid.gap.prepare.case import Case, Stage, stage_candidates
 from sysid.gap.problem import FORCES
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import at_floor
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) 
             if kept.ties and tie in outcome.ties:
                 found.append(non_identifiable_set(case, stage, base, kept.candidate, kept.ties[: MAX_ALTERNATIVES - 1], seen))
     for stage in searched:
-        if stage.found.nominal_rmse > EXPLAINED:
+        if not at_floor(stage.found.nominal_rmse):
             found += _unexcited(case, stage, base)
     return found
 
@@ -148,7 +148,7 @@ def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
         base = _as_in(base, case.theta, fit)
         start = np.concatenate([np.empty(0), *(fit.values_of(c) for c in excited)])
         fit = fit_candidates(seen, stage.theta, excited, [start])
-    elif stage.found.final_rmse <= EXPLAINED:
+    elif at_floor(stage.found.final_rmse):
         return []
     used = {c.key for c in fit.candidates}
     noise = noise_of_bin(stage.problem.rate(stage.split.seen[0]))

@@ -26,7 +26,7 @@ from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.problem import Problem, Split, drive_problem
 from sysid.gap.statement import CommandOrder
-from sysid.gap.thresholds import BLOCK_NATS, EXPLAINED, PRICE, STANDARD_ERRORS
+from sysid.gap.thresholds import BLOCK_NATS, PRICE, STANDARD_ERRORS, at_floor
 from sysid.machine import Convention
 from sysid.plant import Plant, compile_plant
 from sysid.signals import axis_signal
@@ -92,7 +92,7 @@ def _reacts_in_its_row(plant: Plant, problem: Problem, split: Split, noise: Mapp
     at_least = replace(delay, unknowns=(replace(unknown, bounds=(period, unknown.bounds[1])),))
     later = fit_candidates(data, theta, tuple(at_least if c is delay else c for c in candidates), starts)
     rest, more = (spread_of(data.residuals(fit.theta[None])) for fit in (free, later))
-    explains = rest < EXPLAINED or rest**2 * PRICE < more**2
+    explains = at_floor(rest) or rest**2 * PRICE < more**2
     return explains and free.log_likelihood - later.log_likelihood > BLOCK_NATS
 
 

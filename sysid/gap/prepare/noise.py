@@ -29,7 +29,7 @@ from sysid.gap.likelihood.discrepancy.drives import force_columns
 from sysid.gap.prepare.resolution import reading_step, rounding
 from sysid.gap.problem import Problem
 from sysid.gap.statement import FloorSource
-from sysid.gap.thresholds import EXPLAINED
+from sysid.gap.thresholds import TENTH
 from sysid.machine import Machine
 from sysid.plant import Model
 from sysid.plant.force import force_inputs
@@ -293,4 +293,4 @@ def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording],
     left = force - table / size @ found
     bound = float(np.sqrt(left @ left / (len(force) - int(rank))))
     least = ROUNDING * float(np.sqrt(np.mean(force**2)))
-    return np.array([bound]) if least < bound and bound * EXPLAINED < float(sigma[0]) else sigma
+    return np.array([bound]) if least < bound and bound * TENTH < float(sigma[0]) else sigma

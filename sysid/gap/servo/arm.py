@@ -31,7 +31,7 @@ from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.problem import drive_problem
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.stage_result import StageResult
-from sysid.gap.thresholds import EXPLAINED, Z
+from sysid.gap.thresholds import Z, at_floor
 from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.plant import effect_key
@@ -86,7 +86,7 @@ def _error(stage: Stage) -> float:
 def _is_clear(result: StageResult) -> bool:
     """Whether named effects alone explain an axis."""
     exact = result.stage_fit is None or result.stage_fit.decision.exact
-    return exact and not result.adjusted and not any(kept.ties for kept in result.named) and result.final_rmse <= EXPLAINED
+    return exact and not result.adjusted and not any(kept.ties for kept in result.named) and at_floor(result.final_rmse)
 
 
 def with_link_masses(stages: Sequence[Stage], search: Search) -> tuple[Stage, ...]:
@@ -140,7 +140,7 @@ def _agree(one: StageResult, mass: Candidate, other: StageResult, same: Candidat
 
 def _needs(result: StageResult) -> int:
     """Effects of an axis, and what they leave."""
-    return len(result.fit.candidates) + (result.final_rmse > EXPLAINED)
+    return len(result.fit.candidates) + (not at_floor(result.final_rmse))
 
 
 def with_coupled_values(
@@ -249,7 +249,7 @@ def _explains(errors: Array, runs: Sequence[_Run]) -> bool:
     """Whether every joint of all runs together is explained to within noise."""
     ends = np.cumsum([joints * rows for joints, rows in (run.shape for run in runs)])[:-1]
     by_joint = [part.reshape(run.shape) for part, run in zip(np.split(errors, ends), runs, strict=True)]
-    return bool(np.sqrt(np.mean(np.concatenate(by_joint, axis=1) ** 2, axis=1)).max() <= EXPLAINED)
+    return at_floor(float(np.sqrt(np.mean(np.concatenate(by_joint, axis=1) ** 2, axis=1)).max()))
 
 
 def _changed(case: Case, stages: Sequence[Stage], repaired: Plant) -> list[Candidate]:

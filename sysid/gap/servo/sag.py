@@ -30,6 +30,7 @@ from sysid.effects import joint_compliance, sensor_bias, sensor_scale
 from sysid.gap.candidates import Candidate
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import Problem
+from sysid.gap.thresholds import as_little
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics
 from sysid.machine.moved_bodies import has_masses
@@ -181,19 +182,17 @@ def sags(machine: Machine, problem: Problem, candidates: Sequence[Candidate]) ->
     return any(c.effect is joint_compliance.EFFECT for c in candidates)
 
 
-def fewest_sets(model: ModelFit, candidates: Sequence[Candidate], refit: Refit, tolerance: float) -> list[ModelFit]:
+def fewest_sets(model: ModelFit, candidates: Sequence[Candidate], refit: Refit) -> list[ModelFit]:
     """The model without effects at rest that are not needed, then sets with another one in place of one of it.
 
     Args:
         candidates: of the stage.
         refit: fit of a set, begun at the values of a model.
-        tolerance: a set may leave this multiple of what the model leaves, in noise floors.
     """
-    limit = tolerance * max(model.left, 1.0)
     fewest = model
     while here := [c for c in fewest.candidates if c.effect in AT_REST]:
         smaller = min((refit(_without(fewest, c), fewest) for c in here), key=lambda f: f.left)
-        if smaller.left > limit:
+        if not as_little(smaller.left, model.left):
             break
         fewest = smaller
     found = [fewest]
@@ -202,7 +201,7 @@ def fewest_sets(model: ModelFit, candidates: Sequence[Candidate], refit: Refit, 
             used = {c.key for c in fewest.candidates}
             others = [c for c in candidates if c.effect in AT_REST and c.key not in used and c.form is c.effect.forms[0]]
             swapped = (refit((*_without(fewest, candidate), other), fewest) for other in others)
-            found += [f for f in swapped if f.left <= limit]
+            found += [f for f in swapped if as_little(f.left, model.left)]
     return found
 
 

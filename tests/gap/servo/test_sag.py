@@ -16,7 +16,6 @@ from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import drive_problem
 from sysid.gap.reasons import Reason
 from sysid.gap.servo.sag import StaticError, fewest_sets, load_known, static_error
-from sysid.gap.thresholds import EXPLAINED
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, nominal_plant
 
@@ -141,20 +140,20 @@ WHOLE = model((SECOND_LAG, DEAD_TIME, SAG, BIAS), 30.0)
 
 
 def test_what_remains_within_a_tenth_needs_no_effect() -> None:
-    (found,) = fewest_sets(WHOLE, OFFERED, refit_of(LEFT), EXPLAINED)
+    (found,) = fewest_sets(WHOLE, OFFERED, refit_of(LEFT))
     assert names(found) == {"second_order_lag", "input_delay", "joint_compliance"}
 
 
 def test_the_effect_that_leaves_least_goes_first() -> None:
     """Each could go alone, both cannot."""
     left = {**LEFT, frozenset({"second_order_lag", "input_delay", "sensor_bias"}): 30.5}
-    found = fewest_sets(WHOLE, OFFERED, refit_of(left), EXPLAINED)
+    found = fewest_sets(WHOLE, OFFERED, refit_of(left))
     assert [names(f) & {"joint_compliance", "sensor_bias"} for f in found] == [{"sensor_bias"}, {"joint_compliance"}]
 
 
 def test_near_the_noise_floor_the_floor_counts() -> None:
     """Below the noise floor nothing has to be explained."""
-    (found,) = fewest_sets(model((SAG,), 0.2), OFFERED, lambda cs, _: model(cs, 1.05), EXPLAINED)
+    (found,) = fewest_sets(model((SAG,), 0.2), OFFERED, lambda cs, _: model(cs, 1.05))
     assert names(found) == set()
 
 
@@ -167,7 +166,7 @@ def test_sag_ties_with_a_bias_that_explains_as_much(bias: float, tied: bool) -> 
         [c.label for c in OFFERED],
         integrates=False,
         without=lambda f, c: refit([d for d in f.candidates if d is not c], f),
-        fewest=lambda f: fewest_sets(f, OFFERED, refit, EXPLAINED),
+        fewest=lambda f: fewest_sets(f, OFFERED, refit),
     )
     assert names(found.model) == {"second_order_lag", "input_delay", "joint_compliance"}
     assert (SAG in found.named) == (not tied)
@@ -187,7 +186,7 @@ def test_the_effects_that_are_worth_their_price_are_named() -> None:
         [c.label for c in OFFERED],
         integrates=False,
         without=lambda f, c: refit([d for d in f.candidates if d is not c], f),
-        fewest=lambda f: fewest_sets(f, OFFERED, refit, EXPLAINED),
+        fewest=lambda f: fewest_sets(f, OFFERED, refit),
     )
     assert set(found.named) == {SECOND_LAG, SAG}
     assert {near.candidate.effect.name: near.lacks for near in found.near_misses} == {"input_delay": Reason.LITTLE}
