@@ -91,7 +91,7 @@ def gap(
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.plausibility import checked
     from sysid.datasets import Store
-    from sysid.datasets.roles.needs import check_needs
+    from sysid.datasets.checks.roles import check_needs
     from sysid.errors import SettingsError
     from sysid.execution import open_executor
 

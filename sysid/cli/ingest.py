@@ -86,7 +86,7 @@ def ingest(
     from sysid.cli.gap_tables import entry
     from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
-    from sysid.datasets.plausibility import check_plausibility
+    from sysid.datasets.checks.run import check_plausibility
     from sysid.execution import open_executor
 
     apart = cluster is not None or workers > 1

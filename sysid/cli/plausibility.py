@@ -9,7 +9,7 @@ from sysid.cli.output import Printer
 
 if TYPE_CHECKING:
     from sysid.datasets import Dataset
-    from sysid.datasets.plausibility import Finding
+    from sysid.datasets.checks.finding import Finding
 
 #: The page that explains the findings.
 PAGE = "docs/guide/wrong-data.md"
@@ -20,9 +20,9 @@ def show_findings(out: Printer, findings: Sequence[Finding]) -> None:
 
     Axes that do not move in a role are left out: :func:`sysid.cli.roles.show_roles` lists all that a role lacks.
     """
-    from sysid.datasets.plausibility.check import STILL
+    from sysid.datasets.checks.roles import STILL
 
-    findings = [finding for finding in findings if not all(key.endswith(f":{STILL}") for key in finding.keys)]
+    findings = [finding for finding in findings if finding.kinds != {STILL}]
     if not findings:
         return
     severe = sum(finding.severity == "severe" for finding in findings)
@@ -45,7 +45,8 @@ def checked(out: Printer, dataset: Dataset, accept: Sequence[str]) -> None:
     Raises:
         InputError: severe findings that ``accept`` does not name, or a pattern without a finding.
     """
-    from sysid.datasets.plausibility import check_plausibility, not_accepted, refuse_severe
+    from sysid.datasets.checks.finding import not_accepted, refuse_severe
+    from sysid.datasets.checks.run import check_plausibility
 
     findings = check_plausibility(dataset)
     left = not_accepted(findings, accept)

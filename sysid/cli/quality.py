@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from sysid.datasets import Dataset
-    from sysid.datasets.quality import DatasetEvidence
+    from sysid.datasets.quality.evidence import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
 #: Largest number of listed flags; JSON has all.
@@ -22,8 +22,8 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
     from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
-    from sysid.datasets.plausibility import check_plausibility
-    from sysid.datasets.quality import evidence_of
+    from sysid.datasets.checks.run import check_plausibility
+    from sysid.datasets.quality.evidence import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
 

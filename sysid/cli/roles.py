@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from sysid.datasets import Dataset
-    from sysid.datasets.roles.needs import Lack
-    from sysid.datasets.roles.suggest import SplitSuggestion
+    from sysid.datasets.checks.roles import Lack
+    from sysid.datasets.split_suggestion import SplitSuggestion
 
 #: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
 MAX_LACKS = 6
@@ -26,7 +26,7 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
     """
     from dataclasses import asdict
 
-    from sysid.datasets.roles.needs import role_lacks, unmet_need
+    from sysid.datasets.checks.roles import role_lacks, unmet_need
 
     need = unmet_need(dataset)
     if need is not None:
@@ -47,8 +47,8 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
 def show_suggestion(location: str, reference: str, json_file: str | None) -> None:
     """Present and suggested roles side by side, and the command or the lines of the recipe that apply the suggestion."""
     from sysid.datasets import Store
-    from sysid.datasets.roles.needs import unmet_need
-    from sysid.datasets.roles.suggest import recipe_splits, suggest_split
+    from sysid.datasets.checks.roles import unmet_need
+    from sysid.datasets.split_suggestion import recipe_splits, suggest_split
 
     out = Printer(json_file)
     store = Store(location)
@@ -88,7 +88,7 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
 
 def _show_motion(out: Printer, found: SplitSuggestion) -> None:
     """Seconds of motion per direction, and reversals, of every axis in each role."""
-    from sysid.datasets.roles.needs import ROLE_NAMES, ROLES
+    from sysid.datasets.checks.roles import ROLE_NAMES, ROLES
 
     rows: list[tuple[str, ...]] = []
     for axis in found.before["fit"]:
@@ -106,7 +106,7 @@ def _show_motion(out: Printer, found: SplitSuggestion) -> None:
 
 
 def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
-    from sysid.datasets.roles.needs import ROLE_NAMES
+    from sysid.datasets.checks.roles import ROLE_NAMES
 
     changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
     if changed:

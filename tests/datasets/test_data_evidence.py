@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.datasets import ingest
-from sysid.datasets.quality import evidence_of
+from sysid.datasets.quality.evidence import evidence_of
 from sysid.datasets.quality.noise import noise_of, table_noise
 from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, turning_points, use_of
 from sysid.datasets.recording import Dataset, Kind, Recording

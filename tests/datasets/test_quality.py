@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.datasets.quality import noise_of
+from sysid.datasets.quality.noise import noise_of
 
 
 @given(sigma=st.floats(1e-6, 1e-2), seed=st.integers(0, 1000))

@@ -14,10 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Dataset, Recording, ingest
-from sysid.datasets.quality.use import turning_points, turning_rows
-from sysid.datasets.recipe import Splits
-from sysid.datasets.roles.motion import motion_table
-from sysid.datasets.roles.needs import (
+from sysid.datasets.checks.roles import (
     NEEDED,
     ROLES,
     RoleNeeds,
@@ -28,7 +25,10 @@ from sysid.datasets.roles.needs import (
     role_lacks,
     unmet_need,
 )
-from sysid.datasets.roles.suggest import recipe_splits, suggest_split
+from sysid.datasets.quality.motion import motion_table
+from sysid.datasets.quality.use import turning_points, turning_rows
+from sysid.datasets.recipe import Splits
+from sysid.datasets.split_suggestion import recipe_splits, suggest_split
 from sysid.datasets.splits import split
 from sysid.effects import CATALOGUE
 from sysid.errors import ExcitationError
@@ -298,7 +298,7 @@ def test_the_recordings_of_an_arm_as_one_dataset(shared_data: Path, datasets_fol
 
 def test_the_local_search_finds_nearly_every_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     """With few recordings, where all assignments can be compared; random motion, in about half of the recordings of an axis."""
-    from sysid.datasets.roles import assign
+    from sysid.datasets import split_assignment as assign
 
     rng = np.random.default_rng(0)
     same = 0

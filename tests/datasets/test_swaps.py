@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.datasets.plausibility.check import findings_of
-from sysid.datasets.plausibility.response import correlation, strengths
+from sysid.datasets.checks.run import findings_of
+from sysid.datasets.quality.responses import correlation, strengths
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine, machine_from_files
 
@@ -52,7 +52,7 @@ def test_two_or_three_exchanged_columns_are_named_among_others(order: list[int],
 
 
 def test_more_axes_than_are_compared_are_said(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.datasets.plausibility.axes.MOST", 3)
+    monkeypatch.setattr("sysid.datasets.checks.columns.MOST", 3)
     found = findings_of([recording([1, 2, 3, 4, 0], rng)], machine(5), {})
     notices = [finding for finding in found if finding.keys == ("machine:exchanged",)]
     assert [finding.severity for finding in notices] == ["notice"]

@@ -1,4 +1,4 @@
-"""What fit, selection and test recordings each need, and what they lack.
+"""Checks of the roles: what fit, selection and test recordings each need, and what they lack.
 
 The motion that a role needs is what the catalogue of effects needs (:class:`sysid.effects.Need`): the fit the whole amount,
 selection and test half of it, as they are half as long. Where the recordings contain less, a role needs half of its share of
@@ -20,16 +20,16 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import counted
+from sysid.datasets.checks.figures import Examined
+from sysid.datasets.checks.finding import Evidence, Finding
+from sysid.datasets.chunked import Array, counted
+from sysid.datasets.quality.motion import FEATURES, MotionTable, motion_table
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.motion import FEATURES, MotionTable, motion_table
 from sysid.errors import ExcitationError
 from sysid.machine import Machine
 from sysid.names import listed
 from sysid.signals import axis_signal, point_signals
-
-Array = npt.NDArray[np.float64]
 
 ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 #: Share of the whole duration for each role.
@@ -260,6 +260,25 @@ def role_lacks(dataset: Dataset) -> tuple[Lack, ...]:
     """What the roles of ``dataset`` lack."""
     table = motion_table(dataset.of_kind("motion"), dataset.machine)
     return lacks_of(role_amounts(table, dataset.splits), table.axes, dataset.machine)
+
+
+#: Kind of the findings about axes that do not move, the end of their keys.
+STILL = "still"
+
+
+def check_roles(data: Examined) -> Iterator[Finding]:
+    """A notice for the axes that do not move in one of the roles, or in no recording; the rest is :func:`role_lacks`.
+
+    Nothing is said where the stamps, or the ranges of all of these axes, are implausible themselves.
+    """
+    motion = [recording for recording in data.motion if recording.name in data.splits]
+    if not motion or data.time_scale != 1.0:
+        return
+    table = motion_table(motion, data.machine)
+    for lack in lacks_of(role_amounts(table, data.splits), table.axes, data.machine):
+        if lack.kind == "motion" and not data.doubtful.issuperset(lack.axes):
+            keys = tuple(f"{axis}:{STILL}" for axis in lack.axes)
+            yield Finding(keys, "notice", (Evidence(lack.text, "motion in the fit, selection and test recordings"),))
 
 
 def role_amounts(table: MotionTable, splits: Mapping[str, Role]) -> Array:

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.checks.roles import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
 from sysid.datasets.recording import Role
-from sysid.datasets.roles.needs import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
 
 Array = npt.NDArray[np.float64]
 Choice = npt.NDArray[np.int64]

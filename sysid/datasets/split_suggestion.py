@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import parse_settings, toml_values
+from sysid.datasets.checks.roles import ROLES, Lack, lacks_of, role_amounts
 from sysid.datasets.quality.evidence import repeats_of
+from sysid.datasets.quality.motion import AxisMotion, motion_table
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.motion import AxisMotion, motion_table
-from sysid.datasets.roles.needs import ROLES, Lack, lacks_of, role_amounts
 from sysid.datasets.splits import Measured, SplitBlock, assignment_of, block_pattern, can_be_cut
 from sysid.names import uncut_name
 from sysid.quoting import toml_key, toml_value
