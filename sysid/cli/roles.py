@@ -64,12 +64,13 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
     if need is not None and not found.better:
         out.line(f"note: {need.text}")
     elif not found.better:
-        out.line("No other roles give the axes more motion where it is missing." if found.lacks else "No role lacks motion.")
+        lacking = "No other roles give the axes more motion where it is missing."
+        out.line(lacking if found.suggested.lacks else "No role lacks motion.")
     elif found.cut:
         out.line(f"{_some(found.cut)}: cut into a block for each role, so that each contains its motion.")
-    _show_lacks(out, "with the present roles", found.present_lacks if found.better else ())
+    _show_lacks(out, "with the present roles", found.present.lacks if found.better else ())
     if need is None or found.better:
-        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.lacks, record=True)
+        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.suggested.lacks, record=True)
     for test, other in found.repeats:
         out.line(
             f"{test} (test) has the same commands as {other}: its error shows repeatability, not accuracy on other motion."
@@ -90,19 +91,19 @@ def _show_motion(out: Printer, found: SplitSuggestion) -> None:
     """Seconds of motion per direction, and reversals, of every axis in each role."""
     from sysid.datasets.checks.roles import ROLE_NAMES, ROLES
 
+    shown = {"now": found.present, **({"suggested": found.suggested} if found.better else {})}
     rows: list[tuple[str, ...]] = []
-    for axis in found.before["fit"]:
+    for axis in found.present.motion["fit"]:
         for number, role in enumerate(ROLES):
             cells = [axis if number == 0 else "", ROLE_NAMES[role]]
-            for by_role in (found.before, found.after) if found.better else (found.before,):
-                motion = by_role[role][axis]
+            for one in shown.values():
+                motion = one.motion[role][axis]
                 cells += [f"{motion.backward_s:.1f} / {motion.forward_s:.1f}", f"{motion.reversals:.0f}"]
             rows.append(tuple(cells))
-    suggested = ("suggested s − / +", "reversals") if found.better else ()
-    out.table(("axis", "role", "now s − / +", "reversals", *suggested), rows, right=range(2, 6))
-    lengths_of = {"now": found.present_s, **({"suggested": found.suggested_s} if found.better else {})}
-    for title, lengths in lengths_of.items():
-        out.line(f"{title}: {', '.join(f'{ROLE_NAMES[role]} {lengths[role]:.0f} s' for role in ROLES)}")
+    columns = [column for title in shown for column in (f"{title} s − / +", "reversals")]
+    out.table(("axis", "role", *columns), rows, right=range(2, 6))
+    for title, one in shown.items():
+        out.line(f"{title}: {', '.join(f'{ROLE_NAMES[role]} {one.seconds[role]:.0f} s' for role in ROLES)}")
 
 
 def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
@@ -111,8 +112,8 @@ def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
     changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
     if changed:
         rows = [
-            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present[name]], changed[name])
-            for name in found.present
+            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
+            for name in found.present.roles
             if name in changed
         ]
         out.table(("recording", "length", "now", "suggested"), rows, right=(1,))

@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 
 from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
-from sysid.datasets.checks.flag import KINDS, MAX_FLAGS, Flag, SignalSamples, dropouts, jitter, repaired_stamps
-from sysid.datasets.checks.run import CHANNEL_CHECKS, SENSOR_CHECKS
+from sysid.datasets.checks.flag import MAX_FLAGS, Flag, SignalSamples, dropouts, jitter, repaired_stamps
+from sysid.datasets.checks.run import CHANNEL_CHECKS, KINDS, SENSOR_CHECKS
 from sysid.datasets.checks.sensors import (
     SPIKE_SAMPLES,
     jumps,

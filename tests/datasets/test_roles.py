@@ -201,12 +201,12 @@ def test_a_suggestion_keeps_what_the_recipe_names(lift: Machine) -> None:
     present = dict(zip("abcdef", ("fit", "fit", "fit", "select", "select", "held_out"), strict=True))
     dataset = Dataset.of(lift, runs, present)  # type: ignore[arg-type]
     free = suggest_split(dataset)
-    assert {lack.kind for lack in free.present_lacks} == {"motion"}
+    assert {lack.kind for lack in free.present.lacks} == {"motion"}
     assert free.better
     bound = suggest_split(dataset, [recipe_splits('[splits]\nheld_out = ["f"]\n', "recipe")])
     assert bound.named == ("f",)
-    assert bound.roles["f"] == "held_out"
-    assert {bound.roles[name] for name in "ab"} == {"fit", "select"}, "the stick moves in both open roles"
+    assert bound.suggested.roles["f"] == "held_out"
+    assert {bound.suggested.roles[name] for name in "ab"} == {"fit", "select"}, "the stick moves in both open roles"
 
 
 def test_a_suggestion_may_cut_recordings(lift: Machine) -> None:
@@ -219,7 +219,7 @@ def test_a_suggestion_may_cut_recordings(lift: Machine) -> None:
     found = suggest_split(dataset)
     assert {"boom", "stick"} <= set(found.cut)
     assert found.command("ws") == "", "stored tables are not cut"
-    assert found.after["held_out"]["stick"].forward_s > 1.5
+    assert found.suggested.motion["held_out"]["stick"].forward_s > 1.5
     parts, roles = split(runs, recipe_splits(found.recipe, "recipe"), "recipe", lift)
     assert lacking(parts, roles, lift) == set(), "the lines do what the suggestion says"
 

@@ -13,7 +13,7 @@ import numpy as np
 from sysid.datasets.checks.figures import AxisFigures, Examined
 from sysid.datasets.checks.finding import Cause, Evidence, Finding, exchanged_columns, interval, value
 from sysid.datasets.checks.measures import cost_of
-from sysid.datasets.chunked import Array, Mask, copied, known, masked, stretches
+from sysid.datasets.chunked import Array, Mask, copied, known, longest_run, masked, stretches
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.responses import Motion, changes, correlation, motion_of, strengths
 from sysid.datasets.recording import Recording
@@ -157,6 +157,51 @@ def _exchanged(exchange: Exchange, figures: Mapping[str, AxisFigures], measured:
     )
     named = tuple(exchanged_columns(*(figures[axis].signal(cause) for axis in exchange.follows)) for cause in causes)
     return Finding(tuple(f"{signal}:exchanged" for signal in signals.values()), "severe", evidence, named)
+
+
+@dataclass(frozen=True)
+class RecordingTable:
+    """One recording, as the checks look at it whose texts are stored with it.
+
+    Args:
+        moving: commanded axis → where it is commanded, (n,); empty for static poses.
+    """
+
+    recording: Recording
+    machine: Machine
+    moving: Mapping[str, Mask]
+
+
+#: A sensor that repeats one value for this long while its axis is commanded may be stuck [s].
+STUCK_S = 2.0
+
+
+def empty_columns(table: RecordingTable) -> Iterator[str]:
+    """Columns without a value."""
+    for signal in table.recording.signals:
+        if np.isnan(table.recording.values(signal)).all():
+            yield f"{signal}: {'constant in no pose' if table.recording.kind == 'poses' else 'nothing was measured'}"
+
+
+def axis_columns(table: RecordingTable) -> Iterator[str]:
+    """Positions that repeat one value while the axis is commanded, or lie outside its range."""
+    for name, moving in table.moving.items():
+        driven, ends = table.machine.axis(name).driven, table.machine.axis(name).range
+        values = table.recording.values(driven)
+        there = known(values)
+        if not len(there):
+            continue
+        frozen = np.zeros(len(values), dtype=bool)
+        frozen[1:] = (values[1:] == values[:-1]) & moving[1:] & moving[:-1]
+        stuck = longest_run(frozen) / table.recording.rate_hz
+        if stuck > STUCK_S:
+            yield f"{driven}: one value for {stuck:.1f} s while {name} is commanded: stuck sensor, or too small a command"
+        if np.isfinite(ends).all():
+            margin = 1e-3 * (ends[1] - ends[0])
+            beyond = (there < ends[0] - margin) | (there > ends[1] + margin)
+            if beyond.any():
+                share = f"{100 * beyond.mean():.1f} %"
+                yield f"{driven}: {share} of the samples are outside [{ends[0]:g}, {ends[1]:g}]: offset or unit?"
 
 
 #: Least time with a command in which a working sensor shows motion [s], and what counts as a command (share of the largest).

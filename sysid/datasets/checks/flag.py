@@ -15,7 +15,6 @@ from sysid.machine import Machine
 from sysid.scratch import chosen
 from sysid.signals import split_signal
 
-KINDS = ("sentinel", "outlier", "jump", "marker_swap", "stuck", "saturation", "dropout", "jitter", "stamps")
 #: More flags of one kind in one signal are merged into one.
 MAX_FLAGS = 20
 
@@ -25,7 +24,7 @@ class Flag:
     """Samples of ``signal`` with a fault; they stay in the table, unless ``kind`` is ``marker_swap``.
 
     Args:
-        kind: one of :data:`KINDS`.
+        kind: one of :data:`sysid.datasets.checks.run.KINDS`.
         from_s, to_s: first and last of these samples [s], on the clock of the given times.
         samples: their number (of a dropout: of missing samples).
         text: one sentence with the figures.

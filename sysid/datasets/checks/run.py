@@ -1,4 +1,5 @@
-"""The list of all checks, and what runs them: those of a channel at ingest, and those of a dataset whenever it is asked for.
+"""The list of all checks, and what runs them: those of a channel and of a recording at ingest, whose flags and texts are
+stored, and those of a dataset whenever it is asked for.
 
 Checks of a dataset compare what is known twice: positions with stroke and limits, speeds with ``gain``, cylinders with joints,
 joints with the end effector, commands with the motion that follows, stamps with ``rate_hz``. They are computed from the tables
@@ -17,7 +18,7 @@ from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.checks import axes, columns, flag, points, roles, sensors, streams
 from sysid.datasets.checks.figures import Examined
 from sysid.datasets.checks.finding import Finding
-from sysid.datasets.checks.flag import KINDS, Flag, SignalSamples, ends_of
+from sysid.datasets.checks.flag import Flag, SignalSamples, ends_of
 from sysid.datasets.chunked import Array, Mask, copied, known, masked, median, median_step
 from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.recipe import IngestRecipe
@@ -38,7 +39,7 @@ class Check(Generic[Subject, Statement]):
 
     Args:
         compares: what with what.
-        kinds: of its flags; of its findings the ends of their keys.
+        kinds: of its flags; of its findings the ends of their keys; none where it returns texts.
         find: what it says; a finding names the cause and what to change.
     """
 
@@ -47,8 +48,10 @@ class Check(Generic[Subject, Statement]):
     find: Callable[[Subject], Iterable[Statement]]
 
 
-#: Of a channel with a measured signal. Of the others, ``sentinel`` and ``stamps`` are found in the rows of the file, and
-#: ``marker_swap`` in the frames of rigid bodies.
+#: Kinds of flags, in the order in which they are stored. ``sentinel`` and ``stamps`` are found in the rows of the file, and
+#: ``marker_swap`` in the frames of rigid bodies; the rest by the checks of a channel.
+KINDS = ("sentinel", "outlier", "jump", "marker_swap", "stuck", "saturation", "dropout", "jitter", "stamps")
+#: Of a channel with a measured signal.
 SENSOR_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
     Check("a few samples with those around", ("outlier",), sensors.outliers),
     Check("a step with those around", ("jump",), sensors.jumps),
@@ -58,6 +61,11 @@ SENSOR_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
 CHANNEL_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
     Check("intervals with the longest that is bridged", ("dropout",), flag.dropouts),
     Check("intervals with their median", ("jitter",), flag.jitter),
+)
+#: Of the table of a recording.
+RECORDING_CHECKS: tuple[Check[columns.RecordingTable, str], ...] = (
+    Check("columns with no value", (), columns.empty_columns),
+    Check("positions with the commands and the range of the axis", (), columns.axis_columns),
 )
 _OF_AXIS = ("range", "response", "sign", "linkage", "description")
 #: Of a dataset, in the order in which they run: what one finds, those below take into account.
@@ -99,6 +107,11 @@ def findings_of(
     data = Examined(recordings, machine, splits, streams or {}, units or {}, flags)
     found = [finding for check in DATASET_CHECKS for finding in check.find(data)]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))
+
+
+def recording_flags(table: columns.RecordingTable) -> list[str]:
+    """Possible faults in the table of a recording, as texts."""
+    return [text for check in RECORDING_CHECKS for text in check.find(table)]
 
 
 #: Shares of the largest command above which an axis is commanded, and above which it moves with certainty.

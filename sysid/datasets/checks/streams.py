@@ -11,7 +11,7 @@ import numpy as np
 from sysid.datasets.checks.figures import Examined
 from sysid.datasets.checks.finding import MOST, Cause, Evidence, Finding, factor_text, plain
 from sysid.datasets.checks.mistakes import TIME, UnitMistake
-from sysid.datasets.quality.describe import SampleCounts, stored_counts, together
+from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts, together
 from sysid.datasets.recording import Recording
 from sysid.names import listed, uncut_name
 from sysid.signals import split_signal

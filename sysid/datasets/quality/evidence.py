@@ -10,10 +10,9 @@ from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
-from sysid.datasets.chunked import known
+from sysid.datasets.chunked import Array, known
 from sysid.datasets.quality import coverage, use
 from sysid.datasets.quality.coverage import PairMap, Rest, Span, noise_at_rest, pair_maps, postures, rests_of, spans_of
 from sysid.datasets.quality.noise import noise_of
@@ -21,8 +20,6 @@ from sysid.datasets.quality.use import SLOPE_S, AxisUse, Scale, pairs_together, 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.scratch import pieces
 from sysid.signals import axis_signal, split_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Two recordings have the same commands if these, shifted, differ by less than this share (RMS) over at least this share of the
 #: shorter one. Edges with an offset of one sample contribute a tenth.
