@@ -89,7 +89,7 @@ def gap(
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.cli.plausibility import checked
+    from sysid.cli.checks import checked
     from sysid.datasets import Store
     from sysid.datasets.checks.roles import check_needs
     from sysid.errors import SettingsError

@@ -1,47 +1,16 @@
-"""Roles of recordings on the console: what `sysid gap` will need, what a role lacks, and suggested roles."""
+"""Suggested roles of recordings on the console."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, command, write_json
+from sysid.cli.output import Printer, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import Any
 
-    from sysid.datasets import Dataset
     from sysid.datasets.checks.roles import Lack
     from sysid.datasets.split_suggestion import SplitSuggestion
-
-#: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
-MAX_LACKS = 6
-
-
-def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = True) -> dict[str, Any]:
-    """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values.
-
-    Args:
-        needs: print the need; else only what the roles lack.
-    """
-    from dataclasses import asdict
-
-    from sysid.datasets.checks.roles import role_lacks, unmet_need
-
-    need = unmet_need(dataset)
-    if need is not None:
-        if needs:
-            out.line(f"note: {need.text}")
-        return {"needs": asdict(need), "lacks": []}
-    lacks = role_lacks(dataset)
-    for lack in lacks[:MAX_LACKS]:
-        out.line(f"note: {lack.text}")
-    if len(lacks) > MAX_LACKS:
-        out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
-    if lacks:
-        suggest = command("datasets", "split", dataset.reference, "--suggest", workspace=location)
-        out.line(f"Roles and what to record: {suggest}")
-    return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
 
 
 def show_suggestion(location: str, reference: str, json_file: str | None) -> None:

@@ -25,7 +25,7 @@ from sysid.datasets.checks.roles import (
     role_lacks,
     unmet_need,
 )
-from sysid.datasets.quality.motion import motion_table
+from sysid.datasets.quality.motion import by_axis, motion_table
 from sysid.datasets.quality.use import turning_points, turning_rows
 from sysid.datasets.recipe import Splits
 from sysid.datasets.split_suggestion import recipe_splits, suggest_split
@@ -52,7 +52,8 @@ def lacking(parts: tuple[Recording, ...], roles: dict[str, str], about: Machine)
 
 def test_motion_is_counted_by_direction(lift: Machine) -> None:
     found = motion_table([recording("a", 20.0, AXES, ("boom",)), recording("b", 20.0, AXES, AXES)], lift)
-    boom, stick = found.axis_motion(["a"])["boom"], found.axis_motion(["a"])["stick"]
+    motion = by_axis(found.of(["a"]), found.axes)
+    boom, stick = motion["boom"], motion["stick"]
     assert boom.forward_s == pytest.approx(8.0, abs=0.8), "four of ten seconds up, twice"
     assert boom.backward_s == pytest.approx(8.0, abs=0.8)
     assert (boom.small_forward_s, boom.large_forward_s) == pytest.approx((4.0, 4.0), abs=0.3)
@@ -75,8 +76,9 @@ def test_a_servo_that_is_pushed_does_not_move(tmp_path: Path) -> None:
     found = motion_table(
         [Recording("a", pd.DataFrame({**columns, "pushed.joint": 1.0 + sag}), RATE)], load_machine(tmp_path / "machine.toml")
     )
-    assert found.axis_motion(["a"])["driven"].forward_s > 8.0
-    assert found.axis_motion(["a"])["pushed"].forward_s == 0.0
+    motion = by_axis(found.of(["a"]), found.axes)
+    assert motion["driven"].forward_s > 8.0
+    assert motion["pushed"].forward_s == 0.0
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60), st.floats(0.01, 1.0))

@@ -2,6 +2,6 @@
 
 :mod:`~sysid.datasets.checks.run` lists all of them. A check of a channel looks at its samples
 (:class:`~sysid.datasets.checks.flag.SignalSamples`) and returns flags, which are stored. A check of a dataset looks at its
-tables and figures (:class:`~sysid.datasets.checks.figures.Examined`) and returns findings
+tables and figures (:class:`~sysid.datasets.checks.figures.CheckContext`) and returns findings
 (:class:`~sysid.datasets.checks.finding.Finding`): what was found, what was expected, the likely cause and its remedy.
 """

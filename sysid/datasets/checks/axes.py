@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.datasets.checks.figures import AxisFigures, Examined
+from sysid.datasets.checks.figures import AxisFigures, CheckContext
 from sysid.datasets.checks.finding import Cause, Evidence, Finding, Severity, value
 from sysid.datasets.checks.measures import LEAST_STRENGTH, Measure, measures_of
 from sysid.datasets.checks.mistakes import Explanation, explanations_of
@@ -24,7 +24,7 @@ OF_FILES = ("command", "driven", "joint")
 COMMANDED = 0.3
 
 
-def check_gains(data: Examined) -> Iterator[Finding]:
+def check_gains(data: CheckContext) -> Iterator[Finding]:
     """The speed at full command of a valve axis against a ``gain`` that nobody states: expected is that of most recordings."""
     for name, whole in data.figures.items():
         axis, response = whole.axis, whole.response
@@ -56,7 +56,7 @@ class AxisFinding:
     explanations: tuple[Explanation, ...]
 
 
-def check_axes(data: Examined) -> list[Finding]:
+def check_axes(data: CheckContext) -> list[Finding]:
     """Command range, positions, response, linkage, and sizes in the description, over all recordings."""
     single = [finding for figures in data.clear if (finding := _axis_finding(figures)) is not None]
     for finding in single:
@@ -70,7 +70,7 @@ def check_axes(data: Examined) -> list[Finding]:
     return _merged(single)
 
 
-def check_recordings(data: Examined) -> Iterator[Finding]:
+def check_recordings(data: CheckContext) -> Iterator[Finding]:
     """A severe finding for each mistake that explains the figures of some recordings of motion, but not of all.
 
     Only of axes that are plausible over all recordings.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.datasets.checks.figures import AxisFigures, Examined
+from sysid.datasets.checks.figures import AxisFigures, CheckContext
 from sysid.datasets.checks.finding import Cause, Evidence, Finding, exchanged_columns, interval, value
 from sysid.datasets.checks.measures import cost_of
 from sysid.datasets.chunked import Array, Mask, copied, known, longest_run, masked, stretches
@@ -23,7 +23,7 @@ from sysid.scratch import computed
 from sysid.signals import axis_signal, split_signal
 
 
-def check_wraps(data: Examined) -> Iterator[Finding]:
+def check_wraps(data: CheckContext) -> Iterator[Finding]:
     """Positions that wrap: their steps are no motion, so that nothing else about these axes is checked."""
     found: dict[str, Finding] = {}
     recorded = {signal for recording in data.recordings for signal in recording.signals}
@@ -71,7 +71,7 @@ OWN, OTHER = 0.4, 0.65
 #: Difference of the costs of ranges that decides which of commands and measurements are exchanged [nats].
 DECIDED = 4.0
 #: Axes without a response of their own, up to which each is compared with every other.
-MOST = 500
+MOST_COMPARED = 500
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Exchange:
     too_many: int = 0
 
 
-def check_exchanges(data: Examined) -> Iterator[Finding]:
+def check_exchanges(data: CheckContext) -> Iterator[Finding]:
     """The motion of each axis against the commands of all: two follow each other's command and not their own."""
     figures = {each.axis.name: each for each in data.clear}
     driven = _exchange(data, [f.axis for f in figures.values()], "driven")
@@ -103,11 +103,11 @@ def check_exchanges(data: Examined) -> Iterator[Finding]:
     data.unclear |= data.exchanged
     if too_many := max(driven.too_many, joints.too_many):
         found = f"{too_many} axes do not follow their own command"
-        evidence = Evidence(found, f"at most {MOST} to search for exchanged columns")
+        evidence = Evidence(found, f"at most {MOST_COMPARED} to search for exchanged columns")
         yield Finding(("machine:exchanged",), "notice", (evidence,))
 
 
-def _exchange(data: Examined, axes: Sequence[Axis], quantity: str) -> Exchange:
+def _exchange(data: CheckContext, axes: Sequence[Axis], quantity: str) -> Exchange:
     from scipy.optimize import linear_sum_assignment
 
     follows: dict[str, str] = {}
@@ -121,7 +121,7 @@ def _exchange(data: Examined, axes: Sequence[Axis], quantity: str) -> Exchange:
             moved = motion.speed if actuation == "velocity" else motion.place
             if changes(motion.command) and changes(moved) and abs(correlation(motion.command, moved, motion.delays)) < OWN:
                 suspects.append((axis.name, motion, moved))
-        if len(suspects) > MOST:
+        if len(suspects) > MOST_COMPARED:
             return Exchange({}, len(suspects))
         if len(suspects) < 2:
             continue
@@ -212,7 +212,7 @@ NOISE_SHARE = 0.1
 NOISE_ROWS, COMMAND_ROWS = 2**15, 2**18
 
 
-def check_columns(data: Examined) -> Iterator[Finding]:
+def check_columns(data: CheckContext) -> Iterator[Finding]:
     """Columns without a value; constant or with nothing but noise, although the axis is commanded."""
     present = [signal for signal in data.machine.signals if any(signal in recording.signals for recording in data.recordings)]
     for signal in present:
@@ -278,7 +278,7 @@ class EndStop:
     visits: int
 
 
-def check_end_stops(data: Examined) -> Iterator[Finding]:
+def check_end_stops(data: CheckContext) -> Iterator[Finding]:
     """A notice for each valve axis that stops inside its stroke or limits although it is commanded further."""
     for axis in data.machine.axes:
         low, high = axis.range

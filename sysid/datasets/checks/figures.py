@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid.datasets.chunked import Array, known
 from sysid.datasets.quality.responses import Response, motion_of, response_of
-from sysid.datasets.recording import Recording, Role
+from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis, Machine, TriangleLinkage
 from sysid.machine.rigid_body import moves_masses
 from sysid.names import uncut_name
@@ -27,7 +27,7 @@ ENDS = (0.002, 0.998)
 
 
 @dataclass(frozen=True)
-class Span:
+class SignalRange:
     """Range of a signal [SI], without the outermost 0.2 % of the samples at either end; ``rest``: its commonest value."""
 
     low: float
@@ -35,7 +35,7 @@ class Span:
     rest: float
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], signal: str) -> Span | None:
+    def of(cls, recordings: Sequence[Recording], signal: str) -> SignalRange | None:
         """Of a signal over recordings; None where it was not measured."""
         parts = [known(thinned(r.values(signal))) for r in recordings if signal in r.signals]
         values = np.concatenate(parts) if parts else np.empty(0)
@@ -53,9 +53,9 @@ class Span:
     def peak(self) -> float:
         return max(abs(self.low), abs(self.high))
 
-    def divided(self, factor: float) -> Span:
+    def divided(self, factor: float) -> SignalRange:
         low, high = sorted((self.low / factor, self.high / factor))
-        return Span(low, high, self.rest / factor)
+        return SignalRange(low, high, self.rest / factor)
 
 
 def thinned(values: Array, most: int = MAX_SAMPLES) -> Array:
@@ -108,9 +108,9 @@ class AxisFigures:
 
     axis: Axis
     unit: str | None
-    command: Span | None
-    driven: Span | None
-    joint: Span | None
+    command: SignalRange | None
+    driven: SignalRange | None
+    joint: SignalRange | None
     ends: tuple[float, float] | None
     joint_ends: tuple[float, float] | None
     response: Response | None
@@ -151,7 +151,7 @@ class AxisFigures:
             ends: tuple[float, float] | None = getattr(self, quantity)
             changed[quantity] = ends and (ends[0] / factor, ends[1] / factor)
         else:
-            span: Span | None = getattr(self, quantity)
+            span: SignalRange | None = getattr(self, quantity)
             changed[quantity] = span and span.divided(factor)
             column = {"driven": "cylinder", "joint": "joint"}.get(quantity)
             if self.pairs is not None and column is not None:
@@ -168,13 +168,10 @@ class AxisFigures:
 
 
 @dataclass
-class Examined:
+class CheckContext:
     """A dataset while it is checked: what every check looks at, and what earlier checks leave to later ones.
 
     Args:
-        streams: recording → stream → figures of its raw samples (``quality["streams"]`` of a dataset): rate, counts.
-        units: signal → SI unit that the logs or the recipe state, for joints of a machine without a URDF.
-        flags: ``quality["flags"]`` of a dataset.
         time_scale: stamps / true time, where their unit is known to be wrong.
         rate_ratio: sample rate of the streams / rate of the grid, where the stamps are plausible.
         usual_gains: axis whose ``gain`` nobody states → that of most of its recordings.
@@ -184,12 +181,7 @@ class Examined:
         corrections: axis → factor by which its joint is too large, where that is the likeliest cause.
     """
 
-    recordings: Sequence[Recording]
-    machine: Machine
-    splits: Mapping[str, Role]
-    streams: Mapping[str, Mapping[str, Mapping[str, Any]]]
-    units: Mapping[str, str]
-    flags: Sequence[Mapping[str, Any]]
+    dataset: Dataset
     time_scale: float = 1.0
     rate_ratio: float | None = None
     usual_gains: dict[str, float] = field(default_factory=dict)
@@ -198,9 +190,23 @@ class Examined:
     doubtful: set[str] = field(default_factory=set)
     corrections: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def recordings(self) -> Sequence[Recording]:
+        return self.dataset.recordings
+
+    @property
+    def machine(self) -> Machine:
+        return self.dataset.machine
+
+    @property
+    def streams(self) -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
+        """Recording → stream → figures of its raw samples: rate, counts."""
+        found: Mapping[str, Mapping[str, Mapping[str, Any]]] = self.dataset.quality.get("streams", {})
+        return found
+
     @functools.cached_property
-    def motion(self) -> list[Recording]:
-        return [recording for recording in self.recordings if recording.kind == "motion"]
+    def motion(self) -> tuple[Recording, ...]:
+        return self.dataset.of_kind("motion")
 
     @functools.cached_property
     def by_recording(self) -> dict[str, list[Recording]]:
@@ -229,10 +235,10 @@ class Examined:
         pushed = axis.actuation == "force" and moves_masses(self.machine)
         return AxisFigures(
             axis=axis,
-            unit=self.machine.expected_unit(joint) or {"rad": "rad", "m": "m"}.get(self.units.get(joint, "")),
-            command=Span.of(motion, axis_signal(axis.name, "command")),
-            driven=Span.of(recordings, axis.driven),
-            joint=None if own else Span.of(recordings, joint),
+            unit=self.machine.expected_unit(joint) or {"rad": "rad", "m": "m"}.get(self.dataset.units.get(joint, "")),
+            command=SignalRange.of(motion, axis_signal(axis.name, "command")),
+            driven=SignalRange.of(recordings, axis.driven),
+            joint=None if own else SignalRange.of(recordings, joint),
             ends=axis.limits if own else axis.stroke,
             joint_ends=None if own else axis.limits,
             response=None if pushed else response_of(motion_of(motion, axis, axis.driven, self.time_scale), axis),

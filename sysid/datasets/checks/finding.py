@@ -13,7 +13,7 @@ from sysid.names import listed
 #: ``severe``: certain to be wrong, `sysid gap` does not run. ``notice``: unusual; it may be right.
 Severity = Literal["severe", "notice"]
 #: Most names in a sentence; the others are counted.
-MOST = 4
+MOST_NAMES = 4
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Cause:
         axis, several = self.about.endswith("axis"), len(self.subjects) > 1
         plural = several or " and " in self.about or (self.about.endswith("s") and not axis)
         about = f"{self.about[:-4]}axes" if several and axis else self.about
-        words = (about, listed(self.subjects, MOST), "are" if plural else "is", self.says)
+        words = (about, listed(self.subjects, MOST_NAMES), "are" if plural else "is", self.says)
         return " ".join(word for word in words if word)
 
     def joined(self, other: Cause) -> Cause:
@@ -93,7 +93,7 @@ class Finding:
         """The finding without its keys: evidence, recordings, causes."""
         lines = [evidence.text for evidence in self.evidence]
         if self.recordings:
-            lines.append(f"in {listed(self.recordings, MOST)}")
+            lines.append(f"in {listed(self.recordings, MOST_NAMES)}")
         for number, cause in enumerate(self.causes):
             lines.append(f"{'or' if number else 'likely cause'}: {cause.text}{f'. {cause.remedy}' if cause.remedy else ''}")
         return tuple(lines)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.checks.figures import AxisFigures, Span
+from sysid.datasets.checks.figures import AxisFigures, SignalRange
 from sysid.datasets.checks.finding import Evidence, interval, plain, ratio_text, value
 from sysid.datasets.quality.responses import Response
 
@@ -100,7 +100,7 @@ def cost_of(figures: AxisFigures) -> float:
     return sum(measure.cost for measure in measures_of(figures))
 
 
-def _full_scale(figures: AxisFigures, span: Span) -> Measure:
+def _full_scale(figures: AxisFigures, span: SignalRange) -> Measure:
     """Commands of a valve against ±1."""
     size, usual = math.log(span.peak), _log(0.1, 1.05)
 
@@ -152,7 +152,7 @@ def _response_evidence(figures: AxisFigures, response: Response) -> Evidence:
 
 
 def _reach(
-    figures: AxisFigures, quantity: str, span: Span, ends: Limits, notice: float = 0.1, severe: float = 0.75
+    figures: AxisFigures, quantity: str, span: SignalRange, ends: Limits, notice: float = 0.1, severe: float = 0.75
 ) -> Iterator[Measure]:
     """Positions against stroke or limits, and the share of them that is used."""
     width = ends[1] - ends[0]

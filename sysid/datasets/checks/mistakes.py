@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.datasets.checks.figures import AxisFigures, Span
+from sysid.datasets.checks.figures import AxisFigures, SignalRange
 from sysid.datasets.checks.finding import Cause, exchanged_columns, factor_text, opposite_sign
 from sysid.datasets.checks.measures import cost_of
 
@@ -127,7 +127,7 @@ TIED, GAIN = 2.5, 4.0
 #: A second mistake is tried where this cost is left after the best single one.
 LEFT = 8.0
 #: Most alternatives that are named.
-MOST = 3
+MOST_CAUSES = 3
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def explanations_of(figures: AxisFigures) -> tuple[Explanation, ...]:
     costs.sort(key=lambda item: item[0])
     tied = [candidate for cost, candidate in costs if cost <= best + TIED]
     unique = {candidate.cause.text: candidate for candidate in tied}
-    return tuple(unique.values())[:MOST]
+    return tuple(unique.values())[:MOST_CAUSES]
 
 
 def _together(a: Explanation, b: Explanation) -> Explanation:
@@ -262,7 +262,7 @@ def _described(figures: AxisFigures, keys: dict[str, str], mistake: UnitMistake,
     return _mistake(tuple(keys.values()), mistake.factor, rarity, cause)
 
 
-def _neutral(figures: AxisFigures, command: Span) -> Iterator[Explanation]:
+def _neutral(figures: AxisFigures, command: SignalRange) -> Iterator[Explanation]:
     """A command with its neutral value away from zero: a duty cycle, a pulse width, counts of a converter."""
     half = max(command.high - command.rest, command.rest - command.low)
     if not abs(command.rest) > 0.2 * half > 0.0:
@@ -272,12 +272,14 @@ def _neutral(figures: AxisFigures, command: Span) -> Iterator[Explanation]:
 
     def correct(figures: AxisFigures) -> AxisFigures:
         scaled = figures.corrected("command", half)
-        return replace(scaled, command=Span((command.low - command.rest) / half, (command.high - command.rest) / half, 0.0))
+        return replace(
+            scaled, command=SignalRange((command.low - command.rest) / half, (command.high - command.rest) / half, 0.0)
+        )
 
     yield Explanation(("command", half), PRIOR, correct, Cause("", (figures.signal("command"),), says, half, remedy))
 
 
-def _shifted(figures: AxisFigures, span: Span, ends: tuple[float, float]) -> Iterator[Explanation]:
+def _shifted(figures: AxisFigures, span: SignalRange, ends: tuple[float, float]) -> Iterator[Explanation]:
     """Values from another zero."""
     if span.width > 1.05 * (ends[1] - ends[0]):
         return
@@ -285,7 +287,7 @@ def _shifted(figures: AxisFigures, span: Span, ends: tuple[float, float]) -> Ite
     remedy = f"Correct `offset` or `zero` in the recipe (a shift of {shift:+.4g} would just suffice)"
 
     def correct(figures: AxisFigures) -> AxisFigures:
-        moved = Span(span.low + shift, span.high + shift, span.rest + shift)
+        moved = SignalRange(span.low + shift, span.high + shift, span.rest + shift)
         pairs = figures.pairs and replace(figures.pairs, cylinder=figures.pairs.cylinder + shift)
         return replace(figures, driven=moved, pairs=pairs)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.checks.figures import Examined, thinned
+from sysid.datasets.checks.figures import CheckContext, thinned
 from sysid.datasets.checks.finding import (
     Cause,
     Evidence,
@@ -54,7 +54,7 @@ class Registration:
     left: float
 
 
-def check_points(data: Examined) -> Iterator[Finding]:
+def check_points(data: CheckContext) -> Iterator[Finding]:
     """The motion of ``ee`` against that of the URDF with the measured joints, and the motion of ``tool`` against ``ee``.
 
     Joints are corrected first where another finding names their factor; where columns are exchanged they are not compared.

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.checks.figures import Examined
+from sysid.datasets.checks.figures import CheckContext
 from sysid.datasets.checks.finding import Evidence, Finding
 from sysid.datasets.chunked import Array, counted
 from sysid.datasets.quality.motion import FEATURES, MotionTable, motion_table
@@ -271,16 +271,17 @@ def role_lacks(dataset: Dataset) -> tuple[Lack, ...]:
 STILL = "still"
 
 
-def check_roles(data: Examined) -> Iterator[Finding]:
+def check_roles(data: CheckContext) -> Iterator[Finding]:
     """A notice for the axes that do not move in one of the roles, or in no recording; the rest is :func:`role_lacks`.
 
     Nothing is said where the stamps, or the ranges of all of these axes, are implausible themselves.
     """
-    motion = [recording for recording in data.motion if recording.name in data.splits]
+    splits = data.dataset.splits
+    motion = [recording for recording in data.motion if recording.name in splits]
     if not motion or data.time_scale != 1.0:
         return
     table = motion_table(motion, data.machine)
-    for lack in lacks_of(role_amounts(table, data.splits), table.axes, data.machine):
+    for lack in lacks_of(role_amounts(table, splits), table.axes, data.machine):
         if lack.kind == "motion" and not data.doubtful.issuperset(lack.axes):
             keys = tuple(f"{axis}:{STILL}" for axis in lack.axes)
             yield Finding(keys, "notice", (Evidence(lack.text, "motion in the fit, selection and test recordings"),))

@@ -8,7 +8,7 @@ and not stored, so that they hold for versions of any age and for changed roles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -16,13 +16,13 @@ import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.checks import axes, columns, flag, points, roles, sensors, streams
-from sysid.datasets.checks.figures import Examined
+from sysid.datasets.checks.figures import CheckContext
 from sysid.datasets.checks.finding import Finding
 from sysid.datasets.checks.flag import Flag, SignalSamples, ends_of
 from sysid.datasets.chunked import Array, Mask, copied, known, masked, median, median_step
 from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.recipe import IngestRecipe
-from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role
+from sysid.datasets.recording import ClockRecord, Dataset
 from sysid.datasets.resample import gap_limit, hold
 from sysid.machine import Machine
 from sysid.progress import Progress, silent
@@ -69,7 +69,7 @@ RECORDING_CHECKS: tuple[Check[columns.RecordingTable, str], ...] = (
 )
 _OF_AXIS = ("range", "response", "sign", "linkage", "description")
 #: Of a dataset, in the order in which they run: what one finds, those below take into account.
-DATASET_CHECKS: tuple[Check[Examined, Finding], ...] = (
+DATASET_CHECKS: tuple[Check[CheckContext, Finding], ...] = (
     Check("sample rates with `rate_hz`; lengths of the recordings", ("rate", "length"), streams.check_stamps),
     Check("speeds with a `gain` that nobody states", ("gain",), axes.check_gains),
     Check("positions with a whole turn", ("wrap",), columns.check_wraps),
@@ -90,22 +90,8 @@ def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
 
     The command line calls it at ingest, for ``--quality`` and before ``gap``; :func:`sysid.gap.find_gap` does not.
     """
-    quality = dataset.quality
-    stored = (quality.get("streams", {}), dataset.units, quality.get("flags", ()))
-    return findings_of(dataset.recordings, dataset.machine, dataset.splits, *stored)
-
-
-def findings_of(
-    recordings: Sequence[Recording],
-    machine: Machine,
-    splits: Mapping[str, Role],
-    streams: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
-    units: Mapping[str, str] | None = None,
-    flags: Sequence[Mapping[str, Any]] = (),
-) -> tuple[Finding, ...]:
-    """As :func:`check_plausibility`; arguments as of :class:`~sysid.datasets.checks.figures.Examined`."""
-    data = Examined(recordings, machine, splits, streams or {}, units or {}, flags)
-    found = [finding for check in DATASET_CHECKS for finding in check.find(data)]
+    context = CheckContext(dataset)
+    found = [finding for check in DATASET_CHECKS for finding in check.find(context)]
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.checks.figures import Examined
-from sysid.datasets.checks.finding import MOST, Cause, Evidence, Finding, factor_text, plain
+from sysid.datasets.checks.figures import CheckContext
+from sysid.datasets.checks.finding import MOST_NAMES, Cause, Evidence, Finding, factor_text, plain
 from sysid.datasets.checks.mistakes import TIME, UnitMistake
 from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts, together
 from sysid.datasets.recording import Recording
@@ -26,7 +26,7 @@ SHORTEST_S = 0.5
 LOGGERS_HZ = (1.0, 2e4)
 
 
-def check_stamps(data: Examined) -> list[Finding]:
+def check_stamps(data: CheckContext) -> list[Finding]:
     """Sample rates of the streams against ``rate_hz``, and the lengths of the recordings."""
     rate_hz, lengths = data.machine.rate_hz, {r.name: len(r) / r.rate_hz for r in data.motion}
     rates = _rates(data.streams, data.motion)
@@ -89,19 +89,19 @@ _MISSING = (
 )
 
 
-def check_sentinels(data: Examined) -> Iterator[Finding]:
+def check_sentinels(data: CheckContext) -> Iterator[Finding]:
     """Axes and points with a ``sentinel`` flag; nothing else about them is checked."""
     found: dict[str, list[Mapping[str, Any]]] = {}
-    for flag in data.flags:
+    for flag in data.dataset.quality.get("flags", ()):
         if flag["kind"] == "sentinel":
             found.setdefault(split_signal(flag["signal"])[0], []).append(flag)
     data.unclear |= found.keys()
     for flags in found.values():
         signals = tuple(dict.fromkeys(flag["signal"] for flag in flags))
-        evidence = tuple(Evidence(f"{flag['signal']}: {flag['text']}", "measured values") for flag in flags[:MOST])
+        evidence = tuple(Evidence(f"{flag['signal']}: {flag['text']}", "measured values") for flag in flags[:MOST_NAMES])
         numbers = dict.fromkeys(flag["text"].partition(" ")[0] for flag in flags)
         remedy = _MISSING.format(", ".join(numbers))
-        cause = Cause(listed([*numbers], MOST) + " in", signals, "no measurement", remedy=remedy)
+        cause = Cause(listed([*numbers], MOST_NAMES) + " in", signals, "no measurement", remedy=remedy)
         recordings = tuple(dict.fromkeys(flag["recording"] for flag in flags))
         yield Finding(tuple(f"{signal}:sentinel" for signal in signals), "severe", evidence, (cause,), recordings)
 
@@ -110,7 +110,7 @@ def check_sentinels(data: Examined) -> Iterator[Finding]:
 COMPLETE, HALF = 0.95, 0.5
 
 
-def check_samples(data: Examined) -> Iterator[Finding]:
+def check_samples(data: CheckContext) -> Iterator[Finding]:
     """Samples in the files against those in the dataset: a recording uses less than :data:`COMPLETE` of a signal."""
     found: dict[str, dict[str, SampleCounts]] = {}
     for recording, entries in data.streams.items():

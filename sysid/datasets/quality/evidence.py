@@ -30,7 +30,7 @@ GIVEN = 0.02
 SIZE = 1.2
 #: The shift of longer recordings is first searched on means over rows, so many that this number is left, then row by row on as
 #: many in the middle.
-MOST = 2**18
+MOST_ROWS = 2**18
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class _Commands:
 def repeats_of(recordings: Sequence[Recording], scales: Mapping[str, Scale]) -> tuple[Repeat, ...]:
     """All pairs of recordings of motion with the same commands."""
     moving = [r for r in recordings if r.kind == "motion"]
-    stride = -(-max(map(len, moving), default=1) // MOST) or 1
+    stride = -(-max(map(len, moving), default=1) // MOST_ROWS) or 1
     commands = {r.name: _Commands(r, scales, stride) for r in moving}
     found = []
     for first, second in combinations(moving, 2):
@@ -124,7 +124,7 @@ def _shift(one: _Commands, other: _Commands) -> int | None:
 def _finer(one: _Commands, other: _Commands, shift: int) -> int:
     """The shift within a stride of ``shift``, from the rows in the middle of what both have."""
     begin, end = _common(one.count, other.count, shift)
-    middle, half = (begin + end) // 2, min(MOST, end - begin) // 2
+    middle, half = (begin + end) // 2, min(MOST_ROWS, end - begin) // 2
     if half < 1:
         return shift
     first, last, around = middle - half, middle + half, one.stride

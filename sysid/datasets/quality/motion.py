@@ -101,10 +101,6 @@ class MotionTable:
             total += self.recordings[name].amounts()
         return total
 
-    def axis_motion(self, names: Sequence[str]) -> dict[str, AxisMotion]:
-        """Axis → its motion in several recordings together."""
-        return by_axis(self.of(names), self.axes)
-
 
 def motion_table(recordings: Sequence[Recording], machine: Machine) -> MotionTable:
     """Motion of every axis of ``machine`` whose command and motion some of the recordings contain.
