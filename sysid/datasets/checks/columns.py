@@ -183,7 +183,7 @@ def empty_columns(table: RecordingTable) -> Iterator[str]:
             yield f"{signal}: {'constant in no pose' if table.recording.kind == 'poses' else 'nothing was measured'}"
 
 
-def axis_columns(table: RecordingTable) -> Iterator[str]:
+def implausible_positions(table: RecordingTable) -> Iterator[str]:
     """Positions that repeat one value while the axis is commanded, or lie outside its range."""
     for name, moving in table.moving.items():
         driven, ends = table.machine.axis(name).driven, table.machine.axis(name).range

@@ -105,11 +105,9 @@ ROLE_NAMES = {"fit": "fit", "select": "selection", "held_out": "test"}
 
 
 @dataclass(frozen=True)
-class UnmetNeed:
+class UnmetNeed(Evidence):
     """A condition of the gap workflow that a dataset does not meet: what was found, what is needed, what to do."""
 
-    found: str
-    expected: str
     remedy: str
 
     @property

@@ -55,7 +55,7 @@ KINDS = ("sentinel", "outlier", "jump", "marker_swap", "stuck", "saturation", "d
 SENSOR_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
     Check("a few samples with those around", ("outlier",), sensors.outliers),
     Check("a step with those around", ("jump",), sensors.jumps),
-    Check("equal values with the commands and the ends of the axis", ("stuck", "saturation"), sensors.constant),
+    Check("equal values with the commands and the ends of the axis", ("stuck", "saturation"), sensors.constant_values),
 )
 #: Of every channel.
 CHANNEL_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
@@ -65,7 +65,7 @@ CHANNEL_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
 #: Of the table of a recording.
 RECORDING_CHECKS: tuple[Check[columns.RecordingTable, str], ...] = (
     Check("columns with no value", (), columns.empty_columns),
-    Check("positions with the commands and the range of the axis", (), columns.axis_columns),
+    Check("positions with the commands and the range of the axis", (), columns.implausible_positions),
 )
 _OF_AXIS = ("range", "response", "sign", "linkage", "description")
 #: Of a dataset, in the order in which they run: what one finds, those below take into account.

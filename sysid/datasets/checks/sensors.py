@@ -179,7 +179,7 @@ END_SHARE = 0.01
 STOP_SHARE = 0.02
 
 
-def constant(samples: SignalSamples) -> list[Flag]:
+def constant_values(samples: SignalSamples) -> list[Flag]:
     """Stretches of one value, a stuck or a saturated sensor: at the ends of its range the latter."""
     saturated = saturation(samples)
     alone = [flag for flag in stuck(samples) if not any(flag.from_s <= s.to_s and s.from_s <= flag.to_s for s in saturated)]

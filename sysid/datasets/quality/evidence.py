@@ -224,15 +224,9 @@ class DatasetEvidence:
             "recordings": {r.name: _recording_json(r) for r in self.recordings},
             "axes": {name: {**asdict(use), **asdict(self.scales[name])} for name, use in self.axes.items()},
             "together_s": _pairs(self.together_s),
-            "ranges": {span.axis: _span_json(span) for span in self.spans},
+            "ranges": {span.axis: {**asdict(span), **_shares(span)} for span in self.spans},
             "coverage": {
-                f"{m.first.axis}+{m.second.axis}": {
-                    "covered": m.covered,
-                    "covered_moving": m.covered_moving,
-                    "seconds": m.seconds,
-                    "poses": m.poses,
-                }
-                for m in self.maps
+                f"{m.first.axis}+{m.second.axis}": {**_shares(m), "seconds": m.seconds, "poses": m.poses} for m in self.maps
             },
             "postures": [{**asdict(rest), "seconds": rest.seconds} for rest in self.postures],
             "noise": {signal: asdict(noise) for signal, noise in self.noise.items()},
@@ -325,8 +319,8 @@ def _moving_noise(dataset: Dataset, signal: str) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def _span_json(span: Span) -> dict[str, Any]:
-    return {**asdict(span), "covered": span.covered, "covered_moving": span.covered_moving}
+def _shares(found: Span | PairMap) -> dict[str, float]:
+    return {"covered": found.covered, "covered_moving": found.covered_moving}
 
 
 def _recording_json(recording: RecordingEvidence) -> dict[str, Any]:
