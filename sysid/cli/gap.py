@@ -89,9 +89,9 @@ def gap(
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.cli.plausibility import checked
+    from sysid.cli.checks import checked
     from sysid.datasets import Store
-    from sysid.datasets.roles.needs import check_needs
+    from sysid.datasets.checks.roles import check_needs
     from sysid.errors import SettingsError
     from sysid.execution import open_executor
 

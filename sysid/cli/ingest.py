@@ -82,11 +82,10 @@ def ingest(
     if role is not None and to is None:
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
+    from sysid.cli.checks import show_findings, show_roles
     from sysid.cli.datasets import describe
     from sysid.cli.gap_tables import entry
-    from sysid.cli.plausibility import show_findings
-    from sysid.cli.roles import show_roles
-    from sysid.datasets.plausibility import check_plausibility
+    from sysid.datasets.checks.run import check_plausibility
     from sysid.execution import open_executor
 
     apart = cluster is not None or workers > 1

@@ -7,23 +7,16 @@ from typing import TYPE_CHECKING
 from sysid.cli.output import Printer, command, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from typing import Any
-
     from sysid.datasets import Dataset
-    from sysid.datasets.quality import DatasetEvidence
+    from sysid.datasets.quality.evidence import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
-
-#: Largest number of listed flags; JSON has all.
-MAX_FLAGS = 12
 
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
-    from sysid.cli.plausibility import show_findings
-    from sysid.cli.roles import show_roles
-    from sysid.datasets.plausibility import check_plausibility
-    from sysid.datasets.quality import evidence_of
+    from sysid.cli.checks import show_findings, show_flags, show_roles
+    from sysid.datasets.checks.run import check_plausibility
+    from sysid.datasets.quality.evidence import evidence_of
     from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
 
@@ -106,20 +99,6 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         values = (level.sheet, level.moving, level.still, level.repeats)
         noise.append((signal, *("–" if value is None else quantity(value, unit) for value in values)))
     out.table(("noise", "data sheet", "its samples", "at rest", "same commands again"), noise, right=range(1, 5))
-
-
-def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
-    """Flags of the ingest: counts by kind, and the first ones."""
-    from sysid.reports.dataset_texts import flag_lines, kinds_of
-
-    lines = flag_lines(flags)
-    if not lines:
-        return
-    out.line(f"flagged (values are unchanged unless stated): {kinds_of(lines)}")
-    for line in lines[:MAX_FLAGS]:
-        out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
-    if len(lines) > MAX_FLAGS:
-        out.line(f"  … and {len(lines) - MAX_FLAGS} more (the report and --json have them all)")
 
 
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:

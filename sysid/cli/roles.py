@@ -1,54 +1,23 @@
-"""Roles of recordings on the console: what `sysid gap` will need, what a role lacks, and suggested roles."""
+"""Suggested roles of recordings on the console."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, command, write_json
+from sysid.cli.output import Printer, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import Any
 
-    from sysid.datasets import Dataset
-    from sysid.datasets.roles.needs import Lack
-    from sysid.datasets.roles.suggest import SplitSuggestion
-
-#: Largest number of lacks that ingest and ``--quality`` list; ``--suggest`` and JSON have all.
-MAX_LACKS = 6
-
-
-def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = True) -> dict[str, Any]:
-    """The first need of the gap workflow that is not met, else what the roles lack; the same as JSON values.
-
-    Args:
-        needs: print the need; else only what the roles lack.
-    """
-    from dataclasses import asdict
-
-    from sysid.datasets.roles.needs import role_lacks, unmet_need
-
-    need = unmet_need(dataset)
-    if need is not None:
-        if needs:
-            out.line(f"note: {need.text}")
-        return {"needs": asdict(need), "lacks": []}
-    lacks = role_lacks(dataset)
-    for lack in lacks[:MAX_LACKS]:
-        out.line(f"note: {lack.text}")
-    if len(lacks) > MAX_LACKS:
-        out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
-    if lacks:
-        suggest = command("datasets", "split", dataset.reference, "--suggest", workspace=location)
-        out.line(f"Roles and what to record: {suggest}")
-    return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
+    from sysid.datasets.checks.roles import Lack
+    from sysid.datasets.split_suggestion import SplitSuggestion
 
 
 def show_suggestion(location: str, reference: str, json_file: str | None) -> None:
     """Present and suggested roles side by side, and the command or the lines of the recipe that apply the suggestion."""
     from sysid.datasets import Store
-    from sysid.datasets.roles.needs import unmet_need
-    from sysid.datasets.roles.suggest import recipe_splits, suggest_split
+    from sysid.datasets.checks.roles import unmet_need
+    from sysid.datasets.split_suggestion import recipe_splits, suggest_split
 
     out = Printer(json_file)
     store = Store(location)
@@ -64,12 +33,13 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
     if need is not None and not found.better:
         out.line(f"note: {need.text}")
     elif not found.better:
-        out.line("No other roles give the axes more motion where it is missing." if found.lacks else "No role lacks motion.")
+        lacking = "No other roles give the axes more motion where it is missing."
+        out.line(lacking if found.suggested.lacks else "No role lacks motion.")
     elif found.cut:
         out.line(f"{_some(found.cut)}: cut into a block for each role, so that each contains its motion.")
-    _show_lacks(out, "with the present roles", found.present_lacks if found.better else ())
+    _show_lacks(out, "with the present roles", found.present.lacks if found.better else ())
     if need is None or found.better:
-        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.lacks, record=True)
+        _show_lacks(out, "with the suggestion" if found.better else "lacking", found.suggested.lacks, record=True)
     for test, other in found.repeats:
         out.line(
             f"{test} (test) has the same commands as {other}: its error shows repeatability, not accuracy on other motion."
@@ -88,31 +58,31 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
 
 def _show_motion(out: Printer, found: SplitSuggestion) -> None:
     """Seconds of motion per direction, and reversals, of every axis in each role."""
-    from sysid.datasets.roles.needs import ROLE_NAMES, ROLES
+    from sysid.datasets.checks.roles import ROLE_NAMES, ROLES
 
+    shown = {"now": found.present, **({"suggested": found.suggested} if found.better else {})}
     rows: list[tuple[str, ...]] = []
-    for axis in found.before["fit"]:
+    for axis in found.present.motion["fit"]:
         for number, role in enumerate(ROLES):
             cells = [axis if number == 0 else "", ROLE_NAMES[role]]
-            for by_role in (found.before, found.after) if found.better else (found.before,):
-                motion = by_role[role][axis]
+            for one in shown.values():
+                motion = one.motion[role][axis]
                 cells += [f"{motion.backward_s:.1f} / {motion.forward_s:.1f}", f"{motion.reversals:.0f}"]
             rows.append(tuple(cells))
-    suggested = ("suggested s − / +", "reversals") if found.better else ()
-    out.table(("axis", "role", "now s − / +", "reversals", *suggested), rows, right=range(2, 6))
-    lengths_of = {"now": found.present_s, **({"suggested": found.suggested_s} if found.better else {})}
-    for title, lengths in lengths_of.items():
-        out.line(f"{title}: {', '.join(f'{ROLE_NAMES[role]} {lengths[role]:.0f} s' for role in ROLES)}")
+    columns = [column for title in shown for column in (f"{title} s − / +", "reversals")]
+    out.table(("axis", "role", *columns), rows, right=range(2, 6))
+    for title, one in shown.items():
+        out.line(f"{title}: {', '.join(f'{ROLE_NAMES[role]} {one.seconds[role]:.0f} s' for role in ROLES)}")
 
 
 def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
-    from sysid.datasets.roles.needs import ROLE_NAMES
+    from sysid.datasets.checks.roles import ROLE_NAMES
 
     changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
     if changed:
         rows = [
-            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present[name]], changed[name])
-            for name in found.present
+            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
+            for name in found.present.roles
             if name in changed
         ]
         out.table(("recording", "length", "now", "suggested"), rows, right=(1,))

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.checks.flag import Flag
 from sysid.datasets.chunked import median_step
 from sysid.datasets.clocks.set_clocks import set_back_rows
-from sysid.datasets.flags.flag import Flag
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream

@@ -14,11 +14,10 @@ import numpy.typing as npt
 
 from sysid import scratch
 from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.checks.flag import ends_of, repaired_stamps, sentinels
 from sysid.datasets.chunked import masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.flags.flag import repaired_stamps
-from sysid.datasets.flags.values import ends_of, sentinels
 from sysid.datasets.frames.bodies import MissingFrames, find_mounts, joints_and_points
 from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose, with_marker_sets
 from sysid.datasets.recipe import SignalMap, StreamMap

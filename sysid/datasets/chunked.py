@@ -78,6 +78,12 @@ def stretches(mask: Mask) -> tuple[Rows, Rows]:
     return ends[::2], ends[1::2]
 
 
+def longest_run(mask: Mask) -> int:
+    """Length of the longest stretch of True."""
+    first, last = stretches(mask)
+    return int((last - first).max(initial=0))
+
+
 def absolute(values: Array) -> Array:
     """``np.abs(values)``, in the place of ``values``."""
     return np.abs(values, out=values)

@@ -9,11 +9,11 @@ from typing import Any
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, read_channels, survey_mounts
+from sysid.datasets.checks.run import flag_rows
 from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, by_source
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_refused, check_sources, count_files, discover
-from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.plan import Plan, content_of, made_by, notes_of, placed, plan_of, sources_of, streams_of, units_of
-from sysid.datasets.quality import describe
+from sysid.datasets.quality.describe import describe
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes, split

@@ -10,12 +10,12 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.checks.roles import MIN_ROLE_S, ROLES, RoleNeeds, cut_advice, least_cut_s
 from sysid.datasets.chunked import copied, deviation, known, masked, stretches
+from sysid.datasets.quality.motion import MotionTable, motion_table
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
-from sysid.datasets.roles.assign import Assignment
-from sysid.datasets.roles.motion import MotionTable, motion_table
-from sysid.datasets.roles.needs import MIN_ROLE_S, ROLES, RoleNeeds, cut_advice, least_cut_s
+from sysid.datasets.split_assignment import Assignment
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.machine import Machine
 from sysid.scratch import computed, filled, pieces
@@ -99,8 +99,8 @@ def split(
     Roles named in the recipe come first. The rest is assigned in order: with three open roles and at least three recordings
     about 50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles each is cut into blocks.
     Where some role then lacks motion of an axis that another assignment gives it, that one is used
-    (:mod:`sysid.datasets.roles.assign`). A recording that is too short to be cut is for the fit. A copy of another recording
-    has no role.
+    (:mod:`sysid.datasets.split_assignment`). A recording that is too short to be cut is for the fit. A copy of another
+    recording has no role.
 
     Args:
         machine: its axes; without it the order alone decides.

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.checks.flag import with_unit
+from sysid.datasets.checks.sensors import AROUND, GAP_PERIODS, STEPS_OF_SENSOR, sensor_step
 from sysid.datasets.chunked import counted, differences, known, masked, median_step
-from sysid.datasets.flags.flag import with_unit
-from sysid.datasets.flags.values import AROUND, GAP_PERIODS, STEPS_OF_SENSOR, sensor_step
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError
 from sysid.machine import Machine

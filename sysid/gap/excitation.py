@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.quality import noise_of, use
-from sysid.datasets.quality.noise import is_still
+from sysid.datasets.quality import use
+from sysid.datasets.quality.noise import is_still, noise_of
 from sysid.datasets.recording import Recording
 from sysid.effects import Effect, effect_named
 from sysid.effects.wording import title_of

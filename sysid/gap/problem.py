@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.checks.roles import MIN_POSES, ROLES, is_pose_set, measured_together, poses_together
+from sysid.datasets.quality.motion import MOVED_SHARE, travel_of
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.motion import MOVED_SHARE, travel_of
-from sysid.datasets.roles.needs import MIN_POSES, ROLES, is_pose_set, measured_together, poses_together
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
 from sysid.gap.arm.forces import ArmForces

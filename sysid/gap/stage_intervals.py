@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.stats import norm
 
-from sysid.datasets.roles.needs import is_pose_set
+from sysid.datasets.checks.roles import is_pose_set
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.comparison import equivalent_half
 from sysid.gap.data import Data

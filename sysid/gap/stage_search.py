@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
+from sysid.datasets.checks.roles import is_pose_set
 from sysid.datasets.recording import Recording
-from sysid.datasets.roles.needs import is_pose_set
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.posture import posture_share

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from sysid.datasets.roles.needs import is_pose_set
+from sysid.datasets.checks.roles import is_pose_set
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import shown_floor

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from sysid.datasets.roles.needs import is_pose_set
+from sysid.datasets.checks.roles import is_pose_set
 from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import disagreement

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sysid import display
-from sysid.datasets.quality.describe import SampleCounts, stored_counts, together
+from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts, together
 from sysid.datasets.recording import Dataset
 from sysid.display import NOTHING
 from sysid.gap.experiment.excitation_verdict import ExcitationVerdict, RecordingRequest

@@ -9,8 +9,8 @@ import pytest
 from command_line import run
 from lift_logs import write_lift
 
+from sysid.cli.checks import show_flags
 from sysid.cli.output import Printer
-from sysid.cli.quality import show_flags
 
 
 @pytest.fixture(scope="module")

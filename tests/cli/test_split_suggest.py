@@ -13,7 +13,7 @@ from axis_motion import AXES_OF_TEST, write_logs
 from command_line import run
 
 from sysid.datasets import Store
-from sysid.datasets.roles.needs import role_lacks
+from sysid.datasets.checks.roles import role_lacks
 
 
 @pytest.fixture

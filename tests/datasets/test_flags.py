@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,10 @@ from scipy.signal import lfilter
 
 from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
-from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag, dropouts, jitter, repaired_stamps
-from sysid.datasets.flags.values import (
+from sysid.datasets.checks.flag import MAX_FLAGS, Flag, SignalSamples, dropouts, jitter, repaired_stamps
+from sysid.datasets.checks.run import CHANNEL_CHECKS, KINDS, SENSOR_CHECKS
+from sysid.datasets.checks.sensors import (
     SPIKE_SAMPLES,
-    SensorContext,
     jumps,
     noise_scale,
     outliers,
@@ -45,10 +46,9 @@ def motion(seed: int, rate: float = 100.0, seconds: float = 60.0) -> tuple[Array
 
 
 def everything(times: Array, values: Array, commanded: Array) -> list[Flag]:
-    context = SensorContext(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
-    found = [*outliers("a", times, values), *jumps("a", times, values), *stuck("a", times, values, context)]
-    found += [*saturation("a", times, values, context), *jitter("a", times)]
-    return [*found, *dropouts("a", times, values, 3.0 * (times[1] - times[0]))]
+    samples = SignalSamples("a", times, values, limit_s=3.0 * (times[1] - times[0]))
+    samples = replace(samples, commanded=np.abs(commanded) > 0.02, driven=np.abs(commanded) > 0.1)
+    return [flag for check in (outliers, jumps, stuck, saturation, jitter, dropouts) for flag in check(samples)]
 
 
 @settings(max_examples=40, deadline=None)
@@ -77,7 +77,7 @@ def test_a_noiseless_simulation_at_rest_is_not_stuck() -> None:
 def test_spikes_of_a_few_samples_are_found_where_they_are(seed: int, length: int, size: float, up: bool, start: int) -> None:
     times, values = motion(seed)
     values[start : start + length] += size if up else -size
-    (flag,) = outliers("boom.joint", times, values, "rad")
+    (flag,) = outliers(SignalSamples("boom.joint", times, values, "rad"))
     assert (flag.signal, flag.kind, flag.samples) == ("boom.joint", "outlier", length)
     assert (flag.from_s, flag.to_s) == (times[start], times[start + length - 1])
     assert f"{'a sample' if length == 1 else f'{length} samples'} off by" in flag.text
@@ -91,7 +91,7 @@ def test_a_spike_near_either_end_is_found_or_left_alone(from_end: int) -> None:
     for at in (len(values) - from_end, from_end - 1):
         spoiled = values.copy()
         spoiled[at] += 1.0
-        found = outliers("boom.joint", times, spoiled)
+        found = outliers(SignalSamples("boom.joint", times, spoiled))
         assert all(flag.from_s == times[at] for flag in found)
         assert len(found) == (6 <= at < len(values) - 6)
 
@@ -100,19 +100,19 @@ def test_a_spike_near_either_end_is_found_or_left_alone(from_end: int) -> None:
 def test_a_jump_and_the_one_back_are_one_flag(seed: int, size: float, start: int, length: int) -> None:
     times, values = motion(seed)
     values[start : start + length] += size
-    (flag,) = jumps("boom.joint", times, values, "rad")
+    (flag,) = jumps(SignalSamples("boom.joint", times, values, "rad"))
     assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
     assert "and back" in flag.text
     stays = motion(seed)[1]
     stays[start:] -= size
-    (alone,) = jumps("boom.joint", times, stays, "rad")
+    (alone,) = jumps(SignalSamples("boom.joint", times, stays, "rad"))
     assert (alone.from_s, alone.samples) == (times[start], 1)
 
 
 def test_a_turn_too_much_is_called_so() -> None:
     times, values = motion(3)
     values[2000:] -= 2.0 * np.pi
-    (flag,) = jumps("slew.joint", times, values, "rad")
+    (flag,) = jumps(SignalSamples("slew.joint", times, values, "rad"))
     assert flag.text.startswith("wraps by -6.28")
 
 
@@ -120,12 +120,12 @@ def test_a_turn_too_much_is_called_so() -> None:
 def test_a_sensor_with_noise_that_repeats_its_value_is_stuck(seed: int, start: int, length: int) -> None:
     times, values = motion(seed)
     values[start : start + length] = values[start]
-    context = SensorContext(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    nowhere = np.zeros(len(times), dtype=bool)
+    samples = SignalSamples("boom.joint", times, values, "rad", commanded=~nowhere, driven=nowhere)
     at_end = values[start] in (values.min(), values.max())
-    (flag,) = (saturation if at_end else stuck)("boom.joint", times, values, context, unit="rad")
+    (flag,) = (saturation if at_end else stuck)(samples)
     assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
-    idle = SensorContext(np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
-    assert stuck("boom.joint", times, values, idle) == []
+    assert stuck(replace(samples, unit="1", commanded=nowhere)) == []
 
 
 def test_a_counting_sensor_is_doubted_only_where_the_machine_has_to_move() -> None:
@@ -133,10 +133,10 @@ def test_a_counting_sensor_is_doubted_only_where_the_machine_has_to_move() -> No
     values = np.round(values / 0.004) * 0.004
     values[2000:2400] = values[2000]
     driven = np.zeros(len(times), dtype=bool)
-    barely = SensorContext(~driven, driven)
-    assert stuck("a", times, values, barely) == []
+    samples = SignalSamples("a", times, values, commanded=~driven, driven=driven)
+    assert stuck(samples) == []
     driven[2100:2300] = True
-    (flag,) = stuck("a", times, values, SensorContext(driven, driven))
+    (flag,) = stuck(replace(samples, commanded=driven))
     assert flag.samples >= 400
     assert "a stuck sensor, or an axis that stalls" in flag.text
 
@@ -148,15 +148,16 @@ def test_a_sensor_whose_range_ends_is_saturated_and_an_end_stop_is_not(step: flo
     if step:
         values = np.round(values / step) * step
     clipped = np.minimum(values, 0.7)
-    context = SensorContext(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
-    flags = saturation("a", times, clipped, context, (-2.0, 2.0), "m")
+    always = np.ones(6000, dtype=bool)
+    samples = SignalSamples("a", times, clipped, "m", commanded=always, driven=always, ends=(-2.0, 2.0))
+    flags = saturation(samples)
     assert len(flags) == 4
     assert "stays at its highest value 0.7 m for" in flags[0].text
     assert flags[0].from_s == pytest.approx(np.arcsin(0.7) / 0.4, abs=0.05)
     if step:  # the axis ends there, or it is not known where it ends: nothing can be said
-        assert saturation("a", times, clipped, context, (-1.0, 0.7)) == []
-        assert saturation("a", times, clipped, context) == []
-    assert saturation("a", times, values, context, (-2.0, 2.0)) == []
+        assert saturation(replace(samples, ends=(-1.0, 0.7))) == []
+        assert saturation(replace(samples, ends=(-np.inf, np.inf))) == []
+    assert saturation(replace(samples, values=values)) == []
 
 
 def test_what_is_not_bridged_is_a_dropout() -> None:
@@ -164,18 +165,19 @@ def test_what_is_not_bridged_is_a_dropout() -> None:
     values[1000:1010] = np.nan
     kept = np.ones(len(times), dtype=bool)
     kept[3000:3100] = False
-    flags = dropouts("a", times[kept], values[kept], 0.05)
+    samples = SignalSamples("a", times[kept], values[kept], limit_s=0.05)
+    flags = dropouts(samples)
     assert [(f.from_s, f.to_s, f.samples) for f in flags] == [(9.99, 10.1, 10), (29.99, 31.0, 100)]
     assert flags[1].text == "no sample for 1.010 s"
-    assert dropouts("a", times[kept], values[kept], 2.0) == []
+    assert dropouts(replace(samples, limit_s=2.0)) == []
 
 
 def test_uneven_stamps_are_flagged_once_and_a_gap_is_no_jitter() -> None:
     rng = np.random.default_rng(0)
     even = np.arange(1000) / 100.0
-    assert jitter("a", even + 1e-3 * rng.uniform(-1, 1, 1000)) == []
-    assert jitter("a", np.delete(even, np.arange(300, 500))) == []
-    (flag,) = jitter("a", even + 4e-3 * rng.uniform(-1, 1, 1000))
+    assert jitter(SignalSamples("a", even + 1e-3 * rng.uniform(-1, 1, 1000), even)) == []
+    assert jitter(SignalSamples("a", np.delete(even, np.arange(300, 500)), even)) == []
+    (flag,) = jitter(SignalSamples("a", even + 4e-3 * rng.uniform(-1, 1, 1000), even))
     assert flag.from_s == pytest.approx(0.0, abs=5e-3)
     assert flag.samples > 200
     assert "nine intervals in ten lie between" in flag.text
@@ -196,7 +198,7 @@ def test_stamps_that_go_back_or_repeat_are_told() -> None:
 def test_many_flags_of_a_kind_are_told_as_one() -> None:
     times, values = motion(2)
     values[200:5800:100] += 1.0
-    (flag,) = outliers("a", times, values)
+    (flag,) = outliers(SignalSamples("a", times, values))
     assert flag.samples == 56 > MAX_FLAGS
     assert flag.text.startswith("56 times, 56 samples in all; the longest at ")
 
@@ -250,3 +252,6 @@ def test_kinds_are_complete() -> None:
     text = (Path(__file__).parents[2] / "docs/recipes.md").read_text("utf-8")
     listed = text[text.index("| `kind` |") :].splitlines()[0]
     assert [word.strip("`, ") for word in listed.split("|")[2].split()] == list(KINDS)
+    by_checks = {kind for check in (*SENSOR_CHECKS, *CHANNEL_CHECKS) for kind in check.kinds}
+    assert {*KINDS} - by_checks == {"sentinel", "marker_swap", "stamps"}, "those are found while reading"
+    assert by_checks <= {*KINDS}

@@ -14,10 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Dataset, Recording, ingest
-from sysid.datasets.quality.use import turning_points, turning_rows
-from sysid.datasets.recipe import Splits
-from sysid.datasets.roles.motion import motion_table
-from sysid.datasets.roles.needs import (
+from sysid.datasets.checks.roles import (
     NEEDED,
     ROLES,
     RoleNeeds,
@@ -28,7 +25,10 @@ from sysid.datasets.roles.needs import (
     role_lacks,
     unmet_need,
 )
-from sysid.datasets.roles.suggest import recipe_splits, suggest_split
+from sysid.datasets.quality.motion import by_axis, motion_table
+from sysid.datasets.quality.use import turning_points, turning_rows
+from sysid.datasets.recipe import Splits
+from sysid.datasets.split_suggestion import recipe_splits, suggest_split
 from sysid.datasets.splits import split
 from sysid.effects import CATALOGUE
 from sysid.errors import ExcitationError
@@ -52,7 +52,8 @@ def lacking(parts: tuple[Recording, ...], roles: dict[str, str], about: Machine)
 
 def test_motion_is_counted_by_direction(lift: Machine) -> None:
     found = motion_table([recording("a", 20.0, AXES, ("boom",)), recording("b", 20.0, AXES, AXES)], lift)
-    boom, stick = found.axis_motion(["a"])["boom"], found.axis_motion(["a"])["stick"]
+    motion = by_axis(found.of(["a"]), found.axes)
+    boom, stick = motion["boom"], motion["stick"]
     assert boom.forward_s == pytest.approx(8.0, abs=0.8), "four of ten seconds up, twice"
     assert boom.backward_s == pytest.approx(8.0, abs=0.8)
     assert (boom.small_forward_s, boom.large_forward_s) == pytest.approx((4.0, 4.0), abs=0.3)
@@ -75,8 +76,9 @@ def test_a_servo_that_is_pushed_does_not_move(tmp_path: Path) -> None:
     found = motion_table(
         [Recording("a", pd.DataFrame({**columns, "pushed.joint": 1.0 + sag}), RATE)], load_machine(tmp_path / "machine.toml")
     )
-    assert found.axis_motion(["a"])["driven"].forward_s > 8.0
-    assert found.axis_motion(["a"])["pushed"].forward_s == 0.0
+    motion = by_axis(found.of(["a"]), found.axes)
+    assert motion["driven"].forward_s > 8.0
+    assert motion["pushed"].forward_s == 0.0
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60), st.floats(0.01, 1.0))
@@ -201,12 +203,12 @@ def test_a_suggestion_keeps_what_the_recipe_names(lift: Machine) -> None:
     present = dict(zip("abcdef", ("fit", "fit", "fit", "select", "select", "held_out"), strict=True))
     dataset = Dataset.of(lift, runs, present)  # type: ignore[arg-type]
     free = suggest_split(dataset)
-    assert {lack.kind for lack in free.present_lacks} == {"motion"}
+    assert {lack.kind for lack in free.present.lacks} == {"motion"}
     assert free.better
     bound = suggest_split(dataset, [recipe_splits('[splits]\nheld_out = ["f"]\n', "recipe")])
     assert bound.named == ("f",)
-    assert bound.roles["f"] == "held_out"
-    assert {bound.roles[name] for name in "ab"} == {"fit", "select"}, "the stick moves in both open roles"
+    assert bound.suggested.roles["f"] == "held_out"
+    assert {bound.suggested.roles[name] for name in "ab"} == {"fit", "select"}, "the stick moves in both open roles"
 
 
 def test_a_suggestion_may_cut_recordings(lift: Machine) -> None:
@@ -219,7 +221,7 @@ def test_a_suggestion_may_cut_recordings(lift: Machine) -> None:
     found = suggest_split(dataset)
     assert {"boom", "stick"} <= set(found.cut)
     assert found.command("ws") == "", "stored tables are not cut"
-    assert found.after["held_out"]["stick"].forward_s > 1.5
+    assert found.suggested.motion["held_out"]["stick"].forward_s > 1.5
     parts, roles = split(runs, recipe_splits(found.recipe, "recipe"), "recipe", lift)
     assert lacking(parts, roles, lift) == set(), "the lines do what the suggestion says"
 
@@ -298,7 +300,7 @@ def test_the_recordings_of_an_arm_as_one_dataset(shared_data: Path, datasets_fol
 
 def test_the_local_search_finds_nearly_every_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     """With few recordings, where all assignments can be compared; random motion, in about half of the recordings of an axis."""
-    from sysid.datasets.roles import assign
+    from sysid.datasets import split_assignment as assign
 
     rng = np.random.default_rng(0)
     same = 0

@@ -15,9 +15,9 @@ from small_logs import LOGS, STATED, write_log
 
 from sysid.datasets import Dataset, ingest
 from sysid.datasets.channels import read_channels
+from sysid.datasets.checks.run import check_plausibility
 from sysid.datasets.discover import RecordingFiles
-from sysid.datasets.plausibility import check_plausibility
-from sysid.datasets.quality.describe import SampleCounts, stored_counts
+from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import SettingsError
 from sysid.logs import ReadOptions, reader_named

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Store
-from sysid.datasets.flags.values import sentinels
-from sysid.datasets.plausibility import check_plausibility
+from sysid.datasets.checks.flag import sentinels
+from sysid.datasets.checks.run import check_plausibility
 
 FREE = (-np.inf, np.inf)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.datasets.plausibility.check import findings_of
-from sysid.datasets.plausibility.response import correlation, strengths
-from sysid.datasets.recording import Recording
+from sysid.datasets.checks.run import check_plausibility
+from sysid.datasets.quality.responses import correlation, strengths
+from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Machine, machine_from_files
 
 
@@ -46,14 +46,14 @@ def recording(order: list[int], rng: np.random.Generator) -> Recording:
 
 @pytest.mark.parametrize("order", [[1, 0, 2, 3, 4], [0, 3, 1, 2, 4]])
 def test_two_or_three_exchanged_columns_are_named_among_others(order: list[int], rng: np.random.Generator) -> None:
-    found = findings_of([recording(order, rng)], machine(5), {})
+    found = check_plausibility(Dataset.of(machine(5), [recording(order, rng)]))
     keys = {key for finding in found for key in finding.keys if key.endswith(":exchanged")}
     assert keys == {f"a{axis}.joint:exchanged" for axis, source in enumerate(order) if axis != source}
 
 
 def test_more_axes_than_are_compared_are_said(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.datasets.plausibility.axes.MOST", 3)
-    found = findings_of([recording([1, 2, 3, 4, 0], rng)], machine(5), {})
+    monkeypatch.setattr("sysid.datasets.checks.columns.MOST_COMPARED", 3)
+    found = check_plausibility(Dataset.of(machine(5), [recording([1, 2, 3, 4, 0], rng)]))
     notices = [finding for finding in found if finding.keys == ("machine:exchanged",)]
     assert [finding.severity for finding in notices] == ["notice"]
     assert notices[0].lines == ("5 axes do not follow their own command; expected at most 3 to search for exchanged columns",)

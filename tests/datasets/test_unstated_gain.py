@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from sysid.datasets import Dataset, ingest
-from sysid.datasets.plausibility import check_plausibility
-from sysid.datasets.plausibility.finding import Finding
+from sysid.datasets.checks.finding import Finding
+from sysid.datasets.checks.run import check_plausibility
 from sysid.gap import find_gap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.datasets import Dataset, Recording, ingest
-from sysid.datasets.plausibility import check_plausibility
+from sysid.datasets.checks.run import check_plausibility
 from sysid.datasets.wrapping import find_wraps, open_gaps, unwrapped, wraps_of
 from sysid.errors import InputError
 from sysid.machine import load_machine

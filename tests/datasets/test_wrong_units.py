@@ -14,7 +14,7 @@ import wrong_units
 from wrong_units import Cell, arm_cells, caught, changed, crane_cells, cut, described, excavator_cells, slide_cells, times
 
 from sysid.datasets import Dataset, ingest
-from sysid.datasets.plausibility import check_plausibility
+from sysid.datasets.checks.run import DATASET_CHECKS, check_plausibility
 
 AUTOLOG = Path(__file__).parents[2] / "datasets/autolog"
 #: Share of the cells of a machine that has to be caught, as the issue of this check states it.
@@ -178,6 +178,13 @@ def test_an_axis_that_does_not_move_in_a_role(arm: Dataset) -> None:
 def test_a_constant_sensor_of_a_commanded_axis_is_severe(arm: Dataset) -> None:
     found = check_plausibility(changed(arm, {"elbow.joint": lambda q: 0.0 * q + 0.3}))
     assert ("elbow.joint:constant",) in [each.keys for each in found if each.severity == "severe"]
+
+
+def test_the_page_names_every_kind_of_finding() -> None:
+    """And none that no check of the list has."""
+    text = (Path(__file__).parents[2] / "docs/guide/wrong-data.md").read_text("utf-8")
+    table = text[text.index("## Symptoms") : text.index("## What is compared")]
+    assert set(re.findall(r"`[a-z.]+:(\w+)`", table)) == {kind for check in DATASET_CHECKS for kind in check.kinds}
 
 
 def test_a_column_without_values(arm: Dataset) -> None:

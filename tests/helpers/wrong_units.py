@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets import Dataset, Recording, ingest
-from sysid.datasets.plausibility import Finding, check_plausibility
+from sysid.datasets.checks.finding import Finding
+from sysid.datasets.checks.run import check_plausibility
 from sysid.machine import machine_from_files
 
 Array = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 
-from sysid.datasets.quality import DatasetEvidence, evidence_of
+from sysid.datasets.quality.evidence import DatasetEvidence, evidence_of
 from sysid.datasets.quality.use import CELLS
 from sysid.datasets.recording import Dataset
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict, RecordingRequest, excitation_report

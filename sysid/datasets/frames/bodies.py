@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import RowCounts, counts_of, in_order, seconds
+from sysid.datasets.checks.flag import Flag
 from sysid.datasets.chunked import stretches
-from sysid.datasets.flags.flag import Flag
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.datasets.recipe import Reference, StreamMap
 from sysid.datasets.resample import GAP_PERIODS

@@ -12,14 +12,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import known, stretches
+from sysid.datasets.chunked import Array, known, stretches
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speed_of
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.signals import axis_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Cells over the range of an axis.
 GRID = 10

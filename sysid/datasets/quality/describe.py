@@ -1,167 +1,31 @@
-"""Quality of the recordings in a dataset version: completeness, with what became of the samples of each signal from the rows of
-its file to the rows of the dataset, use of each axis, noise, jitter, possible faults.
-"""
+"""Quality of the recordings in a dataset version, as it is stored: completeness, use of each axis, noise, jitter, faults."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import ReadRecording
-from sysid.datasets.chunked import absolute, copied, counted, deviation, differences, known, mean_square, median, stretches
+from sysid.datasets.checks.columns import RecordingTable
+from sysid.datasets.checks.run import recording_flags
+from sysid.datasets.chunked import Array, Mask, absolute, copied, deviation, longest_run, mean_square, median
 from sysid.datasets.clocks.records import Placed, RecordingClocks, by_source
 from sysid.datasets.quality.noise import noise_of
+from sysid.datasets.quality.sample_counts import sample_counts
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
 from sysid.datasets.recording import ClockRecord, Recording
-from sysid.datasets.resample import gap_limit
 from sysid.machine import Machine
 from sysid.names import uncut_name
 from sysid.progress import Progress, part, silent
 from sysid.scratch import chosen, computed, leave
 from sysid.signals import axis_signal
 
-Array = npt.NDArray[np.float64]
-
-#: Steps longer than this many sample periods are interpolated over.
-BRIDGED_PERIODS = 1.5
-
-
-@dataclass(frozen=True)
-class SampleCounts:
-    """The samples of one signal from one file of a recording.
-
-    ``rows = empty + overflows + repeated + conflicting + turns + outside + between + alone + used``
-
-    Args:
-        rows, empty, overflows, repeated, conflicting, turns: see :class:`sysid.datasets.channel.RowCounts`.
-        outside: before the first row of the recording, or after its last.
-        between: in the guards between the blocks into which a recording is cut.
-        alone: between two gaps that are not bridged, where the dataset has no value.
-        used: the rest.
-        bridged_s: time between samples further apart than :data:`BRIDGED_PERIODS` periods that is interpolated over [s].
-        limit_s: the longest gap that is bridged [s].
-    """
-
-    rows: int
-    empty: int = 0
-    overflows: int = 0
-    repeated: int = 0
-    conflicting: int = 0
-    turns: int = 0
-    outside: int = 0
-    between: int = 0
-    alone: int = 0
-    used: int = 0
-    bridged_s: float = 0.0
-    limit_s: float = 0.0
-
-    @property
-    def samples(self) -> int:
-        """Samples in the file: rows with a value, each instant once."""
-        return self.rows - self.empty - self.repeated
-
-    @property
-    def lost(self) -> Mapping[str, int]:
-        """Reason → samples that are not in the dataset, without those in guards."""
-        reasons = {
-            "with the stamp of another": self.conflicting,
-            "beyond any number": self.overflows,
-            "in an unknown turn": self.turns,
-            "alone between gaps": self.alone,
-            "outside the recording": self.outside,
-        }
-        return {reason: count for reason, count in reasons.items() if count}
-
-    @property
-    def kept(self) -> float:
-        """Share of the samples within the recording that are used; 0 where none is."""
-        own = self.samples - self.between - self.outside
-        return self.used / own if own > 0 else 0.0
-
-
-def sample_counts(channel: Channel, times: Array, parts: Sequence[Recording], start_ns: int) -> SampleCounts:
-    """The counts of one channel.
-
-    Args:
-        times: its stamps on the machine's clock, (n,) [s] from ``start_ns``, increasing.
-        parts: the recording, or the blocks into which it was cut, in their order.
-    """
-    counts, command = channel.counts, channel.signal.endswith(".command")
-    there = ~np.isnan(channel.values)
-    times = chosen(times, there)
-    steps, limit = differences(times), gap_limit(channel)
-    used, inside, done, ends, stray = 0, 0, 0, (0, 0), 0
-    moving = [piece for piece in parts if piece.kind == "motion" and len(piece)]
-    if not moving:  # a pose is the median of a still phase
-        used = inside = len(times)
-    for piece in moving:
-        begin = (piece.start_ns - start_ns) * 1e-9
-        first, last = np.searchsorted(times, (begin - 1.0 / piece.rate_hz, begin + len(piece) / piece.rate_hz))
-        first, last = max(int(first), done), max(int(last), done)
-        if piece is not moving[0] and not command:  # in a pause, not in a guard
-            around = np.concatenate([[np.inf], steps, [np.inf]])[done : first + 1] > limit
-            stray += int(np.count_nonzero(around[:-1] & around[1:]))
-        ends = (first if piece is moving[0] else ends[0], last)
-        inside, done = inside + last - first, last
-        values = piece.values(channel.signal) if channel.primary else None
-        used += last - first if values is None else _in_table(times[first:last] - begin, values, piece.rate_hz)
-    outside = ends[0] + len(times) - ends[1] if moving else 0
-    bridged = 0.0
-    if not command and moving and len(steps):
-        bridged = float(chosen(steps, (steps > BRIDGED_PERIODS * channel.period_s) & (steps <= limit + 1e-9)).sum())
-    return SampleCounts(
-        rows=counts.rows,
-        empty=counts.empty,
-        overflows=counts.overflows,
-        repeated=counts.repeated,
-        conflicting=counts.conflicting,
-        turns=counts.turns,
-        outside=outside,
-        between=len(times) - inside - outside - stray,
-        alone=inside - used + stray,
-        used=used,
-        bridged_s=bridged,
-        limit_s=limit if not command else 0.0,
-    )
-
-
-def _in_table(times: Array, values: Array, rate_hz: float) -> int:
-    """Samples beside a row with a value.
-
-    Args:
-        times: from the first row, (m,) [s]; ``values``: of the rows, (n,).
-    """
-
-    def beside(first: int, last: int) -> npt.NDArray[np.bool_]:
-        at = times[first:last] * rate_hz
-        before = np.clip(np.floor(at + 1e-6), 0, len(values) - 1).astype(np.intp)
-        after = np.clip(np.ceil(at - 1e-6), 0, len(values) - 1).astype(np.intp)
-        return ~np.isnan(values[before]) | ~np.isnan(values[after])
-
-    return counted(len(times), beside)
-
-
-def stored_counts(figures: Mapping[str, Any]) -> SampleCounts:
-    """The counts in the figures of a stream; of a version that was stored without them, its samples."""
-    known = {name: figures[name] for name in SampleCounts.__dataclass_fields__ if name in figures}
-    return SampleCounts(**known) if "used" in known else SampleCounts(figures["samples"], used=figures["samples"])
-
-
-def together(counts: Sequence[SampleCounts]) -> SampleCounts:
-    """The sum over recordings; the longest bridged gap is the largest of them."""
-    sums = {name: sum(getattr(own, name) for own in counts) for name in SampleCounts.__dataclass_fields__}
-    return SampleCounts(**{**sums, "limit_s": max(own.limit_s for own in counts)})
-
-
 #: Bins over the range of a signal, for coverage.
 BINS = 20
-#: A sensor that repeats one value for this long while its axis is commanded may be stuck [s].
-STUCK_S = 2.0
 #: Share of the progress for the streams; the rest is for the tables.
 _STREAMS = 0.5
 
@@ -184,7 +48,7 @@ def describe(
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
         :class:`~sysid.datasets.quality.use.AxisUse`), ``several_axes`` (share of the moving time in which more than one axis
         is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter and
-        :class:`~sysid.datasets.quality.describe.SampleCounts`.
+        :class:`~sysid.datasets.quality.sample_counts.SampleCounts`.
         ``cross_checks``: uncut motion recording → secondary signal → difference from the primary one. ``dropped``: uncut
         recording → flagged frames.
     """
@@ -245,29 +109,27 @@ def _streams(
 
 
 def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scale], progress: Progress) -> dict[str, Any]:
-    flags: list[str] = []
-    signals = {signal: _signal(recording, signal) for signal in recording.signals}
-    result: dict[str, Any] = {"seconds": len(recording) / recording.rate_hz, "signals": signals, "flags": flags}
-    for signal, numbers in signals.items():
-        if numbers["missing"] == 1.0:
-            still = recording.kind == "poses"
-            flags.append(f"{signal}: constant in no pose" if still else f"{signal}: nothing was measured")
+    result: dict[str, Any] = {
+        "seconds": len(recording) / recording.rate_hz,
+        "signals": {signal: _signal(recording, signal) for signal in recording.signals},
+        "flags": (flags := list[str]()),
+    }
+    moving: dict[str, Mask] = {}
     if recording.kind == "poses":
-        return result | {"poses": len(recording)}
-    result["axes"] = {}
-    active = []
-    for number, axis in enumerate(machine.axes):
-        progress(number / len(machine.axes), f"describing {axis.name}")
-        leave()
-        command = recording.values(axis_signal(axis.name, "command"))
-        if np.isnan(command).all():
-            continue
-        result["axes"][axis.name] = asdict(use_of(recording, axis, scales[axis.name]))
-        active.append(level_of(command) != 0)
-        flags += _axis_flags(recording, axis.name, axis.driven, active[-1], axis.range)
-    if active:
-        together = np.asarray(np.sum(active, axis=0, dtype=np.uint16))
+        result["poses"] = len(recording)
+    else:
+        result["axes"] = {}
+        for number, axis in enumerate(machine.axes):
+            progress(number / len(machine.axes), f"describing {axis.name}")
+            leave()
+            command = recording.values(axis_signal(axis.name, "command"))
+            if not np.isnan(command).all():
+                result["axes"][axis.name] = asdict(use_of(recording, axis, scales[axis.name]))
+                moving[axis.name] = level_of(command) != 0
+    if moving:
+        together = np.asarray(np.sum(list(moving.values()), axis=0, dtype=np.uint16))
         result["several_axes"] = float(np.mean(together[together > 0] > 1)) if np.any(together > 0) else 0.0
+    flags += recording_flags(RecordingTable(recording, machine, moving))
     return result
 
 
@@ -287,38 +149,8 @@ def _signal(recording: Recording, signal: str) -> dict[str, Any]:
         "coverage": float(np.mean(counts > 0)),
     }
     if recording.kind == "motion":
-        numbers["longest_gap_s"] = _longest_run(~measured) / recording.rate_hz
+        numbers["longest_gap_s"] = longest_run(~measured) / recording.rate_hz
     return numbers
-
-
-def _axis_flags(
-    recording: Recording, axis: str, driven: str, moving: npt.NDArray[np.bool_], ends: tuple[float, float]
-) -> list[str]:
-    """Possible faults of an axis: a stuck sensor, values outside the range."""
-    values = recording.values(driven)
-    there = known(values)
-    if not len(there):
-        return []
-    flags = []
-    frozen = np.zeros(len(values), dtype=bool)
-    frozen[1:] = (values[1:] == values[:-1]) & moving[1:] & moving[:-1]
-    stuck = _longest_run(frozen) / recording.rate_hz
-    if stuck > STUCK_S:
-        flags.append(f"{driven}: one value for {stuck:.1f} s while {axis} is commanded: stuck sensor, or too small a command")
-    if np.isfinite(ends).all():
-        margin = 1e-3 * (ends[1] - ends[0])
-        beyond = (there < ends[0] - margin) | (there > ends[1] + margin)
-        if beyond.any():
-            flags.append(
-                f"{driven}: {100 * beyond.mean():.1f} % of the samples are outside [{ends[0]:g}, {ends[1]:g}]: offset or unit?"
-            )
-    return flags
-
-
-def _longest_run(mask: npt.NDArray[np.bool_]) -> int:
-    """Length of the longest stretch of True."""
-    first, last = stretches(mask)
-    return int((last - first).max(initial=0))
 
 
 def _key_of(channel: Channel) -> str:

@@ -10,10 +10,9 @@ from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
-from sysid.datasets.chunked import known
+from sysid.datasets.chunked import Array, known
 from sysid.datasets.quality import coverage, use
 from sysid.datasets.quality.coverage import PairMap, Rest, Span, noise_at_rest, pair_maps, postures, rests_of, spans_of
 from sysid.datasets.quality.noise import noise_of
@@ -21,8 +20,6 @@ from sysid.datasets.quality.use import SLOPE_S, AxisUse, Scale, pairs_together, 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.scratch import pieces
 from sysid.signals import axis_signal, split_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Two recordings have the same commands if these, shifted, differ by less than this share (RMS) over at least this share of the
 #: shorter one. Edges with an offset of one sample contribute a tenth.
@@ -33,7 +30,7 @@ GIVEN = 0.02
 SIZE = 1.2
 #: The shift of longer recordings is first searched on means over rows, so many that this number is left, then row by row on as
 #: many in the middle.
-MOST = 2**18
+MOST_ROWS = 2**18
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,7 @@ class _Commands:
 def repeats_of(recordings: Sequence[Recording], scales: Mapping[str, Scale]) -> tuple[Repeat, ...]:
     """All pairs of recordings of motion with the same commands."""
     moving = [r for r in recordings if r.kind == "motion"]
-    stride = -(-max(map(len, moving), default=1) // MOST) or 1
+    stride = -(-max(map(len, moving), default=1) // MOST_ROWS) or 1
     commands = {r.name: _Commands(r, scales, stride) for r in moving}
     found = []
     for first, second in combinations(moving, 2):
@@ -127,7 +124,7 @@ def _shift(one: _Commands, other: _Commands) -> int | None:
 def _finer(one: _Commands, other: _Commands, shift: int) -> int:
     """The shift within a stride of ``shift``, from the rows in the middle of what both have."""
     begin, end = _common(one.count, other.count, shift)
-    middle, half = (begin + end) // 2, min(MOST, end - begin) // 2
+    middle, half = (begin + end) // 2, min(MOST_ROWS, end - begin) // 2
     if half < 1:
         return shift
     first, last, around = middle - half, middle + half, one.stride
@@ -227,15 +224,9 @@ class DatasetEvidence:
             "recordings": {r.name: _recording_json(r) for r in self.recordings},
             "axes": {name: {**asdict(use), **asdict(self.scales[name])} for name, use in self.axes.items()},
             "together_s": _pairs(self.together_s),
-            "ranges": {span.axis: _span_json(span) for span in self.spans},
+            "ranges": {span.axis: {**asdict(span), **_shares(span)} for span in self.spans},
             "coverage": {
-                f"{m.first.axis}+{m.second.axis}": {
-                    "covered": m.covered,
-                    "covered_moving": m.covered_moving,
-                    "seconds": m.seconds,
-                    "poses": m.poses,
-                }
-                for m in self.maps
+                f"{m.first.axis}+{m.second.axis}": {**_shares(m), "seconds": m.seconds, "poses": m.poses} for m in self.maps
             },
             "postures": [{**asdict(rest), "seconds": rest.seconds} for rest in self.postures],
             "noise": {signal: asdict(noise) for signal, noise in self.noise.items()},
@@ -328,8 +319,8 @@ def _moving_noise(dataset: Dataset, signal: str) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def _span_json(span: Span) -> dict[str, Any]:
-    return {**asdict(span), "covered": span.covered, "covered_moving": span.covered_moving}
+def _shares(found: Span | PairMap) -> dict[str, float]:
+    return {"covered": found.covered, "covered_moving": found.covered_moving}
 
 
 def _recording_json(recording: RecordingEvidence) -> dict[str, Any]:

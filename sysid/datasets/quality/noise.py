@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from sysid.datasets.chunked import absolute, copied, differences, known, median
+from sysid.datasets.chunked import Array, absolute, copied, differences, known, median
 from sysid.scratch import chosen, computed
-
-Array = npt.NDArray[np.float64]
 
 #: Samples of a sensor this far apart are independent [s], for any sensor above 17 Hz.
 LAG_S = 0.06

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import absolute, copied, counted, known
+from sysid.datasets.chunked import Array, absolute, copied, counted, known
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.scratch import chosen, computed, empty, filled, pieces
 from sysid.signals import axis_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Values that are looked at together after a reversal, and at most.
 _FEW, _MOST = 64, 2**16
@@ -192,10 +190,10 @@ def pairs_together(recording: Recording, scales: Mapping[str, Scale]) -> dict[tu
     return {(a, b): float(np.sum(active[a] & active[b])) / recording.rate_hz for a, b in combinations(active, 2)}
 
 
-def moved_signal(recording: Recording, axis: Axis) -> str:
-    """The joint, or the driven quantity where this recording has no joint."""
+def moved_signal(recording: Recording, axis: Axis, stride: int = 1) -> str:
+    """The joint, or the driven quantity where this recording has no joint in every ``stride``-th sample."""
     joint = axis_signal(axis.name, "joint")
-    return joint if not np.isnan(recording.values(joint)).all() else axis.driven
+    return joint if not np.isnan(recording.values(joint)[::stride]).all() else axis.driven
 
 
 def level_of(command: Array) -> Array:

@@ -20,18 +20,18 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel, RowCounts
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, reference_poses
+from sysid.datasets.checks.flag import Flag
+from sysid.datasets.checks.run import flag_rows
+from sysid.datasets.checks.streams import likely_unit
 from sysid.datasets.chunked import median_step
 from sysid.datasets.clocks.estimate import Backlash, Estimate, Skew
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
 from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.discover import RecordingFiles
-from sysid.datasets.flags.collect import flag_rows
-from sysid.datasets.flags.flag import Flag
 from sysid.datasets.frames.bodies import MissingFrames
 from sysid.datasets.plan import Plan
-from sysid.datasets.plausibility.stamps import likely_unit
 from sysid.datasets.poses import pose_table, still_phases
-from sysid.datasets.quality import describe
+from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.use import Scale
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Kind, Recording

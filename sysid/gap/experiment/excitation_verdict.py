@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sysid.datasets.checks.roles import unmet_need
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.needs import unmet_need
 from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
 from sysid.gap.excitation import advice, excitation_at, excitation_of, measured_signals, recording_for
 from sysid.gap.prepare.case import Case, Stage, stage_candidates, stage_split

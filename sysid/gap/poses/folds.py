@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.checks.roles import ROLES
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.needs import ROLES
 from sysid.gap.candidates import Candidate
 
 Array = npt.NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.checks.roles import check_needs, is_pose_set
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.needs import check_needs, is_pose_set
 from sysid.effects import (
     armature_error,
     coulomb_friction,

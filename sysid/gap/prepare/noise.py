@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.checks.roles import is_pose_set
 from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.roles.needs import is_pose_set
 from sysid.gap.arm.forces import friction_columns
 from sysid.gap.likelihood.discrepancy.drives import force_columns
 from sysid.gap.prepare.resolution import reading_step, rounding

@@ -13,9 +13,9 @@ import numpy as np
 from markupsafe import Markup
 
 from sysid import display
-from sysid.datasets.plausibility import check_plausibility
-from sysid.datasets.quality import DatasetEvidence, evidence_of
+from sysid.datasets.checks.run import check_plausibility
 from sysid.datasets.quality.coverage import GRID, PairMap, Rest, Span
+from sysid.datasets.quality.evidence import DatasetEvidence, evidence_of
 from sysid.datasets.quality.use import CELLS, VISITED_S, AxisUse
 from sysid.datasets.quality.use import SMALL as SMALL_COMMAND
 from sysid.datasets.recording import ClockRecord, Dataset, Recording

@@ -18,15 +18,16 @@ result depends on the recordings and their order only.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.checks.roles import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
+from sysid.datasets.chunked import Array
 from sysid.datasets.recording import Role
-from sysid.datasets.roles.needs import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
 
-Array = npt.NDArray[np.float64]
 Choice = npt.NDArray[np.int64]
 
 #: Largest number of assignments that are all compared.
@@ -143,31 +144,25 @@ class Assignment:
 
     def _descent(self, choice: Choice, allowed: npt.NDArray[np.bool_], present: Choice) -> Choice:
         """Single changes, then exchanges of two recordings, as long as one lowers the objective."""
-        choice = choice.copy()
         key = self.key(choice, present)
         for _ in range(STEPS):
-            step = self._change(choice, allowed, present, key) or self._exchange(choice, allowed, present, key)
-            if step is None:
+            moves = (self._step(choice, rows, options, present, key) for rows, options in self._moves(choice, allowed))
+            better = next((move for move in moves if move is not None), None)
+            if better is None:
                 break
-            choice, key = step
+            choice, key = better
         return choice
 
-    def _change(
-        self, choice: Choice, allowed: npt.NDArray[np.bool_], present: Choice, key: tuple[float, ...]
-    ) -> tuple[Choice, tuple[float, ...]] | None:
+    def _moves(self, choice: Choice, allowed: npt.NDArray[np.bool_]) -> Iterator[tuple[Choice, Choice]]:
+        """Recordings that change their options, and these, (m, k) each: single ones, then pairs that exchange theirs."""
         rows, options = np.nonzero(allowed)
         other = options != choice[rows]
-        return self._step(choice, rows[other, None], options[other, None], present, key)
-
-    def _exchange(
-        self, choice: Choice, allowed: npt.NDArray[np.bool_], present: Choice, key: tuple[float, ...]
-    ) -> tuple[Choice, tuple[float, ...]] | None:
-        if len(choice) > PAIRS:
-            return None
-        first, second = np.triu_indices(len(choice), 1)
-        fine = (choice[first] != choice[second]) & allowed[first, choice[second]] & allowed[second, choice[first]]
-        pairs = np.column_stack([first[fine], second[fine]])
-        return self._step(choice, pairs, choice[pairs[:, ::-1]], present, key)
+        yield rows[other, None], options[other, None]
+        if len(choice) <= PAIRS:
+            first, second = np.triu_indices(len(choice), 1)
+            fine = (choice[first] != choice[second]) & allowed[first, choice[second]] & allowed[second, choice[first]]
+            pairs = np.column_stack([first[fine], second[fine]])
+            yield pairs, choice[pairs[:, ::-1]]
 
     def _step(
         self, choice: Choice, rows: Choice, options: Choice, present: Choice, key: tuple[float, ...]

@@ -1,5 +1,4 @@
-"""Faulty values of a channel: numbers that stand for "no value", outliers of a few samples, jumps from one sample to the next,
-and stuck or saturated sensors.
+"""Checks of the values of a channel: outliers of a few samples, jumps between two samples, stuck and saturated sensors.
 
 Outliers and jumps are compared with the sensor's noise and the steps around them: in a fast motion, neighbouring samples move
 as well. A sensor with noise never repeats a value many times. A quantised or noiseless one does whenever the machine is at
@@ -8,84 +7,14 @@ rest, so it is only checked while the machine is commanded well beyond any dead-
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.chunked import absolute, counted, differences, masked, median, median_step, stretches
-from sysid.datasets.flags.flag import Array, Flag, Mask, merged, with_unit
-from sysid.machine import Machine
+from sysid.datasets.checks.flag import Flag, SignalSamples, merged, with_unit
+from sysid.datasets.chunked import Array, Mask, Rows, absolute, counted, differences, masked, median, median_step, stretches
 from sysid.scratch import chosen, computed, pieces
 from sysid.signals import split_signal
-
-#: Least number of samples with exactly this number, and of others.
-LEAST, LEAST_OTHERS = 3, 10
-
-
-def ends_of(signal: str, machine: Machine) -> tuple[float, float]:
-    """Range of the axis that ``signal`` measures, in SI; infinite where it is not known."""
-    owner, kind = split_signal(signal)
-    for axis in machine.axes:
-        if axis.name == owner:
-            if kind == "joint" and axis.limits is not None:
-                return axis.limits
-            if kind == "cylinder" and axis.stroke is not None:
-                return axis.stroke
-    return (-np.inf, np.inf)
-
-
-def sentinels(signal: str, raw: Array, values: Array, stamps: npt.NDArray[np.int64], ends: tuple[float, float]) -> list[Flag]:
-    """The numbers of a measured signal that are no measurement, a flag each; seconds count from the first stamp.
-
-    Such a number is the lowest or highest, recurs exactly, lies further from all others than they lie apart and than they lie
-    from zero, and is no position of the axis. A sensor that moves there passes values in between. Commands are not examined:
-    they jump.
-
-    Args:
-        raw: as in the file, (n,).
-        values: the same in SI, NaN where there is none, (n,).
-        stamps: in nanoseconds, (n,).
-        ends: range of the axis in SI; infinite where it is not known.
-    """
-    if signal.endswith(".command"):
-        return []
-    found: list[Flag] = []
-    left = np.isfinite(raw) & np.isfinite(values)
-    while (apart := _apart(raw, left)) is not None:
-        numbers, (low, high) = apart
-        for number in numbers:
-            own = left & (raw == number)
-            rows = np.flatnonzero(own)
-            left &= ~own
-            there = float(values[rows[0]])
-            if np.isfinite(ends).all() and ends[0] <= there <= ends[1]:
-                continue
-            text = f"{number:.10g} stands in {len(rows)} samples, apart from all others ({low:.4g} to {high:.4g})"
-            begin, end = ((stamps[rows[[0, -1]]] - stamps[0]) * 1e-9).tolist()
-            found.append(Flag(signal, "sentinel", float(begin), float(end), len(rows), text))
-    return found
-
-
-def _apart(raw: Array, left: Mask) -> tuple[list[float], tuple[float, float]] | None:
-    """The lowest, the highest or both numbers, where they recur and lie apart from all others, and the range of these."""
-    if np.count_nonzero(left) < LEAST + LEAST_OTHERS:
-        return None
-    ends = [float(np.fmin.reduce(raw, where=left, initial=np.inf)), float(np.fmax.reduce(raw, where=left, initial=-np.inf))]
-    often = [number for number in ends if np.count_nonzero(left & (raw == number)) >= LEAST]
-    for numbers in ([number] for number in often) if len(often) < 2 else (often[:1], often[1:], often):
-        others = left & ~np.isin(raw, numbers)
-        if np.count_nonzero(others) < LEAST_OTHERS:
-            continue
-        low, high = (
-            float(np.fmin.reduce(raw, where=others, initial=np.inf)),
-            float(np.fmax.reduce(raw, where=others, initial=-np.inf)),
-        )
-        distance = min(max(low - number, number - high) for number in numbers)
-        if low < high and distance > max(high - low, abs(low), abs(high)):
-            return numbers, (low, high)
-    return None
-
 
 #: Longest outlier [samples]; a longer one is two jumps.
 SPIKE_SAMPLES = 5
@@ -137,17 +66,10 @@ def sensor_step(values: Array) -> float:
     return step if whole / len(changes) > COUNTED else 0.0
 
 
-def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
-    """One to :data:`SPIKE_SAMPLES` samples far from the line between their neighbours.
-
-    Args:
-        signal: its name.
-        times: increasing, (n,) [s].
-        values: (n,); NaN is skipped.
-        unit: of the values, for the text.
-    """
-    known = ~np.isnan(values)
-    times, values = chosen(times, known), chosen(values, known)
+def outliers(samples: SignalSamples) -> list[Flag]:
+    """One to :data:`SPIKE_SAMPLES` samples far from the line between their neighbours; missing values are skipped."""
+    known = samples.known
+    times, values = known.times, known.values
     found: list[Flag] = []
     if len(times) < 2 * AROUND + SPIKE_SAMPLES + 2:
         return found
@@ -175,13 +97,14 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
             first, last = before[index] + 1, after[index]
             if not taken[first:last].any():
                 taken[first:last] = True
-                size, around = with_unit(float(off[index]), unit), with_unit(float(step), unit)
-                text = f"{_count(length)} off by {size}, the steps around are {around}"
-                found.append(Flag(signal, "outlier", float(times[first]), float(times[last - 1]), length, text))
+                size, around = (with_unit(float(each), samples.unit) for each in (off[index], step))
+                count = "a sample" if length == 1 else f"{length} samples"
+                text = f"{count} off by {size}, the steps around are {around}"
+                found.append(known.flag("outlier", first, last - 1, text))
     return merged(sorted(found, key=lambda flag: flag.from_s))
 
 
-def _least_distance(times: Array, values: Array, before: np.typing.NDArray[np.intp], length: int) -> Array:
+def _least_distance(times: Array, values: Array, before: Rows, length: int) -> Array:
     """Least distance of the ``length`` samples after ``before`` from the line between the samples on both sides, (m,)."""
     after = before + length + 1
     slope = (values[after] - values[before]) / (times[after] - times[before])
@@ -195,13 +118,15 @@ def _least_distance(times: Array, values: Array, before: np.typing.NDArray[np.in
     return least
 
 
-def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
+def jumps(samples: SignalSamples) -> list[Flag]:
     """Steps between two samples far larger than those around: swapped markers, a slipped or wrapped sensor, lost counts.
 
-    Arguments as for :func:`outliers`. A jump and the one back are one flag.
+    A jump and the one back are one flag. Missing values are skipped. A speed jumps at an end stop and is not checked.
     """
-    known = ~np.isnan(values)
-    times, values = chosen(times, known), chosen(values, known)
+    if split_signal(samples.signal)[1] == "speed":
+        return []
+    known = samples.known
+    times, values = known.times, known.values
     if len(times) < 2 * AROUND + 2:
         return []
     floor = max(JUMP_NOISE * noise_scale(values), STEPS_OF_SENSOR * sensor_step(values), 1e-9 * float(np.ptp(values)))
@@ -227,24 +152,17 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
         step = int(far[number])
         by = float(values[step + 1] - values[step])
         first, last = step + 1, step + 1
-        text = f"{'wraps' if _is_turn(by, unit) else 'jumps'} by {with_unit(by, unit)} between two samples"
+        turn = samples.unit == "rad" and abs(abs(by) - 2.0 * np.pi) < 0.1
+        text = f"{'wraps' if turn else 'jumps'} by {with_unit(by, samples.unit)} between two samples"
         if number + 1 < len(far):
             back = int(far[number + 1])
             returned = float(values[back + 1] - values[back])
             if abs(by + returned) < BACK_SHARE * abs(by) and times[back] - times[step] < BACK_S:
                 last, number = back, number + 1
                 text += f" and back {times[back] - times[first]:.3f} s later"
-        found.append(Flag(signal, "jump", float(times[first]), float(times[last]), last - first + 1, text))
+        found.append(known.flag("jump", first, last, text))
         number += 1
     return merged(found)
-
-
-def _is_turn(by: float, unit: str) -> bool:
-    return unit == "rad" and abs(abs(by) - 2.0 * np.pi) < 0.1
-
-
-def _count(length: int) -> str:
-    return "a sample" if length == 1 else f"{length} samples"
 
 
 #: A noisy sensor that repeats its value this often, and this long, is stuck [samples, s]; ten equal values of a sensor that
@@ -261,81 +179,61 @@ END_SHARE = 0.01
 STOP_SHARE = 0.02
 
 
-@dataclass(frozen=True)
-class SensorContext:
-    """Commands at the times of a sensor, (n,) each.
-
-    Args:
-        commanded: an axis that moves the sensor is commanded.
-        driven: it is commanded by so much that it has to move.
-    """
-
-    commanded: Mask
-    driven: Mask
+def constant_values(samples: SignalSamples) -> list[Flag]:
+    """Stretches of one value, a stuck or a saturated sensor: at the ends of its range the latter."""
+    saturated = saturation(samples)
+    alone = [flag for flag in stuck(samples) if not any(flag.from_s <= s.to_s and s.from_s <= flag.to_s for s in saturated)]
+    return [*alone, *saturated]
 
 
-def stuck(signal: str, times: Array, values: Array, context: SensorContext, unit: str = "1") -> list[Flag]:
-    """Stretches of one value while the machine is commanded.
-
-    Args:
-        signal: its name.
-        times: increasing, (n,) [s].
-        values: (n,), NaN where missing.
-        context: commands at these times.
-        unit: of the values, for the text.
-    """
-    found = []
-    repeats = repeats_by_nature(values, context)
+def stuck(samples: SignalSamples) -> list[Flag]:
+    """Stretches of one value while the machine is commanded."""
+    times, values = samples.times, samples.values
+    repeats = repeats_by_nature(samples)
+    if repeats and split_signal(samples.signal)[1] == "speed":
+        return []  # a quantised speed is constant in every steady motion
     low, high = (float(np.nanmin(values)), float(np.nanmax(values))) if np.isfinite(values).any() else (0.0, 0.0)
     margin = END_SHARE * (high - low)
-    if repeats and split_signal(signal)[1] == "speed":
-        return []  # a quantised speed is constant in every steady motion
-    moving = context.driven if repeats else context.commanded
+    moving = samples.driven if repeats else samples.commanded
+    found = []
     for first, last in _equal_runs(values):
-        value = float(values[first])
         inside = moving[first:last]
         if not inside.any():
             continue
-        seconds = _longest(times[first:last], inside)
+        value, seconds = float(values[first]), _longest(times[first:last], inside)
         if repeats:
             is_stuck = seconds >= STUCK_QUANTISED_S and low + margin < value < high - margin
         else:
             is_stuck = seconds >= STUCK_S and int(inside.sum()) >= STUCK_SAMPLES and low < value < high
         if is_stuck:
             lasted = times[last - 1] - times[first]
-            text = f"stays at {with_unit(value, unit)} for {lasted:.2f} s while the machine is commanded: "
+            text = f"stays at {with_unit(value, samples.unit)} for {lasted:.2f} s while the machine is commanded: "
             text += "a stuck sensor, or an axis that stalls" if repeats else "a stuck sensor"
-            found.append(Flag(signal, "stuck", float(times[first]), float(times[last - 1]), last - first, text))
+            found.append(samples.flag("stuck", first, last - 1, text))
     return merged(found)
 
 
-def saturation(
-    signal: str,
-    times: Array,
-    values: Array,
-    context: SensorContext,
-    ends: tuple[float, float] = (-np.inf, np.inf),
-    unit: str = "1",
-) -> list[Flag]:
+def saturation(samples: SignalSamples) -> list[Flag]:
     """Stretches at the lowest or highest value of the sensor.
 
-    Arguments as for :func:`stuck`; ``ends`` are those of the axis. A quantised sensor is also constant at an end stop, so it is
-    only flagged where the end of the axis is known and elsewhere, and the axis is driven.
+    A quantised sensor is also constant at an end stop, so it is only flagged where the end of the axis is known and elsewhere,
+    and the axis is driven.
     """
+    times, values, ends = samples.times, samples.values, samples.ends
     finite = chosen(values, np.isfinite(values))
     if not len(finite):
         return []
     low, high = float(finite.min()), float(finite.max())
     if low == high:
         return []
-    repeats = repeats_by_nature(values, context)
+    repeats = repeats_by_nature(samples)
     found = []
     for first, last in _equal_runs(values):
         value = float(values[first])
         if value not in (low, high):
             continue
         if repeats:
-            if not np.isfinite(ends).all() or _longest(times[first:last], context.driven[first:last]) < STUCK_QUANTISED_S:
+            if not np.isfinite(ends).all() or _longest(times[first:last], samples.driven[first:last]) < STUCK_QUANTISED_S:
                 continue
             if min(abs(value - ends[0]), abs(value - ends[1])) < STOP_SHARE * (ends[1] - ends[0]):
                 continue
@@ -343,29 +241,29 @@ def saturation(
             continue
         side = "highest" if value == high else "lowest"
         lasted = times[last - 1] - times[first]
-        text = f"stays at its {side} value {with_unit(value, unit)} for {lasted:.2f} s: the sensor's range ends"
-        found.append(Flag(signal, "saturation", float(times[first]), float(times[last - 1]), last - first, text))
+        text = f"stays at its {side} value {with_unit(value, samples.unit)} for {lasted:.2f} s: the sensor's range ends"
+        found.append(samples.flag("saturation", first, last - 1, text))
     return merged(found)
 
 
-def repeats_by_nature(values: Array, context: SensorContext) -> bool:
+def repeats_by_nature(samples: SignalSamples) -> bool:
     """Whether equal neighbours are normal: the sensor is quantised, or has no noise where nothing is commanded."""
+    values = samples.values
     finite = np.isfinite(values)
     if sensor_step(chosen(values, finite)) > 0.0:
         return True
     both = finite[1:] & finite[:-1]
-    at_rest = both & ~context.commanded[1:]
+    at_rest = both & ~samples.commanded[1:]
     checked = at_rest if np.count_nonzero(at_rest) >= 2 * STUCK_SAMPLES else both
     equal = counted(len(both), lambda a, b: (values[a + 1 : b + 1] == values[a:b]) & checked[a:b])
     count = int(np.count_nonzero(checked))
     return count > 0 and equal / count > REPEATS
 
 
-def _equal_runs(values: Array) -> list[tuple[int, int]]:
+def _equal_runs(values: Array) -> Iterator[tuple[int, int]]:
     """Stretches (first, last + 1) of at least :data:`STUCK_SAMPLES` equal values."""
     first, last = stretches(values[1:] == values[:-1])
-    long = np.flatnonzero(last - first >= STUCK_SAMPLES - 1)
-    return [(int(first[k]), int(last[k]) + 1) for k in long]
+    return ((int(first[k]), int(last[k]) + 1) for k in np.flatnonzero(last - first >= STUCK_SAMPLES - 1))
 
 
 def _longest(times: Array, mask: Mask) -> float:

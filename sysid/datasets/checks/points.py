@@ -1,25 +1,33 @@
-"""The end effector against the forward kinematics of the joints, and the tool against the end effector."""
+"""Checks of the points: the end effector against the kinematics of the joints, and the tool against the end effector."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.plausibility.figures import thinned
-from sysid.datasets.plausibility.finding import Cause, Evidence, Finding, factor_text, ratio_text
-from sysid.datasets.plausibility.mistakes import ANGLE, LENGTH, UnitMistake
+from sysid.datasets.checks.figures import CheckContext, thinned
+from sysid.datasets.checks.finding import (
+    Cause,
+    Evidence,
+    Finding,
+    Severity,
+    exchanged_columns,
+    factor_text,
+    opposite_sign,
+    ratio_text,
+)
+from sysid.datasets.checks.mistakes import ANGLE, LENGTH, UnitMistake
+from sysid.datasets.chunked import Array
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.machine.kinematics import Kinematics
 from sysid.names import listed
 from sysid.signals import axis_signal, point_signals
 
-Array = npt.NDArray[np.float64]
 #: Rows that are compared in all, and at least.
 MAX_ROWS, MIN_ROWS = 2000, 12
 #: Least motion of a coordinate for a comparison [m], and least correlation for a factor.
@@ -46,23 +54,20 @@ class Registration:
     left: float
 
 
-def point_findings(
-    recordings: Sequence[Recording], machine: Machine, corrections: Mapping[str, float], exchanged: set[str]
-) -> Iterator[Finding]:
-    """Findings about ``ee`` and ``tool``.
+def check_points(data: CheckContext) -> Iterator[Finding]:
+    """The motion of ``ee`` against that of the URDF with the measured joints, and the motion of ``tool`` against ``ee``.
 
-    Args:
-        corrections: axis → factor of its joint that another finding names.
-        exchanged: axes with columns that another finding names as exchanged.
+    Joints are corrected first where another finding names their factor; where columns are exchanged they are not compared.
     """
+    machine = data.machine
     kinematics = machine.kinematics()
     joints = [axis_signal(axis, "joint") for axis in machine.axis_names]
-    if kinematics is not None and not exchanged:
-        rows = _rows(recordings, (*joints, *point_signals("ee")))
+    if kinematics is not None and not data.exchanged:
+        rows = _rows(data.recordings, (*joints, *point_signals("ee")))
         if len(rows) >= MIN_ROWS:
-            factors = np.array([corrections.get(axis, 1.0) for axis in machine.axis_names])
+            factors = np.array([data.corrections.get(axis, 1.0) for axis in machine.axis_names])
             yield from _end_effector(machine, kinematics, rows[:, :-3] / factors, rows[:, -3:])
-    rows = _rows(recordings, (*point_signals("ee"), *point_signals("tool")))
+    rows = _rows(data.recordings, (*point_signals("ee"), *point_signals("tool")))
     if len(rows) >= MIN_ROWS:
         yield from _scaled("tool", rows[:, :3], rows[:, 3:], "ee")
 
@@ -112,16 +117,14 @@ def _scaled(point: str, expected: Array, measured: Array, by: str) -> Iterator[F
         yield _scale_finding(point, ["xyz"[k] for k in members], [float(factors[k]) for k in members], by, whole)
     mirrored = [k for k in range(3) if k not in wrong and factors[k] < 0.0]
     if len(mirrored) % 2:
-        signals = listed([f"{point}.{'xyz'[k]}" for k in mirrored])
-        each = tuple(f"{point}.{'xyz'[k]}" for k in mirrored)
-        cause = Cause("", each, "of the opposite sign", -1.0, "Set `sign = -1` in the recipe, or correct the frame")
-        keys = tuple(f"{point}.{'xyz'[k]}:sign" for k in mirrored)
-        evidence = Evidence(f"{signals} moves against the motion of {by}", "the same direction")
-        yield Finding(keys, "severe", (evidence,), (cause,))
+        signals = [f"{point}.{'xyz'[k]}" for k in mirrored]
+        cause = opposite_sign(*signals, remedy="Set `sign = -1` in the recipe, or correct the frame")
+        evidence = Evidence(f"{listed(signals)} moves against the motion of {by}", "the same direction")
+        yield Finding(tuple(f"{signal}:sign" for signal in signals), "severe", (evidence,), (cause,))
 
 
 def _length(factor: float) -> UnitMistake:
-    return min(LENGTH, key=lambda mistake: abs(math.log(factor / mistake.factor)) + 0.2 * mistake.rarity)
+    return min(LENGTH, key=lambda mistake: mistake.distance(factor, 0.2))
 
 
 def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[float], by: str, whole: bool) -> Finding:
@@ -131,17 +134,16 @@ def _scale_finding(point: str, coordinates: Sequence[str], factors: Sequence[flo
     mistake = _length(mean)
     causes: tuple[Cause, ...] = ()
     if abs(math.log(mean / mistake.factor)) < math.log(NOTICE):
-        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
         remedy = f'Set `unit = "{mistake.is_}"` (motion capture: `length_unit`) in the recipe'
-        causes = (Cause("", tuple(signals), says, mistake.factor, remedy),)
+        causes = (mistake.cause(*signals, remedy=remedy),)
         if whole:
             inverse = mistake.inverse
             lengths = Cause("the lengths", ("of the URDF",), factor_text(inverse.factor), inverse.factor, "A URDF is in m")
             causes = (*causes, lengths)
-    severe = not 1.0 / SEVERE < mean < SEVERE
+    severity: Severity = "notice" if 1.0 / SEVERE < mean < SEVERE else "severe"
     found = f"{listed(signals)} move{'' if len(signals) > 1 else 's'} {ratio_text(mean)} the motion of {by}"
     keys = tuple(f"{signal}:scale" for signal in signals)
-    return Finding(keys, "severe" if severe else "notice", (Evidence(found, "the same"),), causes)
+    return Finding(keys, severity, (Evidence(found, "the same"),), causes)
 
 
 def registration(computed: Array, measured: Array) -> Registration:
@@ -209,19 +211,15 @@ def _joints(machine: Machine, kinematics: Kinematics, q: Array, measured: Array,
     for k, name in enumerate(names):
         units = ANGLE if k in revolute else LENGTH
         for mistake in units:
-            says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
-            attempt(_with(q, [k], 1.0 / mistake.factor), Cause("", (f"{name}.joint",), says, mistake.factor), (name,))
-        cause = Cause("", (f"{name}.joint",), "of the opposite sign", -1.0, "Set `sign = -1` in the recipe")
-        attempt(_with(q, [k], -1.0), cause, (name,))
+            attempt(_with(q, [k], 1.0 / mistake.factor), mistake.cause(f"{name}.joint"), (name,))
+        attempt(_with(q, [k], -1.0), opposite_sign(f"{name}.joint"), (name,))
     for mistake in ANGLE:
-        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        cause = Cause("", tuple(f"{names[k]}.joint" for k in revolute), says, mistake.factor)
+        cause = mistake.cause(*(f"{names[k]}.joint" for k in revolute))
         attempt(_with(q, revolute, 1.0 / mistake.factor), cause, tuple(names[k] for k in revolute))
     for a, b in itertools.combinations(range(len(names)), 2):
         order = list(range(len(names)))
         order[a], order[b] = order[b], order[a]
-        columns = (f"{names[a]}.joint", f"{names[b]}.joint")
-        attempt(q[:, order], Cause("the columns", columns, "exchanged", 1.0, "Correct the recipe"), (names[a], names[b]))
+        attempt(q[:, order], exchanged_columns(f"{names[a]}.joint", f"{names[b]}.joint"), (names[a], names[b]))
     tried.sort(key=lambda item: item[0])
     found = f"the URDF and the joints do not give the motion of ee ({100 * turned.left:.0f} % of it is left)"
     evidence = Evidence(found, f"less than {100 * FITS:.0f} %")

@@ -6,23 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.chunked import copied, known
+from sysid.datasets.chunked import Array, copied, known
 from sysid.datasets.quality.noise import noise_of
-from sysid.datasets.quality.use import IDLE, SLOPE_S, SLOW, SMALL, SPEED_NOISE, TURN, TURN_NOISE, speed_of, turning_rows
+from sysid.datasets.quality.use import (
+    IDLE,
+    SLOPE_S,
+    SLOW,
+    SMALL,
+    SPEED_NOISE,
+    TURN,
+    TURN_NOISE,
+    moved_signal,
+    speed_of,
+    turning_rows,
+)
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
 
-Array = npt.NDArray[np.float64]
-
-#: Quantities of an axis, in the order of the columns: seconds of motion in either direction, reversals, and seconds of small
-#: and of large commands (of slow and fast motion, where the command is not a speed) in either direction.
-FEATURES = (
-    *("forward_s", "backward_s", "reversals"),
-    *("small_forward_s", "small_backward_s", "large_forward_s", "large_backward_s"),
-)
 #: Samples per second that are counted: speeds are slopes over 0.2 s. Counted samples of a cell, the resolution of parts.
 COUNTED_HZ, CELL = 20.0, 5
 #: An axis moves in a recording if it covers this share of the range that it covers in all of them, and this multiple of its
@@ -36,7 +38,9 @@ _NOISE_RECORDINGS, _NOISE_SAMPLES = 20, 10_000
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """Motion of one axis in some recordings, as named in :data:`FEATURES`."""
+    """Motion of one axis in some recordings: seconds of motion in either direction, reversals, and seconds of small and of
+    large commands (of slow and fast motion, where the command is not a speed) in either direction.
+    """
 
     forward_s: float = 0.0
     backward_s: float = 0.0
@@ -45,6 +49,15 @@ class AxisMotion:
     small_backward_s: float = 0.0
     large_forward_s: float = 0.0
     large_backward_s: float = 0.0
+
+
+#: The same as columns of amounts.
+FEATURES = tuple(AxisMotion.__dataclass_fields__)
+
+
+def by_axis(amounts: Array, axes: Sequence[str]) -> dict[str, AxisMotion]:
+    """Axis → the amounts (axes, features) by their names."""
+    return {axis: AxisMotion(*map(float, row)) for axis, row in zip(axes, amounts, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -87,10 +100,6 @@ class MotionTable:
         for name in names:
             total += self.recordings[name].amounts()
         return total
-
-    def axis_motion(self, names: Sequence[str]) -> dict[str, AxisMotion]:
-        """Axis → its motion in several recordings together."""
-        return {axis: AxisMotion(*map(float, row)) for axis, row in zip(self.axes, self.of(names), strict=True)}
 
 
 def motion_table(recordings: Sequence[Recording], machine: Machine) -> MotionTable:
@@ -208,7 +217,7 @@ def _noise(axis: Axis, recordings: Sequence[Recording], machine: Machine) -> flo
     step = max(1, len(recordings) // _NOISE_RECORDINGS)
     levels = []
     for recording in recordings[::step]:
-        values = recording.values(_position(recording, axis))
+        values = recording.values(moved_signal(recording, axis, _stride(recording.rate_hz)))
         begin = max(0, (len(values) - _NOISE_SAMPLES) // 2)
         level = noise_of(copied(values[begin : begin + _NOISE_SAMPLES]), recording.rate_hz)
         if np.isfinite(level):
@@ -218,15 +227,9 @@ def _noise(axis: Axis, recordings: Sequence[Recording], machine: Machine) -> flo
 
 def _samples(recording: Recording, axis: Axis) -> _Samples:
     stride = _stride(recording.rate_hz)
-    position = copied(recording.values(_position(recording, axis))[::stride])
+    position = copied(recording.values(moved_signal(recording, axis, stride))[::stride])
     command = copied(recording.values(axis_signal(axis.name, "command"))[::stride])
     return _Samples(command, position, speed_of(position, recording.rate_hz / stride))
-
-
-def _position(recording: Recording, axis: Axis) -> str:
-    """The joint, or the driven quantity where this recording has no joint in its counted samples."""
-    joint = axis_signal(axis.name, "joint")
-    return joint if not np.isnan(recording.values(joint)[:: _stride(recording.rate_hz)]).all() else axis.driven
 
 
 def _stride(rate_hz: float) -> int:

@@ -1,4 +1,4 @@
-"""What fit, selection and test recordings each need, and what they lack.
+"""Checks of the roles: what fit, selection and test recordings each need, and what they lack.
 
 The motion that a role needs is what the catalogue of effects needs (:class:`sysid.effects.Need`): the fit the whole amount,
 selection and test half of it, as they are half as long. Where the recordings contain less, a role needs half of its share of
@@ -20,30 +20,38 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import counted
+from sysid.datasets.checks.figures import CheckContext
+from sysid.datasets.checks.finding import Evidence, Finding
+from sysid.datasets.chunked import Array, counted
+from sysid.datasets.quality.motion import FEATURES, MotionTable, motion_table
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.motion import FEATURES, MotionTable, motion_table
 from sysid.errors import ExcitationError
 from sysid.machine import Machine
 from sysid.names import listed
 from sysid.signals import axis_signal, point_signals
 
-Array = npt.NDArray[np.float64]
-
 ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 #: Share of the whole duration for each role.
 SHARES: dict[Role, float] = {"fit": 0.5, "select": 0.25, "held_out": 0.25}
-#: Amounts of :data:`FEATURES` that the fit needs: 3 s in each direction (unequal speeds), 8 reversals (backlash), 2 s of small
-#: commands on each side (dead-band), as in the catalogue of effects; half of its 5 s of motion at large commands on each side.
-NEEDED: tuple[float, ...] = (3.0, 3.0, 8.0, 2.0, 2.0, 2.5, 2.5)
-#: Weight of a shortage: without motion in a direction no effect is observable; without reversals backlash, hysteresis and
-#: friction are not; without small or large commands dead-band or saturation.
-WEIGHTS: tuple[float, ...] = (1.0, 1.0, 0.8, 0.7, 0.7, 0.7, 0.7)
+#: Quantity of an axis → amount that the fit needs, weight of a shortage, and total from which the quantity counts.
+#:
+#: As in the catalogue of effects: 3 s in each direction (unequal speeds), 8 reversals (backlash), 2 s of small commands on each
+#: side (dead-band); half of its 5 s of motion at large commands on each side. Without motion in a direction no effect is
+#: observable; without reversals backlash, hysteresis and friction are not; without small or large commands dead-band or
+#: saturation. What moves for less than the total is not moved; sizes have to be enough for one role at least.
+_NEEDS = {
+    "forward_s": (3.0, 1.0, 0.5),
+    "backward_s": (3.0, 1.0, 0.5),
+    "reversals": (8.0, 0.8, 2.0),
+    "small_forward_s": (2.0, 0.7, 2.0),
+    "small_backward_s": (2.0, 0.7, 2.0),
+    "large_forward_s": (2.5, 0.7, 2.5),
+    "large_backward_s": (2.5, 0.7, 2.5),
+}
+NEEDED, WEIGHTS, COUNTS = np.array([_NEEDS[feature] for feature in FEATURES]).T
 #: Share of a role's part of a scarce quantity that is enough.
 ENOUGH = 0.5
-#: Totals from which a quantity counts: what moves for less is not moved, sizes have to be enough for one role at least.
-COUNTS: tuple[float, ...] = (0.5, 0.5, 2.0, 2.0, 2.0, 2.5, 2.5)
 #: Steps in which weighted shortages are compared, rounded down. From the second step on a role lacks a quantity: it has less
 #: than a third of what it needs of motion in a direction, less than a sixth of the reversals, no small or no large commands.
 #: Smaller shortages are no reason to change roles, or to cut recordings.
@@ -68,23 +76,20 @@ class RoleNeeds:
         """Needs of ``roles`` for recordings with these amounts, (axes, features)."""
         shares = np.array([SHARES[role] for role in roles])
         part = shares / shares.sum()
-        whole = np.array(NEEDED) * (shares / SHARES["fit"])[:, None, None]
+        whole = NEEDED * (shares / SHARES["fit"])[:, None, None]
         amounts = np.minimum(whole, ENOUGH * part[:, None, None] * totals)
-        return cls(tuple(roles), part, np.where(totals >= np.array(COUNTS), amounts, 0.0))
+        return cls(tuple(roles), part, np.where(totals >= COUNTS, amounts, 0.0))
 
     def shortages(self, amounts: Array) -> Array:
         """Relative shortage of every quantity, weighted: 0 none to 1 all of it, (…, R, axes, features)."""
         needed = np.where(self.amounts > 0.0, self.amounts, 1.0)
         missing = np.clip(1.0 - amounts / needed, 0.0, 1.0)
-        return np.asarray(np.where(self.amounts > 0.0, missing * np.array(WEIGHTS), 0.0))
+        return np.asarray(np.where(self.amounts > 0.0, missing * WEIGHTS, 0.0))
 
 
 def levels(shortages: Array) -> npt.NDArray[np.int64]:
     """Shortages in whole steps of :data:`LEVELS`, rounded down."""
     return np.floor(LEVELS * shortages + 1e-9).astype(np.int64)
-
-
-assert len(NEEDED) == len(WEIGHTS) == len(COUNTS) == len(FEATURES)
 
 
 #: Least recorded motion of a role, and of a block of a recording that is cut [s]. Predictive densities are compared over blocks
@@ -100,11 +105,9 @@ ROLE_NAMES = {"fit": "fit", "select": "selection", "held_out": "test"}
 
 
 @dataclass(frozen=True)
-class UnmetNeed:
+class UnmetNeed(Evidence):
     """A condition of the gap workflow that a dataset does not meet: what was found, what is needed, what to do."""
 
-    found: str
-    expected: str
     remedy: str
 
     @property
@@ -260,6 +263,26 @@ def role_lacks(dataset: Dataset) -> tuple[Lack, ...]:
     """What the roles of ``dataset`` lack."""
     table = motion_table(dataset.of_kind("motion"), dataset.machine)
     return lacks_of(role_amounts(table, dataset.splits), table.axes, dataset.machine)
+
+
+#: Kind of the findings about axes that do not move, the end of their keys.
+STILL = "still"
+
+
+def check_roles(data: CheckContext) -> Iterator[Finding]:
+    """A notice for the axes that do not move in one of the roles, or in no recording; the rest is :func:`role_lacks`.
+
+    Nothing is said where the stamps, or the ranges of all of these axes, are implausible themselves.
+    """
+    splits = data.dataset.splits
+    motion = [recording for recording in data.motion if recording.name in splits]
+    if not motion or data.time_scale != 1.0:
+        return
+    table = motion_table(motion, data.machine)
+    for lack in lacks_of(role_amounts(table, splits), table.axes, data.machine):
+        if lack.kind == "motion" and not data.doubtful.issuperset(lack.axes):
+            keys = tuple(f"{axis}:{STILL}" for axis in lack.axes)
+            yield Finding(keys, "notice", (Evidence(lack.text, "motion in the fit, selection and test recordings"),))
 
 
 def role_amounts(table: MotionTable, splits: Mapping[str, Role]) -> Array:

@@ -10,20 +10,18 @@ from glob import escape
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.config import parse_settings, toml_values
+from sysid.datasets.checks.roles import ROLES, Lack, lacks_of, role_amounts
+from sysid.datasets.chunked import Array
 from sysid.datasets.quality.evidence import repeats_of
+from sysid.datasets.quality.motion import FEATURES, AxisMotion, by_axis, motion_table
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.datasets.roles.motion import AxisMotion, motion_table
-from sysid.datasets.roles.needs import ROLES, Lack, lacks_of, role_amounts
 from sysid.datasets.splits import Measured, SplitBlock, assignment_of, block_pattern, can_be_cut
 from sysid.names import uncut_name
 from sysid.quoting import toml_key, toml_value
-
-Array = npt.NDArray[np.float64]
 
 #: Share of the end of a recording that is held out where it is cut.
 _HELD_OUT = 0.25
@@ -32,37 +30,54 @@ _COMPARED = 40
 
 
 @dataclass(frozen=True)
+class RolesMotion:
+    """Roles of recordings, and what is in each role.
+
+    Args:
+        roles: recording → role.
+        seconds: of each role [s].
+        motion: role → axis → its motion.
+        lacks: what the roles lack.
+    """
+
+    roles: Mapping[str, Role]
+    seconds: Mapping[Role, float]
+    motion: Mapping[Role, Mapping[str, AxisMotion]]
+    lacks: tuple[Lack, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "roles": dict(self.roles),
+            "seconds": dict(self.seconds),
+            "motion": {role: {axis: asdict(value) for axis, value in axes.items()} for role, axes in self.motion.items()},
+            "lacks": [asdict(lack) for lack in self.lacks],
+        }
+
+
+@dataclass(frozen=True)
 class SplitSuggestion:
     """Present and suggested roles.
 
     Args:
-        present, roles: recording → role; the suggestion has no entry for those in ``cut``.
+        present, suggested: the suggestion has no role for recordings in ``cut``.
         cut: recordings to be cut into blocks of all roles, by ingesting the logs again.
         named: recordings whose roles the recipe names: they stay.
-        seconds: recording → its length; ``present_s`` and ``suggested_s``: of each role.
-        before, after: role → axis → its motion.
-        present_lacks, lacks: what the roles lack, now and with the suggestion.
+        seconds: recording → its length [s].
         repeats: (test recording, fit or selection recording) of the same commands, with the suggestion.
     """
 
     dataset: str
-    present: Mapping[str, Role]
-    roles: Mapping[str, Role]
+    present: RolesMotion
+    suggested: RolesMotion
     cut: tuple[str, ...]
     named: tuple[str, ...]
     seconds: Mapping[str, float]
-    present_s: Mapping[Role, float]
-    suggested_s: Mapping[Role, float]
-    before: Mapping[Role, Mapping[str, AxisMotion]]
-    after: Mapping[Role, Mapping[str, AxisMotion]]
-    present_lacks: tuple[Lack, ...]
-    lacks: tuple[Lack, ...]
     repeats: tuple[tuple[str, str], ...]
 
     @property
     def changed(self) -> dict[str, Role]:
         """Recording → new role, for those that are not cut."""
-        return {name: role for name, role in self.roles.items() if role != self.present.get(name)}
+        return {name: role for name, role in self.suggested.roles.items() if role != self.present.roles.get(name)}
 
     @property
     def better(self) -> bool:
@@ -82,12 +97,13 @@ class SplitSuggestion:
     @property
     def recipe(self) -> str:
         """Lines of the recipe that give these roles at the next ingest; empty where they cannot be written there."""
-        blocks = {name for name in self.roles if uncut_name(name) != name}
+        roles = self.suggested.roles
+        blocks = {name for name in roles if uncut_name(name) != name}
         if not self.better or any(name in self.changed for name in blocks):
             return ""
         lines = ["[splits]"]
         for role in ROLES:
-            names = [escape(name) for name, given in self.roles.items() if given == role and name not in blocks]
+            names = [escape(name) for name, given in roles.items() if given == role and name not in blocks]
             if names:
                 lines.append(f"{role} = {toml_value(names)}")
         last = [*self.cut, *dict.fromkeys(uncut_name(name) for name in blocks if uncut_name(name) not in self.named)]
@@ -97,27 +113,14 @@ class SplitSuggestion:
         return "\n".join(lines)
 
     def to_json(self, location: str) -> dict[str, Any]:
-        def motion(by_role: Mapping[Role, Mapping[str, AxisMotion]]) -> dict[str, Any]:
-            return {role: {axis: asdict(value) for axis, value in axes.items()} for role, axes in by_role.items()}
-
+        suggested = self.suggested.to_json()
         return {
             "schema": 1,
             "dataset": self.dataset,
             "better": self.better,
             "named_in_recipe": list(self.named),
-            "present": {
-                "roles": dict(self.present),
-                "seconds": dict(self.present_s),
-                "motion": motion(self.before),
-                "lacks": [asdict(lack) for lack in self.present_lacks],
-            },
-            "suggested": {
-                "roles": dict(self.roles),
-                "cut": list(self.cut),
-                "seconds": dict(self.suggested_s),
-                "motion": motion(self.after),
-                "lacks": [asdict(lack) for lack in self.lacks],
-            },
+            "present": self.present.to_json(),
+            "suggested": {"roles": suggested.pop("roles"), "cut": list(self.cut), **suggested},
             "repeats": [{"test": test, "repeats": other} for test, other in self.repeats],
             "command": self.command(location),
             "recipe": self.recipe,
@@ -138,8 +141,8 @@ def suggest_split(dataset: Dataset, recipes: Sequence[Splits] = ()) -> SplitSugg
     mine = {dataset.splits[r.name] for r in free}
     roles = [role for role in ROLES if role in mine or role not in fixed]
     suggested, cut = dict(dataset.splits), tuple[str, ...]()
-    extra = np.zeros((len(ROLES), len(table.axes), len(AxisMotion.__dataclass_fields__)))
-    extra_s = dict.fromkeys(ROLES, 0.0)
+    nothing = np.zeros((len(ROLES), len(table.axes), len(FEATURES)))
+    extra, extra_s = nothing, [0.0] * len(ROLES)
     if free and len(roles) > 1:
         guard_s = recipes[-1].guard_s if recipes else Splits().guard_s
         patterns = [_pattern(r, guard_s) if len(roles) == len(ROLES) else () for r in free]
@@ -151,27 +154,27 @@ def suggest_split(dataset: Dataset, recipes: Sequence[Splits] = ()) -> SplitSugg
         suggested |= {r.name: roles[k] for r, k in zip(free, choice, strict=True) if k < len(roles)}
         suggested = {name: role for name, role in suggested.items() if name not in cut}
         if len(rows):
-            extra = problem.amounts[rows, -1].sum(axis=0)
-            extra_s = dict(zip(ROLES, map(float, problem.seconds[rows, -1].sum(axis=0)), strict=True))
-    before, after = role_amounts(table, dataset.splits), role_amounts(table, suggested) + extra
+            extra, extra_s = problem.amounts[rows, -1].sum(axis=0), problem.seconds[rows, -1].sum(axis=0).tolist()
     seconds = {r.name: len(r) / r.rate_hz for r in motion}
 
-    def total(splits: Mapping[str, Role], role: Role) -> float:
-        return sum(value for name, value in seconds.items() if splits.get(name) == role)
+    def described(splits: Mapping[str, Role], extra: Array, extra_s: Sequence[float]) -> RolesMotion:
+        """These roles, with more amounts of motion (roles, axes, features) and seconds (roles,) from parts of recordings."""
+        amounts = role_amounts(table, splits) + extra
+        lengths = [sum(value for name, value in seconds.items() if splits.get(name) == role) for role in ROLES]
+        return RolesMotion(
+            {r.name: splits[r.name] for r in motion if r.name in splits},
+            {role: length + more for role, length, more in zip(ROLES, lengths, extra_s, strict=True)},
+            {role: by_axis(own, table.axes) for role, own in zip(ROLES, amounts, strict=True)},
+            lacks_of(amounts, table.axes, dataset.machine),
+        )
 
     return SplitSuggestion(
         dataset.reference,
-        {r.name: dataset.splits[r.name] for r in motion},
-        {r.name: suggested[r.name] for r in motion if r.name in suggested},
+        described(dataset.splits, nothing, [0] * len(ROLES)),
+        described(suggested, extra, extra_s),
         cut,
         named,
         seconds,
-        {role: total(dataset.splits, role) for role in ROLES},
-        {role: total(suggested, role) + extra_s[role] for role in ROLES},
-        _by_role(before, table.axes),
-        _by_role(after, table.axes),
-        lacks_of(before, table.axes, dataset.machine),
-        lacks_of(after, table.axes, dataset.machine),
         _repeats(motion, dataset, suggested),
     )
 
@@ -188,13 +191,6 @@ def _pattern(recording: Recording, guard_s: float) -> tuple[SplitBlock, ...]:
     blocks = block_pattern(list(ROLES), Measured.of(recording).seconds)
     whole = uncut_name(recording.name) == recording.name
     return blocks if whole and can_be_cut(recording, blocks, guard_s) else ()
-
-
-def _by_role(amounts: Array, axes: Sequence[str]) -> dict[Role, dict[str, AxisMotion]]:
-    return {
-        role: {axis: AxisMotion(*map(float, row)) for axis, row in zip(axes, amounts[k], strict=True)}
-        for k, role in enumerate(ROLES)
-    }
 
 
 def _repeats(motion: Sequence[Recording], dataset: Dataset, roles: Mapping[str, Role]) -> tuple[tuple[str, str], ...]:

@@ -1,4 +1,4 @@
-"""What a check of plausibility found, and numbers in its text."""
+"""What a check says about a dataset: what was found, what was expected, the likely causes, and what to change."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.names import listed
 #: ``severe``: certain to be wrong, `sysid gap` does not run. ``notice``: unusual; it may be right.
 Severity = Literal["severe", "notice"]
 #: Most names in a sentence; the others are counted.
-MOST = 4
+MOST_NAMES = 4
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,10 @@ class Cause:
 
     @property
     def text(self) -> str:
-        plural = (
-            len(self.subjects) > 1 or " and " in self.about or (self.about.endswith("s") and not self.about.endswith("axis"))
-        )
-        about = f"{self.about[:-4]}axes" if len(self.subjects) > 1 and self.about.endswith("axis") else self.about
-        words = (about, listed(self.subjects, MOST), "are" if plural else "is", self.says)
+        axis, several = self.about.endswith("axis"), len(self.subjects) > 1
+        plural = several or " and " in self.about or (self.about.endswith("s") and not axis)
+        about = f"{self.about[:-4]}axes" if several and axis else self.about
+        words = (about, listed(self.subjects, MOST_NAMES), "are" if plural else "is", self.says)
         return " ".join(word for word in words if word)
 
     def joined(self, other: Cause) -> Cause:
@@ -49,6 +48,16 @@ class Cause:
 
     def to_json(self) -> dict[str, Any]:
         return {"text": self.text, "factor": self.factor, "subjects": list(self.subjects), "remedy": self.remedy}
+
+
+def opposite_sign(*signals: str, remedy: str = "Set `sign = -1` in the recipe") -> Cause:
+    """Signals with the wrong sign."""
+    return Cause("", signals, "of the opposite sign", -1.0, remedy)
+
+
+def exchanged_columns(*signals: str, remedy: str = "Correct the recipe") -> Cause:
+    """Columns of the log that are taken for each other."""
+    return Cause("the columns", signals, "exchanged", 1.0, remedy)
 
 
 @dataclass(frozen=True)
@@ -84,10 +93,15 @@ class Finding:
         """The finding without its keys: evidence, recordings, causes."""
         lines = [evidence.text for evidence in self.evidence]
         if self.recordings:
-            lines.append(f"in {listed(self.recordings, MOST)}")
+            lines.append(f"in {listed(self.recordings, MOST_NAMES)}")
         for number, cause in enumerate(self.causes):
             lines.append(f"{'or' if number else 'likely cause'}: {cause.text}{f'. {cause.remedy}' if cause.remedy else ''}")
         return tuple(lines)
+
+    @property
+    def kinds(self) -> set[str]:
+        """The ends of its keys."""
+        return {key.rpartition(":")[2] for key in self.keys}
 
     def accepted(self, patterns: Iterable[str]) -> bool:
         """Whether the patterns name every key."""
@@ -130,15 +144,12 @@ def refuse_severe(findings: Sequence[Finding], accept: Sequence[str], where: obj
     left = not_accepted(findings, accept)
     if left:
         options = " ".join(f"--accept '{key}'" for finding in left for key in finding.keys)
+        briefs = "; ".join(each.causes[0].text if each.causes else each.evidence[0].text for each in left)
         raise InputError(
             where,
-            f"{len(left)} severe finding{'s' if len(left) > 1 else ''}: {'; '.join(_brief(finding) for finding in left)}",
+            f"{len(left)} severe finding{'s' if len(left) > 1 else ''}: {briefs}",
             remedy=f"Correct the recipe or machine.toml and ingest again. If the values are right, add {options}",
         )
-
-
-def _brief(finding: Finding) -> str:
-    return finding.causes[0].text if finding.causes else finding.evidence[0].text
 
 
 def plain(number: float) -> str:

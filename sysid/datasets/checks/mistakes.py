@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.datasets.plausibility.figures import AxisFigures, Span, cost_of
-from sysid.datasets.plausibility.finding import Cause, factor_text
-from sysid.signals import axis_signal
+from sysid.datasets.checks.figures import AxisFigures, SignalRange
+from sysid.datasets.checks.finding import Cause, exchanged_columns, factor_text, opposite_sign
+from sysid.datasets.checks.measures import cost_of
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,31 @@ class UnitMistake:
     @property
     def inverse(self) -> UnitMistake:
         return UnitMistake(1.0 / self.factor, self.read_as, self.is_, self.rarity + 0.5)
+
+    def cause(self, *signals: str, remedy: str = "") -> Cause:
+        """Signals with this mistake."""
+        says = f"in {self.is_}, but read as {self.read_as} ({factor_text(self.factor)})"
+        return Cause("", signals, says, self.factor, remedy)
+
+    @property
+    def time_cause(self) -> Cause:
+        """Stamps with this mistake."""
+        says = f"in {self.is_}, but were read as {self.read_as} ({factor_text(self.factor)})"
+        unit = {"µs": "us"}.get(self.is_, self.is_)
+        return Cause("the time stamps", (), says, self.factor, f'Set `time_unit = "{unit}"` in the recipe')
+
+    @property
+    def unit_remedy(self) -> str:
+        word = self.is_.partition(" ")[0]
+        return f'Set `unit = "{_UNIT_KEYS.get(word, word)}"` in the recipe'
+
+    def distance(self, factor: float, weight: float) -> float:
+        """Of a factor from this one, with ``weight`` times the rarity [nats]."""
+        return abs(math.log(factor / self.factor)) + weight * self.rarity
+
+
+#: The spelling of units in a recipe.
+_UNIT_KEYS = {"degrees": "deg", "turns": "turn", "encoder": "turn"}
 
 
 def _both(*mistakes: UnitMistake) -> tuple[UnitMistake, ...]:
@@ -95,7 +120,6 @@ TIME = _both(
     UnitMistake(60.0, "s", "min", 2.0),
 )
 
-
 #: Cost of a mistake [nats], and of a second one at the same time.
 PRIOR, SECOND = 3.0, 3.0
 #: Mistakes within this of the best one are named with it [nats]; a better explanation than none has to gain :data:`GAIN`.
@@ -103,7 +127,7 @@ TIED, GAIN = 2.5, 4.0
 #: A second mistake is tried where this cost is left after the best single one.
 LEFT = 8.0
 #: Most alternatives that are named.
-MOST = 3
+MOST_CAUSES = 3
 
 
 @dataclass(frozen=True)
@@ -113,7 +137,7 @@ class Explanation:
     Args:
         key: quantity and factor, equal for equal mistakes of different axes.
         correct: figures → figures without the mistake.
-        text: in words, with ``{signal}`` or ``{axes}`` for what it is about; ``remedy``: what to do.
+        cause: in words, with what to do.
     """
 
     key: tuple[str, float]
@@ -137,7 +161,7 @@ def explanations_of(figures: AxisFigures) -> tuple[Explanation, ...]:
     costs.sort(key=lambda item: item[0])
     tied = [candidate for cost, candidate in costs if cost <= best + TIED]
     unique = {candidate.cause.text: candidate for candidate in tied}
-    return tuple(unique.values())[:MOST]
+    return tuple(unique.values())[:MOST_CAUSES]
 
 
 def _together(a: Explanation, b: Explanation) -> Explanation:
@@ -152,32 +176,32 @@ def _candidates(figures: AxisFigures) -> Iterator[Explanation]:
     places = _units(figures.unit) if axis.drives == "joint" else LENGTH
     if figures.command is not None:
         units = {"velocity": COMMAND, "position": places, "servo": places, "force": FORCE}[axis.actuation]
-        yield from _file(figures, "command", units)
+        yield from _in_file(figures, ("command",), units)
         if axis.actuation == "velocity":
             yield from _neutral(figures, figures.command)
     if figures.driven is not None:
-        yield from _file(figures, "driven", places)
+        yield from _in_file(figures, ("driven",), places)
         if figures.ends is not None:
             yield from _shifted(figures, figures.driven, figures.ends)
     if figures.joint is not None:
-        yield from _file(figures, "joint", _units(figures.unit))
-        yield _exchanged(figures)
+        yield from _in_file(figures, ("joint",), _units(figures.unit))
+        columns = exchanged_columns(f"{axis.name}.cylinder", f"{axis.name}.joint", remedy="Exchange the fields in the recipe")
+        yield Explanation(("exchanged", 1.0), PRIOR, AxisFigures.exchanged, columns)
     if axis.follows_positions and figures.command is not None and figures.driven is not None:
-        yield from _both_signals(figures, places)
-    yield from _description(figures, places)
+        yield from _in_file(figures, ("command", "driven"), places)
+    yield from _in_description(figures, places)
     if figures.response is not None and not axis.follows_positions:
         for mistake in TIME:
-            says = f"in {mistake.is_}, but were read as {mistake.read_as} ({factor_text(mistake.factor)})"
-            remedy = f'Set `time_unit = "{_time_unit(mistake.is_)}"` in the recipe'
-            cause = Cause("the time stamps", (), says, mistake.factor, remedy)
-            yield _single(("time",), mistake.factor, mistake.rarity + 0.5, cause)
+            yield _mistake(("time",), mistake.factor, mistake.rarity + 0.5, mistake.time_cause)
 
 
 def _units(unit: str | None) -> tuple[UnitMistake, ...]:
     return {"rad": ANGLE, "m": LENGTH}.get(unit or "", (*LENGTH, *ANGLE))
 
 
-def _single(quantities: tuple[str, ...], factor: float, rarity: float, cause: Cause) -> Explanation:
+def _mistake(quantities: tuple[str, ...], factor: float, rarity: float, cause: Cause) -> Explanation:
+    """Some quantities are too large by a factor."""
+
     def correct(figures: AxisFigures) -> AxisFigures:
         for quantity in quantities:
             figures = figures.corrected(quantity, factor)
@@ -186,115 +210,86 @@ def _single(quantities: tuple[str, ...], factor: float, rarity: float, cause: Ca
     return Explanation(("+".join(quantities), factor), PRIOR + rarity, correct, cause)
 
 
-def signal_of(figures: AxisFigures, quantity: str) -> str:
-    """The signal of a quantity: ``driven`` → ``boom.cylinder``."""
-    return figures.axis.driven if quantity == "driven" else axis_signal(figures.axis.name, quantity)
-
-
-def _file(figures: AxisFigures, quantity: str, units: tuple[UnitMistake, ...]) -> Iterator[Explanation]:
-    """A signal in the log has another unit, or another sign."""
-    signal = signal_of(figures, quantity)
+def _in_file(figures: AxisFigures, quantities: tuple[str, ...], units: Sequence[UnitMistake]) -> Iterator[Explanation]:
+    """One or two signals in the log have another unit; or one has another sign."""
+    signals = [figures.signal(quantity) for quantity in quantities]
     for mistake in units:
-        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        if mistake in COMMAND and quantity == "command":
+        remedy = mistake.unit_remedy
+        if mistake in COMMAND and quantities == ("command",):
             span = mistake.factor if mistake.factor > 1.0 else None
             remedy = f"Set `span = {span:g}` in the recipe" if span else "Remove `span`, or the unit %, in the recipe"
-        else:
-            remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` in the recipe'
-        yield _single((quantity,), mistake.factor, mistake.rarity, Cause("", (signal,), says, mistake.factor, remedy))
-    cause = Cause("", (signal,), "of the opposite sign", -1.0, "Set `sign = -1` in the recipe")
-    yield _single((quantity,), -1.0, 0.0, cause)
+        rarity = mistake.rarity + (0.5 if len(quantities) > 1 else 0.0)
+        yield _mistake(quantities, mistake.factor, rarity, mistake.cause(*signals, remedy=remedy))
+    if len(quantities) == 1:
+        yield _mistake(quantities, -1.0, 0.0, opposite_sign(*signals))
 
 
-def _both_signals(figures: AxisFigures, units: tuple[UnitMistake, ...]) -> Iterator[Explanation]:
-    both = tuple(signal_of(figures, quantity) for quantity in ("command", "driven"))
-    for mistake in units:
-        says = f"in {mistake.is_}, but read as {mistake.read_as} ({factor_text(mistake.factor)})"
-        remedy = f'Set `unit = "{_unit_key(mistake.is_)}"` in the recipe'
-        yield _single(
-            ("command", "driven"), mistake.factor, mistake.rarity + 0.5, Cause("", both, says, mistake.factor, remedy)
-        )
-
-
-def _description(figures: AxisFigures, places: tuple[UnitMistake, ...]) -> Iterator[Explanation]:
+def _in_description(figures: AxisFigures, places: Sequence[UnitMistake]) -> Iterator[Explanation]:
     """Another unit in machine.toml or in the URDF."""
     axis = figures.axis
     ends = "stroke" if axis.drives == "cylinder" else "limits"
     speeds = LINEAR_SPEED if axis.drives == "cylinder" or figures.unit == "m" else ROTATION_SPEED
-    if figures.response is not None and not axis.follows_positions and "gain" not in axis.estimated:
-        key, units = ("inertia", INERTIA) if axis.actuation == "force" else ("gain", speeds)
-        for mistake in units:
-            yield _described(axis.name, (key,), ("expected",), mistake, "/s" if key == "gain" else "")
+    stated = figures.response is not None and "gain" not in axis.estimated
+    if stated and axis.actuation == "force":
+        yield from (_described(figures, {"inertia": "expected"}, mistake) for mistake in INERTIA)
+    elif stated and not axis.follows_positions:
+        yield from (_described(figures, {"gain": "expected"}, mistake, "/s") for mistake in speeds)
     if figures.ends is not None:
         for mistake in places:
-            yield _described(axis.name, (ends,), ("ends",), mistake)
-            if figures.response is not None and axis.actuation == "velocity" and "gain" not in axis.estimated:
-                yield _described(axis.name, ("gain", ends), ("expected", "ends"), mistake)
+            yield _described(figures, {ends: "ends"}, mistake)
+            if stated and axis.actuation == "velocity":
+                yield _described(figures, {"gain": "expected", ends: "ends"}, mistake)
     if figures.joint_ends is not None and figures.joint is not None:
-        for mistake in _units(figures.unit):
-            yield _described(axis.name, ("limits",), ("joint_ends",), mistake)
+        yield from (_described(figures, {"limits": "joint_ends"}, mistake) for mistake in _units(figures.unit))
 
 
-def _described(
-    axis: str, keys: tuple[str, ...], quantities: tuple[str, ...], mistake: UnitMistake, per: str = ""
-) -> Explanation:
+def _described(figures: AxisFigures, keys: dict[str, str], mistake: UnitMistake, per: str = "") -> Explanation:
+    """A unit in the description.
+
+    Args:
+        keys: of machine.toml → field of the figures.
+        per: after the units, such as ``/s``.
+    """
     names = " and ".join(f"`{key}`" for key in keys)
     per = "" if mistake.is_ == "rpm" or "/" in mistake.is_ else per
     what = factor_text(mistake.factor)
     if mistake.factor > 1.0:
         what = f"in {mistake.is_}{per} instead of {mistake.read_as}{per} ({what})"
-    place = "machine.toml or the URDF" if keys == ("limits",) else "machine.toml"
-    about = f"{names} in {place} of axis"
-    cause = Cause(about, (axis,), what, mistake.factor, f"Write {names} in SI units")
+    place = "machine.toml or the URDF" if list(keys) == ["limits"] else "machine.toml"
+    cause = Cause(f"{names} in {place} of axis", (figures.axis.name,), what, mistake.factor, f"Write {names} in SI units")
     # Values in machine.toml are SI by definition: too small a value takes a conversion that was done twice.
-    return _single(quantities, mistake.factor, mistake.rarity + (0.5 if mistake.factor < 1.0 else 0.0), cause)
+    rarity = mistake.rarity + (0.5 if mistake.factor < 1.0 else 0.0)
+    return _mistake(tuple(keys.values()), mistake.factor, rarity, cause)
 
 
-def _neutral(figures: AxisFigures, command: Span) -> Iterator[Explanation]:
+def _neutral(figures: AxisFigures, command: SignalRange) -> Iterator[Explanation]:
     """A command with its neutral value away from zero: a duty cycle, a pulse width, counts of a converter."""
     half = max(command.high - command.rest, command.rest - command.low)
     if not abs(command.rest) > 0.2 * half > 0.0:
         return
-    signal = signal_of(figures, "command")
     says = f"a raw value with its neutral point at {command.rest:.5g}, not a command between −1 and 1"
     remedy = f"Set `zero = {command.rest:.6g}` and `span = {half:.4g}` in the recipe"
 
     def correct(figures: AxisFigures) -> AxisFigures:
         scaled = figures.corrected("command", half)
-        return replace(scaled, command=Span((command.low - command.rest) / half, (command.high - command.rest) / half, 0.0))
+        return replace(
+            scaled, command=SignalRange((command.low - command.rest) / half, (command.high - command.rest) / half, 0.0)
+        )
 
-    yield Explanation(("command", half), PRIOR, correct, Cause("", (signal,), says, half, remedy))
+    yield Explanation(("command", half), PRIOR, correct, Cause("", (figures.signal("command"),), says, half, remedy))
 
 
-def _shifted(figures: AxisFigures, span: Span, ends: tuple[float, float]) -> Iterator[Explanation]:
+def _shifted(figures: AxisFigures, span: SignalRange, ends: tuple[float, float]) -> Iterator[Explanation]:
     """Values from another zero."""
     if span.width > 1.05 * (ends[1] - ends[0]):
         return
     shift = ends[0] - span.low if span.low < ends[0] else ends[1] - span.high
-    signal = signal_of(figures, "driven")
     remedy = f"Correct `offset` or `zero` in the recipe (a shift of {shift:+.4g} would just suffice)"
 
     def correct(figures: AxisFigures) -> AxisFigures:
-        moved = Span(span.low + shift, span.high + shift, span.rest + shift)
-        pairs = figures.pairs
-        pairs = None if pairs is None else replace(pairs, cylinder=pairs.cylinder + shift)
+        moved = SignalRange(span.low + shift, span.high + shift, span.rest + shift)
+        pairs = figures.pairs and replace(figures.pairs, cylinder=figures.pairs.cylinder + shift)
         return replace(figures, driven=moved, pairs=pairs)
 
-    yield Explanation(("offset", 0.0), PRIOR, correct, Cause("", (signal,), "counted from another zero", 1.0, remedy))
-
-
-def _exchanged(figures: AxisFigures) -> Explanation:
-    name = figures.axis.name
-    columns = (f"{name}.cylinder", f"{name}.joint")
-    cause = Cause("the columns", columns, "exchanged", 1.0, "Exchange the fields in the recipe")
-    return Explanation(("exchanged", 1.0), PRIOR, AxisFigures.exchanged, cause)
-
-
-def _unit_key(unit: str) -> str:
-    """The spelling of a unit in a recipe."""
-    word = unit.partition(" ")[0]
-    return {"degrees": "deg", "turns": "turn", "encoder": "turn"}.get(word, word)
-
-
-def _time_unit(unit: str) -> str:
-    return {"µs": "us"}.get(unit, unit)
+    cause = Cause("", (figures.signal("driven"),), "counted from another zero", 1.0, remedy)
+    yield Explanation(("offset", 0.0), PRIOR, correct, cause)

@@ -1,1 +1,0 @@
-"""Detection of sensor faults in the raw channels; no value is changed."""
