@@ -209,19 +209,16 @@ class Equations:
         texts = []
         for name, arguments in ARGUMENTS.items():
             found = recordings.get(name) or self.record(getattr(self, name), nan)
-            results = found.results
+            results = list(found.results)
             if name in recordings:
-                after = [
-                    x if isinstance(x, Node) or k not in self.rings else self.filled(x, k) for k, x in enumerate(found.state)
-                ]
-                results = [after[k] for k in kept], *(results if name in ("place", "step") else ())
+                results.insert(0, [self.filled(found.state[k], k) for k in kept])
             texts.append(source(Function(name, arguments, tuple(results)), columns, blocks))
         tables = {i: torch.tensor(self.arrays.tables[i]) for i in range(self.count) if self.linked[i]}
         return module(texts, tables)
 
-    def filled(self, x: float, k: int) -> Node:
-        """The block at ``k`` with one value."""
-        return Node("filled", (x, self.rings[k]))
+    def filled(self, x: Value, k: int) -> Value:
+        """What is kept at ``k``: where that is a block, a number is as wide."""
+        return Node("filled", (x, self.rings[k])) if k in self.rings and not isinstance(x, Node) else x
 
     def live(self, recordings: Sequence[Recording]) -> set[int]:
         """Places of the state that a result depends on, now or later."""

@@ -137,8 +137,8 @@ class Graph:
             case "and" | "or" if isinstance(a, bool) or isinstance(b, bool):
                 number, node = (a, b) if isinstance(a, bool) else (b, a)
                 return node if number == (op == "and") else number
-            case "eq" if _parameter(a) and not isinstance(b, Node):
-                return False  # the shortcut of an absent effect: the equations behind it hold as well
+            case "eq" if is_shortcut(*args):
+                return False
             case "lt" | "gt" if _is(b, -math.inf if op == "lt" else math.inf):
                 return False
             case "where":
@@ -166,5 +166,9 @@ def _bare(x: Value) -> Value:
     return x.args[0] if isinstance(x, Node) and x.op == "known" else x
 
 
-def _parameter(x: Value) -> bool:
-    return isinstance(x, Node) and x.op == "input" and x.value is not None
+def is_shortcut(a: Value, b: Value) -> bool:
+    """Whether to compare these is the shortcut of an effect that is absent, which it is not here.
+
+    The equations behind it hold for all values, and only they have derivatives at the parameter of the shortcut.
+    """
+    return isinstance(a, Node) and a.op == "input" and a.value is not None and not isinstance(b, Node) and a.value != b

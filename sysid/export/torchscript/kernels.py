@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from sysid.effects import CATALOGUE
-from sysid.export.torchscript.graph import SAFE, Graph, Node, Value
+from sysid.export.torchscript.graph import SAFE, Graph, Node, Value, is_shortcut
 
 #: Operators and functions of a kernel → operations.
 _OPERATORS: dict[type[ast.AST], str] = {
@@ -143,8 +143,8 @@ class _Body:
                     return statement
                 case ast.If():
                     test = self.value(statement.test)
-                    if isinstance(test, Node) and test.op == "ne" and test.args[0].value is not None:
-                        test = True  # as the shortcut of an absent effect
+                    if isinstance(test, Node) and test.op == "ne" and is_shortcut(*test.args):
+                        test = True
                     if isinstance(test, Node):
                         returns = any(isinstance(inner, ast.Return) for inner in ast.walk(statement))
                         rest = statements[k + 1 :] if returns else []
@@ -180,32 +180,32 @@ class _Body:
     def both(self, test: Node, body: list[ast.stmt], other: list[ast.stmt]) -> Any:
         """Follow both sides and choose by machine what they leave."""
         graph, kernels = self.kernels.graph, self.kernels
-        path, local, kept = kernels.path, self.local, [memory.items for memory in kernels.memories]
+        path, local, nested, kept = kernels.path, self.local, self.nested, [memory.items for memory in kernels.memories]
         ends, variables, items = [], [], []
         for side, statements in ((test, body), (graph("not", test), other)):
             kernels.path = graph("and", path, side)
-            self.local = dict(local)
+            self.local, self.nested = dict(local), nested
             for memory, values in zip(kernels.memories, kept, strict=True):
                 memory.items = values[:]
-            self.begun(side)
+            self.mark(side)
             ends.append(self.block(statements))
             variables.append(self.local)
             items.append([memory.items for memory in kernels.memories])
-        kernels.path = path
+        kernels.path, self.nested = path, nested
         shared = [name for name in variables[0] if name in variables[1]]
         self.local = {name: self.chosen(test, variables[0][name], variables[1][name]) for name in shared}
         for memory, *sides in zip(kernels.memories, *items, strict=True):
             memory.items = [self.chosen(test, a, b) for a, b in zip(*sides, strict=True)]
         return self.chosen(test, *ends)
 
-    def begun(self, side: Value) -> None:
+    def mark(self, side: Value) -> None:
         """Mark what this side of a branch knows not to be NaN."""
         graph = self.kernels.graph
         if isinstance(side, Node) and side.op == "not" and side.args[0].op in ("isnan", "or"):
             inner = side.args[0]
             if inner.op == "or":
                 for part in inner.args:
-                    self.begun(graph("not", part))
+                    self.mark(graph("not", part))
                 return
             x = inner.args[0]
             for memory in self.kernels.memories:
@@ -291,7 +291,10 @@ class _Body:
 
     def called(self, function: Any, args: list[Any]) -> Any:
         if function is math.ceil:  # a number of sub-steps is that of the plant's own values
-            return math.ceil(args[0].value if isinstance(args[0], Node) else args[0])
+            number = args[0].value if isinstance(args[0], Node) else args[0]
+            if number is None:
+                raise NotImplementedError("a number of sub-steps that does not follow from the parameters alone")
+            return math.ceil(number)
         if function is len:
             return len(args[0].items) if isinstance(args[0], Memory) else len(args[0])
         if function in (min, max):
