@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, effect_named, stiction
+from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.base_misalignment import EFFECT as BASE
 from sysid.machine.kinematics import GRAVITY, rotation_about
-from sysid.plant import Model, Plant, chain, compile_plant
+from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH, neutral_vector, signal_place, signals_of, slot_indices
 from sysid.plant.machine_arrays import (
     AXIS,
@@ -154,18 +154,10 @@ def _command(plant: Plant, name: str) -> list[Part]:
 
 
 def _sticking_spool(plant: Plant, name: str) -> dict[str, Any]:
-    """Parameters of the part that stands for :data:`SPOOL` where the spool sticks at its centre; empty where it does not."""
-    sticks = effect_slots(plant, "stiction", name)
-    if not sticks or sticks["spool_breakaway"] == 0.0:
+    """Effects of the part that stands for :data:`SPOOL` where the spool sticks at its centre; empty where it does not."""
+    if effect_slots(plant, "stiction", name).get("spool_breakaway", 0.0) == 0.0:
         return {}
-    delay, rate, lag = (next(iter(effect_slots(plant, each, name).values()), None) for each in SPOOL)
-    theta, b = plant.vector(), plant.machine.axis_names.index(name) * AXIS_WIDTH
-    frees = stiction.frees_at(theta, b + AT.stiction, b + AT.valve_deadband)
-    positive, negative = chain.edge(frees, theta, b), -chain.edge(-frees, theta, b)
-    return {
-        "delay": delay or 0.0, "rate": rate, "time_constant": lag or 0.0, "positive": positive, "negative": negative,
-        "release": max(sticks["spool_release"], stiction.REST),
-    }  # fmt: skip
+    return {"effects": {each: values for each in (*EDGE, *SPOOL, "stiction") if (values := effect_slots(plant, each, name))}}
 
 
 def _kinematics(model: Model) -> dict[str, Any] | None:

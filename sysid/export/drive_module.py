@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from sysid.effects import Effect, effect_named
 from sysid.effects.units import parameter_unit
-from sysid.export.drive_data import SPOOL, drive_data
+from sysid.export.drive_data import drive_data
 from sysid.export.kernel_source import kernel_name, kernel_source
 from sysid.export.standalone import model, parts
 from sysid.export.target import Start
@@ -46,8 +46,8 @@ CLASSES: Mapping[str, Any] = {
 }
 #: Frame of the model, in the order in which its classes refer to each other.
 _FRAME = (
-    parts.Linkage, parts.Backlash, parts.Kinematics, parts.SensorReading, parts.GripperSway, model.State, model.Drive,
-    model.ChainDrive, model.VelocityDrive, model.PositionDrive, model.axis_parameters, model.ForceDrive, model.Axis,
+    parts.axis_parameters, parts.Linkage, parts.Backlash, parts.Kinematics, parts.SensorReading, parts.GripperSway,
+    model.State, model.Drive, model.ChainDrive, model.VelocityDrive, model.PositionDrive, model.ForceDrive, model.Axis,
     model.DriveModel, model.assemble, model._axis, model._drive,
 )  # fmt: skip
 
@@ -158,7 +158,7 @@ def with_classes(module: ModuleType, before: str, classes: Sequence[Any]) -> str
 def _constants(text: str) -> str:
     """Numbers of the layout that a text names."""
     names = ("PLACES", "NEUTRAL", "REMEMBERED", "SPEED")
-    return "\n".join(f"{name} = {getattr(model, name)!r}" for name in names if name in text)
+    return "\n".join(f"{name} = {getattr(parts, name)!r}" for name in names if name in text)
 
 
 def _absent(data: Mapping[str, Any]) -> set[Any]:
@@ -171,14 +171,15 @@ def _absent(data: Mapping[str, Any]) -> set[Any]:
     if all(axis["linkage"] is None for axis in data["axes"]):
         absent.add(parts.Linkage)
     if all(axis["actuation"] != "force" for axis in data["axes"]):
-        absent |= {model.ForceDrive, model.axis_parameters}
+        absent.add(model.ForceDrive)
+    if model.ForceDrive in absent and "sticking_spool" not in used_parts(data):
+        absent.add(parts.axis_parameters)
     return absent
 
 
 def used_parts(data: Mapping[str, Any]) -> list[str]:
-    """Names of the parts of the command stages; those of which another one is made come first."""
-    used = {name: None for axis in data["axes"] for name, _ in axis["command"] if name != TABLE}
-    return list(dict.fromkeys([*(SPOOL[1:] if "sticking_spool" in used else ()), *used]))
+    """Names of the parts of the command stages."""
+    return list(dict.fromkeys(name for axis in data["axes"] for name, _ in axis["command"] if name != TABLE))
 
 
 def module_of(data: Mapping[str, Any]) -> ModuleType:

@@ -22,8 +22,7 @@ from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
 from sysid.export.standalone import mujoco_arm
-from sysid.export.standalone.model import axis_parameters
-from sysid.export.standalone.parts import SensorReading
+from sysid.export.standalone.parts import SensorReading, axis_parameters
 from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant

@@ -17,15 +17,20 @@ import numpy.typing as npt
 
 from sysid.effects.joint_compliance import step as joint_compliance_step
 from sysid.effects.pump_flow_limit import share as pump_flow_limit_share
-from sysid.export.standalone.parts import Backlash, GripperSway, Kinematics, Linkage, Part, SensorReading
+from sysid.export.standalone.parts import (
+    REMEMBERED,
+    SPEED,
+    Backlash,
+    GripperSway,
+    Kinematics,
+    Linkage,
+    Part,
+    SensorReading,
+    axis_parameters,
+)
 from sysid.plant.chain import force_stage as chain_force_stage
-from sysid.plant.layout import STATE, axis_places, neutral_vector
 
 Array = npt.NDArray[np.float64]
-#: ``effect.slot`` → its place in the parameters of an axis, and their neutral values; length of its state, and its speed there.
-PLACES: dict[str, int] = axis_places()
-NEUTRAL: list[float] = neutral_vector(1)[: len(PLACES)].tolist()
-REMEMBERED, SPEED = int(STATE.input_delay), int(STATE.speed)
 
 
 @dataclass(frozen=True)
@@ -107,15 +112,6 @@ class PositionDrive(ChainDrive):
 
     def move(self, demand: float) -> None:
         self.position = min(max(demand, self.low), self.high)
-
-
-def axis_parameters(effects: dict[str, dict[str, float]]) -> list[float]:
-    """The parameters of an axis with these effects."""
-    p = list(NEUTRAL)
-    for effect, values in effects.items():
-        for slot, value in values.items():
-            p[PLACES[f"{effect}.{slot}"]] = value
-    return p
 
 
 class ForceDrive(Drive):

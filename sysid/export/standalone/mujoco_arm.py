@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects.smooth_coulomb_friction import slope as smooth_coulomb_friction_slope
-from sysid.export.standalone.model import PLACES, axis_parameters
-from sysid.export.standalone.parts import SensorReading
+from sysid.export.standalone.parts import PLACES, SensorReading, axis_parameters
 from sysid.plant.chain import dry as chain_dry
 from sysid.plant.chain import servo_friction as chain_servo_friction
 

@@ -17,18 +17,32 @@ from sysid.effects.command_rate_limit import held as command_rate_limit_held
 from sysid.effects.command_rate_limit import step as command_rate_limit_step
 from sysid.effects.first_order_lag import step as first_order_lag_step
 from sysid.effects.gripper_sway import step as gripper_sway_step
-from sysid.effects.input_delay import ends as input_delay_ends
 from sysid.effects.second_order_lag import deflecting_load as second_order_lag_deflecting_load
 from sysid.effects.second_order_lag import follow_load as second_order_lag_follow_load
 from sysid.effects.second_order_lag import step as second_order_lag_step
 from sysid.effects.sensor_bias import step as sensor_bias_step
 from sysid.effects.sensor_quantisation import step as sensor_quantisation_step
 from sysid.effects.sensor_scale import step as sensor_scale_step
-from sysid.effects.stiction import freed as stiction_freed
 from sysid.plant.chain import look_up as chain_look_up
+from sysid.plant.chain import spool as chain_spool
+from sysid.plant.layout import STATE, axis_places, neutral_vector
 from sysid.plant.pose import pose as pose_pose
 
 Array = npt.NDArray[np.float64]
+#: ``effect.slot`` → its place in the parameters of an axis, and their neutral values; length of its state without the inputs of
+#: a delay, and its speed there.
+PLACES: dict[str, int] = axis_places()
+NEUTRAL: list[float] = neutral_vector(1)[: len(PLACES)].tolist()
+REMEMBERED, SPEED = int(STATE.input_delay), int(STATE.speed)
+
+
+def axis_parameters(effects: dict[str, dict[str, float]]) -> list[float]:
+    """The parameters of an axis with these effects."""
+    p = list(NEUTRAL)
+    for effect, values in effects.items():
+        for slot, value in values.items():
+            p[PLACES[f"{effect}.{slot}"]] = value
+    return p
 
 
 class Part:
@@ -108,35 +122,16 @@ class SecondOrderLag(Part):
 
 
 class StickingSpool(Part):
-    """Dead time, ramp and lag of a spool that sticks at its centre.
+    """Dead time, ramp and lag of a spool that sticks at its centre; ``effects``: these and its edges, with their numbers."""
 
-    It sticks while its opening is below ``release`` and the demanded one is between −``negative`` and ``positive``. ``delay``
-    and ``time_constant`` in seconds, zero without; ``rate`` in 1/s, None without a ramp.
-    """
-
-    def __init__(
-        self, dt: float, delay: float, rate: float | None, time_constant: float, positive: float, negative: float,
-        release: float,
-    ) -> None:  # fmt: skip
-        self.delay, self.memory = [delay], math.ceil(delay / dt) + 6
-        self.ramp = None if rate is None else CommandRateLimit(dt, rate)
-        self.lag = FirstOrderLag(dt, time_constant)
-        self.positive, self.negative, self.release = positive, negative, release
+    def __init__(self, dt: float, effects: dict[str, dict[str, float]]) -> None:
+        delay = effects.get("input_delay", {"delay": 0.0})["delay"]
+        self.memory = REMEMBERED + math.ceil(delay / dt) + 6
         super().__init__(dt)
-
-    def reset(self) -> None:
-        super().reset()
-        for part in (self.ramp, self.lag):
-            if part is not None:
-                part.reset()
+        self.p = axis_parameters(effects)
 
     def step(self, u: float, load: float) -> float:
-        later, earlier, share = input_delay_ends(u, self.delay, 0, self.s, 0, self.memory, self.dt)
-        if abs(self.lag.s[0]) < self.release:
-            later = stiction_freed(later, self.positive, self.negative)
-            earlier = stiction_freed(earlier, self.positive, self.negative)
-        u = (1.0 - share) * later + share * earlier
-        return self.lag.step(u if self.ramp is None else self.ramp.step(u, load), load)
+        return float(chain_spool(u, self.p, 0, self.s, 0, self.memory, self.dt))
 
 
 class NominalGain(Part):
