@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, s
 
 from sysid.export.isaaclab import posterior_columns, reachable
 from sysid.export.torchscript.assembly import load_script, parameter_columns, save_script, script_of
+from sysid.export.torchscript.graph import Graph
+from sysid.export.torchscript.kernels import Kernels
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
@@ -226,3 +229,20 @@ def test_only_numbers_are_in_the_code() -> None:
     module = script_of(everything(), RATE_HZ)
     names = (*everything().machine.axis_names, "probe")
     assert not any(name in module.functions.step.code for name in names)
+
+
+def halved(u: Any) -> Any:
+    while u > 1.0:
+        u = 0.5 * u
+    return u
+
+
+def counted(u: Any) -> Any:
+    return math.ceil(u)
+
+
+@pytest.mark.parametrize("kernel", [halved, counted], ids=["a loop", "a number of sub-steps"])
+def test_what_differs_by_machine_and_is_no_choice_is_refused(kernel: Any) -> None:
+    graph = Graph()
+    with pytest.raises(NotImplementedError):
+        Kernels(graph, {})(kernel, graph.input("commands", 0))
