@@ -47,6 +47,8 @@ def step(u, p, i, s, j, dt):
         s[j] = u
         return u
     reach = p[i] * dt
+    if np.isnan(s[j + 1]):
+        s[j + 1] = 1.0 / reach if reach > 0.0 else 0.0
     before = s[j]
     change = u - before
     if change > reach:
@@ -56,8 +58,6 @@ def step(u, p, i, s, j, dt):
         s[j] = before - reach
         return before - 0.5 * reach
     s[j] = u
-    if np.isnan(s[j + 1]):
-        s[j + 1] = 1.0 / reach if reach > 0.0 else 0.0
     return u - 0.5 * change * abs(change) * s[j + 1]
 
 

@@ -103,8 +103,9 @@ def substeps(p, i, dt):
 def begin(v, p, i, s, j, dt):
     """State before the first substep of ``dt``: no twist, motor and load with speed ``v``."""
     if np.isnan(s[j]):
-        root = math.sqrt(1.0 + p[i + 2])
         s[j], s[j + 1] = 0.0, v
+    if np.isnan(s[j + 2]):
+        root = math.sqrt(1.0 + p[i + 2])
         transition(2.0 * math.pi * p[i] * root, p[i + 1] * root, s, j + 2, dt)
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import effect_named, stiction
+from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.base_misalignment import EFFECT as BASE
 from sysid.machine.kinematics import GRAVITY, rotation_about
-from sysid.plant import Model, Plant, chain, compile_plant
+from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH, neutral_vector, signal_place, signals_of, slot_indices
 from sysid.plant.machine_arrays import (
     AXIS,
@@ -37,20 +37,27 @@ from sysid.plant.machine_arrays import (
 Array = npt.NDArray[np.float64]
 Part = tuple[str, dict[str, Any]]
 
-#: Order of the command stage of a velocity axis (contract). The dead time comes behind the static curves, with which it
-#: commutes, because a fraction of a step is interpolated exactly only behind their kinks.
-VELOCITY_ORDER = (
-    "valve_hysteresis", "valve_deadband", "gain_curve", "flow_saturation", "input_delay", "command_rate_limit",
-    "first_order_lag", "gain_error", "asymmetric_gain", "temperature_drift", "load_dependent_flow", "nominal_gain",
-    "internal_leakage", "stiction", "oil_compressibility",
-)  # fmt: skip
+
+def _velocity_order() -> tuple[str, ...]:
+    """Command stage of a velocity axis in the order of the catalogue, with the gain of the description.
+
+    The dead time comes behind the static curves, with which it commutes, because a fraction of a step is interpolated exactly
+    only behind their kinks.
+    """
+    axis = [effect for effect in CATALOGUE if effect.target == "axis" and effect.stage == "command"]
+    names = [effect.name for effect in axis if "velocity" in effect.actuations and effect.name != "input_delay"]
+    names.insert(names.index("command_rate_limit"), "input_delay")
+    names.insert(names.index("internal_leakage"), "nominal_gain")
+    return tuple(names)
+
+
+VELOCITY_ORDER = _velocity_order()
 #: Static parts behind the place of a spool.
 EDGE = ("valve_deadband", "gain_curve", "flow_saturation")
 #: Those that act on a spool; one part where it sticks at its centre.
 SPOOL = ("input_delay", "command_rate_limit", "first_order_lag")
 #: The same of a position axis, whose parts give the value at the end of a step; a ramp begins with its step.
 POSITION_ORDER = ("command_rate_limit", "input_delay", "first_order_lag", "second_order_lag")
-FRICTIONS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "smooth_coulomb_friction")
 
 
 def drive_data(plant: Plant, rate_hz: float) -> dict[str, Any]:
@@ -139,8 +146,7 @@ def _command(plant: Plant, name: str) -> list[Part]:
                 lag, spring = (effect_slots(plant, each, name).get("time_constant", 0.0) for each in POSITION_ORDER[2:])
                 extra = {"at_end": True, "lag": lag} if lag >= 1e-6 or spring < 1e-6 else {}
             if part == "stiction":
-                values = {key: values[key] for key in ("breakaway", "release")}
-                extra = {"gain": axis.gain, "least": stiction.REST}
+                extra = {"gain": axis.gain}
             if part == "second_order_lag" and values["time_constant"] < 1e-6:
                 continue
             parts.append((part, values | extra))
@@ -148,18 +154,10 @@ def _command(plant: Plant, name: str) -> list[Part]:
 
 
 def _sticking_spool(plant: Plant, name: str) -> dict[str, Any]:
-    """Parameters of the part that stands for :data:`SPOOL` where the spool sticks at its centre; empty where it does not."""
-    sticks = effect_slots(plant, "stiction", name)
-    if not sticks or sticks["spool_breakaway"] == 0.0:
+    """Effects of the part that stands for :data:`SPOOL` where the spool sticks at its centre; empty where it does not."""
+    if effect_slots(plant, "stiction", name).get("spool_breakaway", 0.0) == 0.0:
         return {}
-    delay, rate, lag = (next(iter(effect_slots(plant, each, name).values()), None) for each in SPOOL)
-    theta, b = plant.vector(), plant.machine.axis_names.index(name) * AXIS_WIDTH
-    frees = stiction.frees_at(theta, b + AT.stiction, b + AT.valve_deadband)
-    positive, negative = chain.edge(frees, theta, b), -chain.edge(-frees, theta, b)
-    return {
-        "delay": delay or 0.0, "rate": rate, "time_constant": lag or 0.0, "positive": positive, "negative": negative,
-        "release": max(sticks["spool_release"], stiction.REST),
-    }  # fmt: skip
+    return {"effects": {each: values for each in (*EDGE, *SPOOL, "stiction") if (values := effect_slots(plant, each, name))}}
 
 
 def _kinematics(model: Model) -> dict[str, Any] | None:
@@ -226,3 +224,10 @@ WITHOUT_PART = {
         "controllers of servos, which `mjcf` alone writes",
     ),
 }
+#: What opposes the motion of a force axis: all of its effects but those of mass, spring, constant load and force constant.
+FRICTIONS = tuple(
+    effect.name
+    for effect in CATALOGUE
+    if effect.stage == "force" and "force" in effect.actuations and effect.name not in WITHOUT_PART
+    and effect.name not in ("inertia_error", "flexible_drive", "load_bias", "force_constant_error")
+)  # fmt: skip

@@ -9,18 +9,22 @@ from __future__ import annotations
 import csv
 import importlib.util
 import inspect
+import re
 import sys
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.effects import Effect, effect_named
 from sysid.effects.units import parameter_unit
-from sysid.export.drive_data import SPOOL, drive_data
-from sysid.export.standalone import command_parts, mechanical_parts, model
+from sysid.export.drive_data import drive_data
+from sysid.export.kernel_source import kernel_name, kernel_source
+from sysid.export.standalone import model, parts
 from sysid.export.target import Start
 from sysid.files import json_text
 from sysid.plant import Plant
@@ -30,38 +34,21 @@ Array = npt.NDArray[np.float64]
 
 #: Names of the two files.
 MODULE, DATA = "drive_model.py", "drive_model.json"
-#: Name in the data → class.
-PARTS: Mapping[str, Any] = {
-    "valve_hysteresis": command_parts.ValveHysteresis,
-    "valve_deadband": command_parts.ValveDeadband,
-    "gain_curve": command_parts.GainCurve,
-    "flow_saturation": command_parts.FlowSaturation,
-    "input_delay": command_parts.InputDelay,
-    "command_rate_limit": command_parts.CommandRateLimit,
-    "first_order_lag": command_parts.FirstOrderLag,
-    "sticking_spool": command_parts.StickingSpool,
-    "gain_error": command_parts.GainError,
-    "asymmetric_gain": command_parts.AsymmetricGain,
-    "temperature_drift": command_parts.TemperatureDrift,
-    "load_dependent_flow": command_parts.LoadDependentFlow,
-    "nominal_gain": command_parts.NominalGain,
-    "internal_leakage": command_parts.InternalLeakage,
-    "stiction": command_parts.Stiction,
-    "oil_compressibility": command_parts.OilCompressibility,
-    "second_order_lag": command_parts.SecondOrderLag,
-    "viscous_friction": mechanical_parts.ViscousFriction,
-    "coulomb_friction": mechanical_parts.CoulombFriction,
-    "stribeck_friction": mechanical_parts.StribeckFriction,
-    "smooth_coulomb_friction": mechanical_parts.SmoothCoulombFriction,
-    "rigid_drive": mechanical_parts.RigidDrive,
-    "flexible_drive": mechanical_parts.FlexibleDrive,
+#: A part that whoever assembles the model adds to its own.
+TABLE = "table"
+#: Name in the data → class of the parts that are more than the step of one kernel; the others are written by ``_class_of``.
+CLASSES: Mapping[str, Any] = {
+    "command_rate_limit": parts.CommandRateLimit,
+    "first_order_lag": parts.FirstOrderLag,
+    "second_order_lag": parts.SecondOrderLag,
+    "sticking_spool": parts.StickingSpool,
+    "nominal_gain": parts.NominalGain,
 }
 #: Frame of the model, in the order in which its classes refer to each other.
 _FRAME = (
-    mechanical_parts.Linkage, mechanical_parts.Backlash, mechanical_parts.Kinematics, mechanical_parts.turned,
-    mechanical_parts.SensorReading, mechanical_parts.GripperSway, model.State, model.Drive, model.ChainDrive,
-    model.VelocityDrive, model.PositionDrive, model.ForceDrive, model.Axis, model.DriveModel, model.assemble, model._axis,
-    model._drive,
+    parts.axis_parameters, parts.Linkage, parts.Backlash, parts.Kinematics, parts.SensorReading, parts.GripperSway,
+    model.State, model.Drive, model.ChainDrive, model.VelocityDrive, model.PositionDrive, model.ForceDrive, model.Axis,
+    model.DriveModel, model.assemble, model._axis, model._drive,
 )  # fmt: skip
 
 #: Names of the machine, its plant and its axes are in the data alone: no text of a file becomes source code.
@@ -79,7 +66,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,39 +93,102 @@ def load(path: str | Path = Path(__file__).with_name("{data}")) -> DriveModel:
 def module_text(data: Mapping[str, Any]) -> str:
     """The module for :func:`sysid.export.drive_data.drive_data`, with the parts that these data name."""
     used = used_parts(data)
-    classes: list[Any] = [command_parts.oscillation, command_parts.Part, mechanical_parts.Friction, mechanical_parts.RigidDrive]
-    classes += [PARTS[name] for name in PARTS if name in used and PARTS[name] not in classes]
+    own = {name: _class_of(effect_named(name), float(data["dt"])) for name in used if name not in CLASSES}
+    names = {name: CLASSES[name].__name__ if name in CLASSES else _class_name(name) for name in used}
     absent = _absent(data)
-    head = _HEAD.format(data=DATA, dt=float(data["dt"]), gravity=mechanical_parts.GRAVITY)
-    tail = _TAIL.format(parts="\n".join(f'    "{name}": {PARTS[name].__name__},' for name in PARTS if name in used), data=DATA)
-    sources = (inspect.getsource(entry) for entry in [*classes, *_FRAME] if entry not in absent)
-    return "\n\n".join([head, *sources, tail])
+    written = [parts.Part, *(CLASSES[name] for name in used if name in CLASSES), *(e for e in _FRAME if e not in absent)]
+    sources = [inspect.getsource(entry) for entry in dict.fromkeys(written)]
+    kernels = [importlib.import_module(f"sysid.effects.{name}").step for name in own]
+    kernels += [kernel for module in (parts, model) for kernel in kernels_in("\n".join(sources), module)]
+    head = _HEAD.format(data=DATA, dt=float(data["dt"]), gravity=parts.GRAVITY)
+    tail = _TAIL.format(parts="\n".join(f'    "{name}": {of},' for name, of in names.items()), data=DATA)
+    return "\n\n".join(
+        [head, kernel_source(kernels), _constants("\n".join(sources)), sources[0], *own.values(), *sources[1:], tail]
+    )
+
+
+#: Argument of a kernel → what a part passes for it.
+_ARGUMENTS = {
+    "p": "self.p",
+    "i": "0",
+    "s": "self.s",
+    "j": "0",
+    "size": "self.memory",
+    "dt": "self.dt",
+    "load": "load",
+    "gain": "self.gain",
+}
+
+
+def _class_name(effect: str) -> str:
+    return effect.title().replace("_", "")
+
+
+def _class_of(effect: Effect, dt: float) -> str:
+    """Source of the part that an effect is whose kernel takes one value a step; one that warms up begins after the hold."""
+    kernel = importlib.import_module(f"sysid.effects.{effect.name}").step
+    arguments = ["u", *(_ARGUMENTS[name] for name in list(inspect.signature(kernel.py_func).parameters)[1:])]
+    step = f"return {kernel_name(kernel)}({', '.join(arguments)})"
+    slots = ", ".join(f'"{slot.name}"' for slot in effect.slots)
+    lines = [f"class {_class_name(effect.name)}(Part):", f'    """{effect.equation}"""', ""]
+    lines += [f"    slots, memory = ({slots},), {effect.memory(dt)}", ""]
+    lines += ["    def step(self, u: float, load: float) -> float:", f"        {step}", ""]
+    if "time_invariant" in effect.exempt and effect.memory(dt):
+        lines += ["    def hold(self, u: float, load: float) -> float:", "        y = self.step(u, load)"]
+        lines += ["        self.reset()", "        return y", ""]
+    return "\n".join(lines)
+
+
+def kernels_in(text: str, module: ModuleType) -> list[Any]:
+    """Kernels that a text names as the module does."""
+    words = set(re.findall(r"\w+", text))
+    return [found for name, found in vars(module).items() if name in words and hasattr(found, "py_func")]
+
+
+def with_classes(module: ModuleType, before: str, classes: Sequence[Any]) -> str:
+    """A shipped module without this package: its imports from it become kernels and ``classes``, in front of ``before``."""
+    kept = re.sub(r"^from sysid\.\S+ import (\([^)]*\)|.*)\n", "", inspect.getsource(module), flags=re.MULTILINE)
+    head, _, rest = kept.replace("import json\n", "import json\nimport math\n", 1).partition(before)
+    sources = [inspect.getsource(entry) for entry in classes]
+    kernels = [*kernels_in("\n".join(sources), parts), *kernels_in(kept, module)]
+    constants = _constants("\n".join([kept, *sources]))
+    return "\n\n".join([head.rstrip() + "\n", kernel_source(kernels), constants, *sources, f"{before}{rest}\n"])
+
+
+def _constants(text: str) -> str:
+    """Numbers of the layout that a text names."""
+    names = ("PLACES", "NEUTRAL", "REMEMBERED", "SPEED")
+    return "\n".join(f"{name} = {getattr(parts, name)!r}" for name in names if name in text)
 
 
 def _absent(data: Mapping[str, Any]) -> set[Any]:
     """Classes that these data do not need."""
     absent: set[Any] = set()
     if data["sway"] is None:
-        absent.add(mechanical_parts.GripperSway)
+        absent.add(parts.GripperSway)
     if data["kinematics"] is None:
-        absent |= {mechanical_parts.Kinematics, mechanical_parts.turned}
+        absent.add(parts.Kinematics)
     if all(axis["linkage"] is None for axis in data["axes"]):
-        absent.add(mechanical_parts.Linkage)
+        absent.add(parts.Linkage)
     if all(axis["actuation"] != "force" for axis in data["axes"]):
-        absent |= {model.ForceDrive, mechanical_parts.Friction, mechanical_parts.RigidDrive}
-    if not used_parts(data) & {"oil_compressibility", "second_order_lag", "flexible_drive"}:
-        absent.add(command_parts.oscillation)
+        absent.add(model.ForceDrive)
+    if model.ForceDrive in absent and "sticking_spool" not in used_parts(data):
+        absent.add(parts.axis_parameters)
     return absent
 
 
-def used_parts(data: Mapping[str, Any]) -> set[str]:
-    """Names of the parts of the data."""
-    used = {name for axis in data["axes"] for name, _ in axis["command"]}
-    used |= set(SPOOL) if "sticking_spool" in used else set()
-    for axis in data["axes"]:
-        if axis["actuation"] == "force":
-            used |= {axis["rotor"], *(name for name, _ in axis["frictions"])}
-    return used
+def used_parts(data: Mapping[str, Any]) -> list[str]:
+    """Names of the parts of the command stages."""
+    return list(dict.fromkeys(name for axis in data["axes"] for name, _ in axis["command"] if name != TABLE))
+
+
+def module_of(data: Mapping[str, Any]) -> ModuleType:
+    """The module for these data, executed."""
+    module = ModuleType(f"sysid_export_{uuid.uuid4().hex[:8]}")
+    module.__file__ = MODULE
+    sys.modules[module.__name__] = module  # dataclasses look their annotations up there
+    exec(compile(module_text(data), MODULE, "exec"), vars(module))
+    return module
 
 
 def data_text(data: Mapping[str, Any]) -> str:

@@ -15,10 +15,8 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import EDGE, drive_data
-from sysid.export.drive_module import PARTS, DriveModelSimulation
+from sysid.export.drive_module import TABLE, DriveModelSimulation, module_of
 from sysid.export.names import MachineNames, Names, axis_names, same_file
-from sysid.export.standalone.command_parts import Part
-from sysid.export.standalone.model import assemble
 from sysid.export.target import Simulation, Support
 from sysid.plant import Plant
 
@@ -109,7 +107,8 @@ def simulation_of_tables(plant: Plant, read: Callable[[str], tuple[Array, Array]
     data = drive_data(nominal_geometry(plant), plant.machine.rate_hz)
     data |= {"pump_limit": None, "sway": None, "sensors": {}}
     data["axes"] = [_by_tables(axis, read) for axis in data["axes"]]
-    return DriveModelSimulation(plant, assemble(data, {**PARTS, "table": Table}))
+    module = module_of(data)
+    return DriveModelSimulation(plant, module.assemble(data, {**module.PARTS, TABLE: Table}))
 
 
 def numbers_of(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
@@ -130,32 +129,39 @@ def _by_tables(axis: dict[str, Any], read: Callable[[str], tuple[Array, Array]])
         opening, speed = read(axis["name"])
         blocks = [part for part in axis["command"] if part[0] in BLOCKS and part[0] != "oil_compressibility"]
         behind = [part for part in axis["command"] if part[0] == "oil_compressibility"]
-        found["command"] = [("table", {"points": opening}), *blocks, ("table", {"points": speed}), *behind]
+        found["command"] = [(TABLE, {"points": opening}), *blocks, (TABLE, {"points": speed}), *behind]
     if axis["actuation"] == "force":
         found["frictions"] = [law for law in axis["frictions"] if law[0] in BLOCKS]
         found |= {"rotor": "rigid_drive", "spring": {}}
     return found
 
 
-class Table(Part):
+class Table:
     """Linear interpolation in points (n, 2), extended along the end slopes."""
 
     def __init__(self, dt: float, points: Array) -> None:
         self.x, self.y = points.T
 
+    def reset(self) -> None:
+        """It has no past."""
+
     def step(self, u: float, load: float) -> float:
         k = min(max(int(np.searchsorted(self.x, u)) - 1, 0), len(self.x) - 2)
         return float(self.y[k] + (u - self.x[k]) * (self.y[k + 1] - self.y[k]) / (self.x[k + 1] - self.x[k]))
+
+    hold = step
 
 
 def tables(axis: dict[str, Any], dt: float) -> tuple[Array, Array]:
     """Points (n, 2) of command → opening and opening → speed of a velocity axis."""
     grid = np.linspace(-1.0, 1.0, 2 * POINTS + 1)
-    return _curve(axis, EDGE, dt, grid), _curve(axis, SPEED, dt, np.array([-1.0, 0.0, 1.0]))
+    parts = module_of({"axes": [axis], "dt": dt, "sway": None, "kinematics": None}).PARTS
+    made = {name: parts[name](dt, **values) for name, values in axis["command"]}
+    return _curve(axis, EDGE, made, grid), _curve(axis, SPEED, made, np.array([-1.0, 0.0, 1.0]))
 
 
-def _curve(axis: dict[str, Any], names: Sequence[str], dt: float, grid: Array) -> Array:
-    parts = [PARTS[name](dt, **values) for name, values in axis["command"] if name in names]
+def _curve(axis: dict[str, Any], names: Sequence[str], made: dict[str, Any], grid: Array) -> Array:
+    parts = [made[name] for name, _ in axis["command"] if name in names]
     for name, values in axis["command"]:  # corners are points of their own
         if name == "valve_deadband" and "valve_deadband" in names:
             grid = np.union1d(grid, [values["positive"], -values["negative"]])

@@ -8,10 +8,8 @@ of the joint, friction that of the joint, and the actuator turns a command into 
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +18,11 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
-from sysid.export.drive_module import load_module
+from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
 from sysid.export.standalone import mujoco_arm
-from sysid.export.standalone.mechanical_parts import (
-    CoulombFriction,
-    Friction,
-    SensorReading,
-    SmoothCoulombFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
+from sysid.export.standalone.parts import SensorReading, axis_parameters
 from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant
@@ -61,7 +52,7 @@ def write_arm(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
     about |= {"plant": plant.reference, "inertia_change": found.change}
     (folder / FILE).write_text(mjcf_text(spec), "utf-8")
     (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
-    (folder / LOOP).write_text(_loop_text(), "utf-8")
+    (folder / LOOP).write_text(with_classes(mujoco_arm, "class JointFriction", [SensorReading, axis_parameters]), "utf-8")
     return FILE, f"{Path(FILE).stem}.json", LOOP
 
 
@@ -158,12 +149,3 @@ def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: f
     mode = "native" if native else "friction"
     about = {"axis": axis.name, "joint": joint.name, "mode": mode, "scale": scale, "offset": offset}
     return about | {"laws": [] if native else laws, "load_dependent_friction": share}
-
-
-def _loop_text() -> str:
-    """The loop as a file that needs NumPy and MuJoCo alone: its imports from this package become the classes themselves."""
-    kept = re.sub(r"^from sysid\.\S+ import (\([^)]*\)|.*)\n", "", inspect.getsource(mujoco_arm), flags=re.MULTILINE)
-    kept = kept.replace("import json\n", "import json\nimport math\n", 1)
-    classes = (Friction, ViscousFriction, CoulombFriction, StribeckFriction, SmoothCoulombFriction, SensorReading)
-    head, _, rest = kept.partition("class LoadDependentFriction")
-    return "\n\n".join([head.rstrip() + "\n", *map(inspect.getsource, classes), f"class LoadDependentFriction{rest}\n"])

@@ -6,10 +6,8 @@ friction gives way as its constraint does. Backlash is a second joint behind tha
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +17,11 @@ import numpy.typing as npt
 from sysid.effects import first_order_lag
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
-from sysid.export.drive_module import load_module
+from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
 from sysid.export.standalone import mujoco_servos
-from sysid.export.standalone.mechanical_parts import SensorReading
+from sysid.export.standalone.parts import SensorReading
 from sysid.export.target import Start
 from sysid.export.urdf import LinkInertias
 from sysid.machine.sources.mjcf_model import mjcf_text
@@ -73,11 +71,7 @@ def write_servos(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
     spec, about = _spec_of(plant, rate_hz)
     (folder / FILE).write_text(mjcf_text(spec), "utf-8")
     (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
-    loop = re.sub(r"^from sysid\.\S+ import .*\n", "", inspect.getsource(mujoco_servos), flags=re.MULTILINE)
-    head, _, rest = loop.replace("import json\n", "import json\nimport math\n", 1).partition("class Servos")
-    (folder / LOOP).write_text(
-        "\n\n".join([head.rstrip() + "\n", inspect.getsource(SensorReading), f"class Servos{rest}"]), "utf-8"
-    )
+    (folder / LOOP).write_text(with_classes(mujoco_servos, "class Servos", [SensorReading]), "utf-8")
     return FILE, f"{Path(FILE).stem}.json", LOOP
 
 

@@ -30,6 +30,7 @@ from sysid.export.usd_stage import (
     write_follower,
 )
 from sysid.plant import Plant
+from sysid.plant.layout import axis_places
 from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
@@ -125,20 +126,18 @@ class UsdSimulation:
     def _take(self, drive: Any, axis: str, path: str) -> None:
         """Numbers of the joint and of its actuator, in SI units."""
         joint, actuator = self.stage.GetPrimAtPath(path), self.stage.GetPrimAtPath(actuator_path(axis))
-        if not hasattr(drive, "rotor"):
+        if not hasattr(drive, "mass"):
             scene = self.stage.GetPrimAtPath(SCENE)
             seconds = actuator.GetAttribute("newton:delaySteps").Get() / scene.GetAttribute("newton:timeStepsPerSecond").Get()
-            drive.parts[0] = type(drive.parts[0])(drive.dt, seconds)
+            drive.parts[0] = type(drive.parts[0])(drive.dt, delay=seconds)
             return
-        angular = joint.GetTypeName() == "PhysicsRevoluteJoint"
-        rotor = drive.rotor
-        rotor.mass = joint.GetAttribute("newton:armature").Get()
-        rotor.bias = -actuator.GetAttribute("newton:constEffort").Get()
+        angular, places = joint.GetTypeName() == "PhysicsRevoluteJoint", axis_places()
+        drive.mass = joint.GetAttribute("newton:armature").Get()
+        drive.p[places["load_bias.force"]] = -actuator.GetAttribute("newton:constEffort").Get()
         damping, friction = (joint.GetAttribute(f"newton:{name}").Get() for name in ("damping", "friction"))
-        for law in rotor.frictions:
-            is_viscous = type(law).__name__ == "ViscousFriction"
-            value = (math.degrees(damping) if angular else damping) if is_viscous else friction
-            law.positive = law.negative = value
+        for side in ("positive", "negative"):
+            drive.p[places[f"viscous_friction.{side}"]] = math.degrees(damping) if angular else damping
+            drive.p[places[f"coulomb_friction.{side}"]] = friction
 
     def _frames(self, name: str) -> tuple[str, Array, Array, bool]:
         """Name, frame on the parent and inverse of that on the child (4, 4), and whether it slides."""

@@ -91,15 +91,21 @@ def late_opening(u, p, b, s, m, size, dt):
 
 
 @inlined
+def spool(u, p, b, s, m, size, dt):
+    """Demanded opening → that of the spool behind dead time, its friction, ramp and lag, mean over the step."""
+    u = late_opening(u, p, b, s, m, size, dt)
+    u = command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
+    return first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
+
+
+@inlined
 def command_stage(u, p, b, s, m, size, gain, load, dt):
     """Command → demanded speed of a velocity axis [m/s or rad/s], mean over the step. ``load`` opposes positive motion.
 
     The dead time comes first in the machine. Static curves commute with it, and a fraction of a step is interpolated exactly
     only behind their kinks.
     """
-    u = late_opening(opening(u, p, b, s, m), p, b, s, m, size, dt)
-    u = command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
-    x = first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
+    x = spool(opening(u, p, b, s, m), p, b, s, m, size, dt)
     x = gain_error.step(x, p, b + AT.gain_error)
     x = asymmetric_gain.step(x, p, b + AT.asymmetric_gain)
     x = temperature_drift.step(x, p, b + AT.temperature_drift, s, m + STATE.temperature_drift, dt)

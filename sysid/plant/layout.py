@@ -74,6 +74,11 @@ AT: Any = namedtuple("AT", _places())(**_places())
 STATE: Any = namedtuple("STATE", _states())(**_states())
 
 
+def axis_places() -> dict[str, int]:
+    """``effect[.side].slot`` → its place in the block of an axis, for all places of the block."""
+    return {".".join(filter(None, key)): place for key, (place, _) in _AXIS.items()}
+
+
 def axis_memory(dt: float) -> int:
     """State values of one axis."""
     return int(STATE.input_delay) + input_delay.EFFECT.memory(dt)

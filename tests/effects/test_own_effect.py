@@ -28,6 +28,35 @@ assert "shifts both edges" in page(effect_named("valve_deadband"))
 assert "added to the command" in page(effect_named("command_offset"))
 """
 
+#: The exported models have the effect as well: one step of the plant is one step of theirs.
+EXPORTS = """
+import numpy as np
+import torch
+from sysid.export.drive_data import drive_data
+from sysid.export.drive_module import module_of
+from sysid.export.torchscript.assembly import script_of
+from sysid.machine import KnownEffect
+from sysid.plant import nominal_plant
+from sysid.plant.stepper import Stepper
+from sysid.testing.probe import RATE_HZ, probe_machine
+
+plant = nominal_plant(probe_machine()).with_effect(KnownEffect("command_offset", "boom", {"offset": 0.05}))
+data = drive_data(plant, RATE_HZ)
+module = module_of(data)
+shipped, script = module.assemble(data, module.PARTS), script_of(plant, RATE_HZ)
+rows = [torch.tensor([values], dtype=torch.float64) for values in ([0.1, 0.2, 0.0, 0.3], [0.1, 0.05, 0.0, 0.3], [0.0] * 4)]
+stepper, theta = Stepper(plant, RATE_HZ), script.theta(1)
+before = stepper.reset(*(row.numpy() for row in rows[:1]), drive=rows[1].numpy(), commands=rows[2].numpy()).drive[0]
+shipped.reset(*(row[0].numpy() for row in rows))
+state, _ = script.begin(theta, *rows)
+for _ in range(20):
+    expected = stepper.step(rows[2].numpy()).drive[0]
+    state, signals = script(theta, state, rows[2])
+    np.testing.assert_allclose(shipped.step(rows[2][0].numpy()).drive, expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(signals["drive"][0].numpy(), expected, rtol=0.0, atol=1e-12)
+assert abs(expected[1] - before[1] - 20 * 0.05 * 0.008 / RATE_HZ) < 1e-9, "the offset moves the boom"
+"""
+
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
@@ -45,7 +74,7 @@ def package(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_page_as_it_is_written(package: Path) -> None:
-    run(package, code_of_the_page()[-1], {"XDG_CACHE_HOME": str(package / "cache")})
+    run(package, code_of_the_page()[-1] + EXPORTS, {"XDG_CACHE_HOME": str(package / "cache")})
 
 
 def test_words_come_from_the_file_alone(package: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import builtins
 import subprocess
 import sys
 from pathlib import Path
@@ -12,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.effects import CATALOGUE
+from sysid.effects import CATALOGUE, gripper_sway
 from sysid.export.drive_data import WITHOUT_PART, drive_data
 from sysid.export.drive_module import DATA, MODULE, data_text, module_text
+from sysid.export.kernel_source import kernel_source
 from sysid.machine import KnownEffect
-from sysid.plant import Plant, compile_plant, nominal_plant
+from sysid.plant import Plant, chain, compile_plant, nominal_plant, pose, sensing
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.testing import places_of
 from sysid.testing.check import typical_values
@@ -174,3 +177,18 @@ def test_runs_without_the_toolkit(tmp_path: Path) -> None:
 
 def test_every_effect_is_in_the_model_or_has_a_reason() -> None:
     assert set(WITHOUT_PART) <= {effect.name for effect in CATALOGUE}
+
+
+def test_source_of_the_kernels_needs_math_alone() -> None:
+    """Every name is one of the text, of ``math`` or built in; what they call comes before its callers."""
+    kernels = (chain.command_stage, chain.position_stage, chain.force_stage, pose.pose, gripper_sway.step, sensing.reading)
+    text = kernel_source(kernels)
+    known = {"math", *vars(builtins)}
+    for definition in ast.parse(text).body:
+        assert isinstance(definition, ast.FunctionDef)
+        assert not definition.decorator_list
+        nodes = list(ast.walk(definition))
+        own = {node.arg for node in nodes if isinstance(node, ast.arg)}
+        own |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        assert {node.id for node in nodes if isinstance(node, ast.Name)} <= known | own, definition.name
+        known.add(definition.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, shipped, true_value
 
-from sysid.effects import effect_named
-from sysid.export.drive_data import drive_data
-from sysid.export.drive_module import PARTS
 from sysid.export.isaaclab import posterior_columns, reachable
-from sysid.export.torchscript.assembly import _COMMAND, _FRICTION, load_script, parameter_columns, save_script, script_of
+from sysid.export.torchscript.assembly import load_script, parameter_columns, save_script, script_of
+from sysid.export.torchscript.graph import Graph
+from sysid.export.torchscript.kernels import Kernels
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
@@ -162,10 +164,85 @@ def test_the_ring_of_a_delay_contains_its_draws() -> None:
     }, "one coefficient for both directions"
 
 
-def test_every_part_of_the_drive_model_is_scripted() -> None:
-    one_by_one = {"input_delay", "first_order_lag", "command_rate_limit", "nominal_gain", "stiction", "sticking_spool"}
-    assert set(PARTS) == one_by_one | set(_COMMAND) | set(_FRICTION) | {"rigid_drive", "flexible_drive"}
-    slots = {name: [slot.name for slot in effect_named(name).slots] for name in (*_COMMAND, *_FRICTION)}
-    for name, part in (_COMMAND | _FRICTION).items():
-        assert part.__doc__.partition(";")[0].split(", ") == slots[name], "the order in which the part reads its columns"
-    assert math.isfinite(drive_data(everything(), RATE_HZ)["dt"])
+#: The number of sub-steps is that of the plant: their parameters are not drawn.
+WITH_SUBSTEPS = ("gripper_sway.tool.length", "flexible_drive.slide.frequency", "flexible_drive.slide.inertia_ratio")
+
+
+@functools.cache
+def drawn_module() -> tuple[Plant, Any]:
+    plant = everything()
+    return plant, script_of(plant, RATE_HZ, 1.1 * plant.vector()[None])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_equals_the_kernels_for_drawn_parameters_and_commands(seed: int) -> None:
+    """A few steps of all effects at once, three machines of a batch, to rounding."""
+    (plant, module), rng = drawn_module(), np.random.default_rng(seed)
+    columns, thetas = parameter_columns(plant), np.tile(plant.vector(), (3, 1))
+    for name, at in columns.items():
+        thetas[:, at] *= 1.0 if name in WITH_SUBSTEPS else rng.uniform(0.9, 1.1, 3)
+    theta = torch.tensor(np.column_stack([thetas[:, list(columns.values())], np.zeros(3)]))
+    joints, drives = JOINTS + rng.uniform(-0.1, 0.1, (3, 4)), DRIVE + rng.uniform(-0.03, 0.03, (3, 4))
+    held, commands = rng.uniform(-1.0, 1.0, (3, 4)), rng.uniform(-1.0, 1.0, (6, 3, 4))
+    stepper = Stepper(plant, RATE_HZ, 3, thetas)
+    expected = [stepper.reset(joints, drive=drives, commands=held), *(stepper.step(command) for command in commands)]
+    with torch.jit.optimized_execution(False), torch.inference_mode():
+        state, signals = module.begin(theta, *map(torch.tensor, (joints, drives, held)))
+        found = [signals]
+        for command in commands:
+            state, signals = module(theta, state, torch.tensor(command))
+            found.append(signals)
+    for ours, theirs in zip(found, expected, strict=True):
+        for name in ("drive", "joints", "structure", "ee", "tool"):
+            np.testing.assert_allclose(ours[name].numpy(), getattr(theirs, name), rtol=0.0, atol=1e-12, err_msg=name)
+
+
+def test_derivatives_by_the_parameters() -> None:
+    """Finite for every effect, and those of smooth ones as differences of runs give them."""
+    plant = everything()
+    module, commands = script_of(plant, RATE_HZ), commands_of(plant)[:60]
+
+    def output(theta: Any) -> Any:
+        state, _ = module.begin(theta, *(torch.tensor(values)[None] for values in (JOINTS, DRIVE, HELD)))
+        for command in commands:
+            state, signals = module(theta, state, torch.tensor(command)[None])
+        return signals["structure"].sum() + signals["tool"].sum() + sum(module.readings(theta, signals).values()).sum()
+
+    theta, names = module.theta(1).requires_grad_(True), list(module.parameter_names)
+    with torch.jit.optimized_execution(False):
+        output(theta).backward()
+        assert torch.isfinite(theta.grad).all()
+        for name in (
+            "first_order_lag.boom.time_constant", "oil_compressibility.boom.frequency", "second_order_lag.wrist.time_constant",
+            "viscous_friction.slide.positive", "joint_compliance.boom.drive.compliance", "base_misalignment.base.rotation_z",
+        ):  # fmt: skip
+            moved = torch.zeros_like(theta)
+            moved[0, names.index(name)] = size = 1e-6 * float(theta[0, names.index(name)].detach())
+            with torch.no_grad():
+                slope = float(output(theta + moved) - output(theta - moved)) / (2.0 * size)
+            assert float(theta.grad[0, names.index(name)]) == pytest.approx(slope, rel=1e-4, abs=1e-6), name
+
+
+def test_only_numbers_are_in_the_code() -> None:
+    """Names of axes, signals and machines are values of the module."""
+    module = script_of(everything(), RATE_HZ)
+    names = (*everything().machine.axis_names, "probe")
+    assert not any(name in module.functions.step.code for name in names)
+
+
+def halved(u: Any) -> Any:
+    while u > 1.0:
+        u = 0.5 * u
+    return u
+
+
+def counted(u: Any) -> Any:
+    return math.ceil(u)
+
+
+@pytest.mark.parametrize("kernel", [halved, counted], ids=["a loop", "a number of sub-steps"])
+def test_what_differs_by_machine_and_is_no_choice_is_refused(kernel: Any) -> None:
+    graph = Graph()
+    with pytest.raises(NotImplementedError):
+        Kernels(graph, {})(kernel, graph.input("commands", 0))

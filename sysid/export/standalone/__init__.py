@@ -1,1 +1,1 @@
-"""Equations of a plant in plain Python and NumPy, from which the shipped drive model is assembled; none imports ``sysid``."""
+"""Frames of the shipped files, in plain Python and NumPy: the kernels that they call are shipped beside them as source."""

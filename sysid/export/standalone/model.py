@@ -15,8 +15,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.export.standalone.command_parts import Part
-from sysid.export.standalone.mechanical_parts import Backlash, GripperSway, Kinematics, Linkage, RigidDrive, SensorReading
+from sysid.effects.joint_compliance import step as joint_compliance_step
+from sysid.effects.pump_flow_limit import share as pump_flow_limit_share
+from sysid.export.standalone.parts import (
+    REMEMBERED,
+    SPEED,
+    Backlash,
+    GripperSway,
+    Kinematics,
+    Linkage,
+    Part,
+    SensorReading,
+    axis_parameters,
+)
+from sysid.plant.chain import force_stage as chain_force_stage
 
 Array = npt.NDArray[np.float64]
 
@@ -103,26 +115,32 @@ class PositionDrive(ChainDrive):
 
 
 class ForceDrive(Drive):
-    """The command is a force, the demand a mean speed."""
+    """The command is a force, the demand a mean speed: of one mass [kg or kg·m²], or of motor and load on a spring.
 
-    def __init__(self, dt: float, low: float | None, high: float | None, rotor: RigidDrive) -> None:
+    ``effects``: friction, constant load and spring, each with its numbers.
+    """
+
+    def __init__(
+        self, dt: float, low: float | None, high: float | None, mass: float, effects: dict[str, dict[str, float]]
+    ) -> None:  # fmt: skip
         super().__init__(dt, low, high)
-        self.rotor = rotor
+        self.mass, self.p = mass, axis_parameters(effects)
 
     def begin(self, position: float, speed: float) -> None:
         super().begin(position, speed)
-        self.rotor.reset(speed)
+        self.s = [math.nan] * REMEMBERED
+        self.s[SPEED] = speed
 
     def demand(self, command: float, load: float) -> float:
-        return self.rotor.step(command)
+        return float(chain_force_stage(command, self.p, 0, self.s, 0, self.mass, self.dt))
 
     def move(self, demand: float) -> None:
         moved = self.position + self.dt * demand
         super().move(demand)
         if moved > self.high:
-            self.rotor.speed = min(self.rotor.speed, 0.0)
+            self.s[SPEED] = min(self.s[SPEED], 0.0)
         elif moved < self.low:
-            self.rotor.speed = max(self.rotor.speed, 0.0)
+            self.s[SPEED] = max(self.s[SPEED], 0.0)
 
 
 @dataclass
@@ -141,10 +159,11 @@ class Axis:
     def joint(self, load: float) -> float:
         x = self.drive.position if self.linkage is None else self.linkage.joint(self.drive.position)
         deflecting = load if self.servo is None else self.servo.sag_load(load)
-        return self.drive_backlash.step(x) - self.drive_compliance * deflecting
+        return float(joint_compliance_step(self.drive_backlash.step(x), [self.drive_compliance], 0, deflecting))
 
     def structure(self, joint: float, load: float) -> float:
-        return self.structure_backlash.step(joint) + self.offset - self.structure_compliance * load
+        q = self.structure_backlash.step(joint) + self.offset
+        return float(joint_compliance_step(q, [self.structure_compliance], 0, load))
 
 
 class DriveModel:
@@ -205,7 +224,7 @@ class DriveModel:
         """Hold ``commands`` (A,) for one step and return the state after it."""
         demands = [axis.drive.demand(float(commands[i]), float(self.load[i])) for i, axis in enumerate(self.axes)]
         flow = sum(abs(d) / a.drive.gain for d, a in zip(demands, self.axes, strict=True) if isinstance(a.drive, VelocityDrive))
-        share = self.pump_limit / flow if flow > self.pump_limit else 1.0
+        share = pump_flow_limit_share(flow, [self.pump_limit], 0)
         for demand, axis in zip(demands, self.axes, strict=True):
             axis.drive.move(share * demand if isinstance(axis.drive, VelocityDrive) else demand)
         return self._state(load)
@@ -225,7 +244,7 @@ class DriveModel:
         structure = np.array([axis.structure(float(joints[i]), before[i]) for i, axis in enumerate(self.axes)])
         tip = np.full(3, np.nan)
         if self.kinematics is not None:
-            tip, self.load = self.kinematics.pose(structure)
+            tip, self.load = self.kinematics.pose(structure.tolist())
         if load is not None:
             self.load = np.array(load, dtype=np.float64)
         return joints, structure, tip
@@ -243,7 +262,7 @@ class DriveModel:
         structure, load = np.array([axis.structure_compliance for axis in self.axes]), np.zeros(len(joints))
         offset = np.array([axis.offset for axis in self.axes])
         for _ in range(self.SETTLING if structure.any() else 1):
-            load = self.kinematics.pose(joints + offset - structure * load)[1]
+            load = self.kinematics.pose((joints + offset - structure * load).tolist())[1]
         return joints + compliance * load
 
 
@@ -281,6 +300,7 @@ def _drive(dt: float, axis: dict[str, Any], command: list[Any], parts: dict[str,
         return VelocityDrive(dt, *ends, command, axis["gain"], axis["sense"])
     if axis["actuation"] == "position":
         return PositionDrive(dt, *ends, command)
-    frictions = [parts[name](**values) for name, values in axis["frictions"]]
-    rotor = parts[axis["rotor"]](dt, axis["mass"], axis["bias"], frictions, **axis["spring"])
-    return ForceDrive(dt, *ends, rotor)
+    effects = {**dict(axis["frictions"]), "load_bias": {"force": axis["bias"]}}
+    if axis["rotor"] == "flexible_drive":
+        effects["flexible_drive"] = axis["spring"]
+    return ForceDrive(dt, *ends, axis["mass"], effects)

@@ -20,55 +20,37 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from sysid.export.standalone.mechanical_parts import (
-    CoulombFriction,
-    Friction,
-    SensorReading,
-    SmoothCoulombFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
+from sysid.effects.smooth_coulomb_friction import slope as smooth_coulomb_friction_slope
+from sysid.export.standalone.parts import PLACES, SensorReading, axis_parameters
+from sysid.plant.chain import dry as chain_dry
+from sysid.plant.chain import servo_friction as chain_servo_friction
 
 Array = npt.NDArray[np.float64]
 
 
-class LoadDependentFriction:
-    """coefficient·|load| against the motion, load the torque of the links; with the shape of ``smooth`` where that acts."""
-
-    def __init__(self, coefficient: float, smooth: SmoothCoulombFriction | None) -> None:
-        self.coefficient, self.smooth = coefficient, smooth
-
-    def slope(self, v: float, load: float) -> float:
-        return 0.0 if self.smooth is None else self.coefficient * abs(load) * self.smooth.slope(v) / self.smooth.force
-
-    def dry(self, load: float) -> float:
-        return self.coefficient * abs(load) if self.smooth is None else 0.0
-
-
-LAWS: dict[str, Any] = {
-    "viscous_friction": ViscousFriction,
-    "coulomb_friction": CoulombFriction,
-    "stribeck_friction": StribeckFriction,
-    "smooth_coulomb_friction": SmoothCoulombFriction,
-}
-
-
 class JointFriction:
-    """Friction of one joint: its laws in the unit of the commands, ``scale`` of them a unit of force."""
+    """Friction of one joint: its laws in the unit of the commands, ``scale`` of them a unit of force.
+
+    ``share``: coefficient·|load| against the motion, load the torque of the links; with the shape of the smooth law where that
+    acts.
+    """
 
     def __init__(self, scale: float, laws: list[Any], share: float) -> None:
-        self.scale = scale
-        self.laws: list[Friction] = [LAWS[name](**values) for name, values in laws]
-        smooth = [law for law in self.laws if isinstance(law, SmoothCoulombFriction)]
-        self.by_load = LoadDependentFriction(share, smooth[0] if smooth else None)
+        self.scale, self.share, self.p = scale, share, axis_parameters(dict(laws))
+        self.smooth = PLACES["smooth_coulomb_friction.force"]
 
     def damping(self, v: float, load: float) -> float:
         """Force over speed at a speed, for a torque of the links that the joint carries."""
-        return (sum(law.slope(v) for law in self.laws) + self.by_load.slope(v, self.scale * load)) / self.scale
+        slope, smooth = float(sum(chain_servo_friction(v, self.p, 0))), self.p[self.smooth]
+        if smooth > 0.0:
+            by_load = self.share * abs(self.scale * load) / smooth
+            slope += by_load * float(smooth_coulomb_friction_slope(v, self.p, self.smooth))
+        return slope / self.scale
 
     def loss(self, v: float, load: float) -> float:
         """Dry friction at a speed."""
-        return (sum(law.dry(v, v) for law in self.laws) + self.by_load.dry(self.scale * load)) / self.scale
+        by_load = 0.0 if self.p[self.smooth] > 0.0 else self.share * abs(self.scale * load)
+        return (float(chain_dry(v, v, self.p, 0)) + by_load) / self.scale
 
 
 class Arm:

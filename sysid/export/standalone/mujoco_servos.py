@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sysid.export.standalone.mechanical_parts import SensorReading
+from sysid.export.standalone.parts import SensorReading
 
 
 class Servos:
