@@ -14,22 +14,20 @@ from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.parse import parse_json
 from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
 from sysid.reports.archive import RESULT
+from sysid.reports.card import Card, CardBlock, card_of, changes
 from sysid.validate import ValidationReport
 from sysid.versions import (
-    Card,
     DriftReport,
     ExportedFile,
     ModelDiff,
     ModelLineage,
     PromotionPolicy,
-    card_of,
     diff_versions,
     drift_of,
     export_onnx,
     lineage_of,
     policy_checks,
 )
-from sysid.versions.card import CardBlock, changes
 from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sysid.display import quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from sysid.cli.output import Printer
     from sysid.datasets import Dataset
+    from sysid.figures import ParameterFigure
     from sysid.gap import GapResult
     from sysid.gap.result import NearMissResult, WrittenEffect
     from sysid.machine import EffectKey
@@ -35,18 +38,21 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
         return
     from sysid.display import NOTHING, percent
     from sysid.effects import inertial_error
+    from sysid.reports.result_figures import parameters_of
     from sysid.reports.words import effect_place
 
+    machine = dataset.machine
     rows: list[tuple[str, ...]] = []
     links = [item.target for item in result.written if item.name == inertial_error.EFFECT.name]
     shown = [item for item in result.written if item.name != inertial_error.EFFECT.name]
     for item in shown:
         title = effect_place(item.name, item.target, dataset.machine)
         share = percent(item.gap_share) if item.gap_share is not None else NOTHING
-        for number, (key, value) in enumerate(item.parameters.items()):
-            value_text, interval = _value_texts(item, key, value, dataset)
+        figures = parameters_of(item.name, item.target, item.parameters, machine, dataset.units, item.interval95, item.before)
+        for number, figure in enumerate(figures):
+            known = f" (was {figure.before_text})" if figure.before is not None else ""
             first = (title, share, KINDS[item.kind]) if number == 0 else ("", "", "")
-            rows.append((first[0], f"{key.replace('_', ' ')} {value_text}", interval, *first[1:]))
+            rows.append((first[0], f"{figure.label} {figure.text}{known}", figure.interval, *first[1:]))
         for key in _undetermined(result, item):
             rows.append(("", f"{key.replace('_', ' ')} not determined", "", "", ""))
     count = f"{len(result.written)} effect{'' if len(result.written) == 1 else 's'}"
@@ -93,8 +99,10 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
 
 def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
     """Effects that are not written and lack one condition for a name, with it; the clearest first."""
+    from sysid.reports.result_figures import parameters_of
     from sysid.reports.words import effect_place
 
+    machine = dataset.machine
     written = {(item.name, item.target, item.side) for item in result.written}
     found: dict[EffectKey, NearMissResult] = {}
     for miss in sorted(result.near_misses, key=lambda miss: -miss.distance):  # a pump shows at several stages
@@ -105,8 +113,9 @@ def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose:
     if shown:
         out.line("Near misses, which are not written:")
     for miss in shown:
-        values = ", ".join(f"{key.replace('_', ' ')} {_miss_text(miss, key, dataset)}" for key in miss.parameters)
-        title = effect_place(miss.name, miss.target, dataset.machine)
+        figures = parameters_of(miss.name, miss.target, miss.parameters, machine, dataset.units, miss.interval95)
+        values = ", ".join(map(_miss_text, figures))
+        title = effect_place(miss.name, miss.target, machine)
         entry(out, f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ")
     if shown and len(others) > len(shown):
         out.line(f"  ({len(others) - len(shown)} more, less clear: --verbose)")
@@ -182,56 +191,16 @@ def plain_reason(why: str) -> str:
     return known.get(why, why) or "it was fitted beside the others"
 
 
-def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
-    """A value with the known one that it replaces, and its interval."""
-    from sysid.display import NOTHING, digits_for, interval
-    from sysid.effects.units import parameter_unit
-    from sysid.reports.words import shown
-
-    machine, units = dataset.machine, dataset.units
-    ends = item.interval95.get(key)
-    single: tuple[float, float] | None = None
-    if ends is not None and not isinstance(ends[0], tuple) and not isinstance(ends[1], tuple):
-        single = float(ends[0]), float(ends[1])
-    digits = digits_for(*single) if single else 3
-    text = shown(item.name, key, item.target, value, machine, digits, units)
-    if key in item.before:
-        text += f" (was {shown(item.name, key, item.target, item.before[key], machine, 3, units)})"
-    if ends is None:
-        return text, NOTHING
-    if single is None:
-        low, high = (shown(item.name, key, item.target, end, machine, 4, units) for end in ends)
-        return text, f"{low} to {high}"
-    if not (math.isfinite(single[0]) and math.isfinite(single[1])):
-        return text, NOTHING
-    return text, interval(*single, parameter_unit(item.name, key, item.target, machine, units))
-
-
 def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
     for effect in result.effects:
         if (effect.name, effect.target, effect.side) == (item.name, item.target, item.side):
             yield from effect.undetermined
 
 
-def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
-    from sysid.display import digits_for
-    from sysid.reports.words import shown
-
-    def text(value: float, digits: int) -> str:
-        return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, digits, dataset.units)
-
-    low, high = miss.interval95[key]
+def _miss_text(figure: ParameterFigure) -> str:
+    """``delay 30.0 ms ± 20 ms``."""
+    low, high = figure.interval95 or (math.nan, math.nan)
     half = 0.5 * (high - low)
     if not math.isfinite(half):
-        return text(miss.parameters[key], 3)
-    return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
-
-
-def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
-    """The unnamed errors as text."""
-    from sysid.reports.words import with_titles
-
-    return [
-        f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"
-        for item in result.unnamed
-    ]
+        return f"{figure.label} {figure.text}"
+    return f"{figure.label} {figure.text} ± {quantity(half, figure.unit, 2)}"

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
 from sysid.names import dotted
-from sysid.registry.effect_changes import effect_changes, effect_interval, effect_value
+from sysid.registry.effect_changes import effect_changes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from sysid.cli.output import Printer
     from sysid.registry import ModelVersion, Promotion
-    from sysid.registry.effect_changes import EffectChange
     from sysid.versions import DriftReport, ExportedFile, ModelDiff, ModelLineage
 
 #: Entries of a plant's lineage that are too long for the console, or repeat its effects.
@@ -62,6 +61,9 @@ def show_model_lineage(out: Printer, found: ModelLineage) -> None:
 def show_model_diff(out: Printer, found: ModelDiff) -> None:
     """Differences of two versions, predictions first."""
     from sysid.display import quantity
+    from sysid.figures import Table
+    from sysid.registry.effect_changes import CHANGES, change_cells
+    from sysid.reports.result_figures import PREDICTIONS, prediction_cells
 
     out.line(f"{found.before} → {found.after}")
     if found.empty:
@@ -70,17 +72,8 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     for word, outputs in (("added", found.outputs.added), ("removed", found.outputs.removed)):
         for output in outputs:
             out.line(f"output {word}: {output}")
-    rows: list[tuple[str, ...]] = []
-    for entry in found.predictions:
-        at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
-        if not entry.points:
-            at = "the fitted ranges do not overlap"
-        rows.append((entry.output, quantity(entry.largest, entry.unit), quantity(entry.rms, entry.unit), at))
-    if rows:
-        out.table(("prediction", "largest difference", "rms", "largest at"), rows, right=(1, 2))
-    if found.effects:
-        header = ("effect", "on", "parameter", "before", "after", "95 % interval")
-        out.table(header, [_effect_row(change) for change in found.effects], right=(3, 4))
+    out.show(Table(PREDICTIONS, [prediction_cells(entry) for entry in found.predictions], (1, 2)))
+    out.show(Table(CHANGES, [change_cells(change) for change in found.effects], (3, 4)))
     show_changes(out, "recipe", found.recipe)
     own = [change for change in found.lineage if change.what.split(".")[0] not in IN_JSON]
     show_changes(out, "made from", own)
@@ -104,32 +97,27 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
 
 
-def _effect_row(change: EffectChange) -> tuple[str, ...]:
-    before, after = (effect_value(value, change.unit) for value in (change.before, change.after))
-    return change.effect, change.target, change.parameter, before, after, effect_interval(change.interval95, change.unit)
-
-
 def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
     """One version: what it was made from, its held-out figures, effects, recipe and decisions.
 
     Args:
         difference: its change of ``machine.toml``; empty without one.
     """
-    from datetime import UTC, datetime
-
+    from sysid.display import minute
+    from sysid.figures import stored_errors
     from sysid.registry.decision import decision_row
-    from sysid.registry.figures import held_out_figures
+    from sysid.registry.effect_changes import change_cells
 
     known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
     out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
-    out.line(f"made      {datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC")
+    out.line(f"made      {minute(version.created_ms)} UTC")
     for key, value in version.lineage.items():
         if key not in ("recipe", "effects", "dataset_digest") and not isinstance(value, Mapping | list):
             out.line(f"{key:<9} {value}")
     recipe = version.lineage.get("recipe")
     for key, value in sorted(_own_part(recipe, version.kind).items()) if isinstance(recipe, Mapping) else ():
         out.line(f"recipe    {key} = {value}")
-    rows = [(row.signal, row.rows, row.rmse, row.p95, row.max) for row in held_out_figures(version)]
+    rows = [(error.output, error.rows, *error.texts) for error in stored_errors(version.metrics)]
     if rows:
         out.table(("held out", "rows", "rmse", "95 %", "max"), rows, right=(2, 3, 4))
     else:
@@ -137,7 +125,7 @@ def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
             out.line(f"{name} = {figure:.6g}")
     effects = effect_changes({}, version.lineage)
     if effects:
-        columns = [(row[0], row[1], row[2], row[4], row[5]) for row in map(_effect_row, effects)]
+        columns = [(*cells[:3], *cells[4:]) for cells in map(change_cells, effects)]
         out.table(("effect", "on", "parameter", "value", "95 % interval"), columns, right=(3,))
     if difference:
         out.block(difference)

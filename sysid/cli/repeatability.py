@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine: Machine) -> None:
     """Share of the runs in which each effect was named, and the spread of its values."""
-    from sysid.reports.words import shown
+    from sysid.reports.result_figures import parameters_of
 
     if not repeats:
         out.line("no effect was named in any run")
@@ -29,7 +29,7 @@ def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine:
         first = (item.name, item.target, f"{len(item.named)} of {len(item.shown)}")
         for number, (key, values) in enumerate(item.parameters.items()):
             low, middle, high = (
-                shown(item.name, key.split("[")[0], item.target, value, machine)
+                parameters_of(item.name, item.target, {key: value}, machine)[0].text
                 for value in (min(values), item.median(key), max(values))
             )
             tail = (key, middle, f"{low} … {high}", f"{100.0 * item.spread(key):.0f} %")

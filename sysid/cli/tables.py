@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from sysid.networks import Calibration
     from sysid.validate import ValidationReport
 
-#: Below this multiple of the noise floor, no closed share is given.
-NOTHING_TO_CLOSE = 1.05
-
 
 def show_dataset(out: Printer, dataset: Dataset) -> None:
     """Recordings, clocks and losses of a dataset version."""
@@ -71,18 +68,9 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
     ``paper`` adds a column with a published maximum [SI] by output.
     """
-    from sysid.display import NOTHING, fixed, shown_unit
-    from sysid.reports.sections.networks import decimals_of
+    from sysid.reports.result_figures import network_rows
 
-    rows = []
-    for source, entry in [(report, entry) for report in reports for entry in report.outputs]:
-        (factor, unit), decimals = shown_unit(entry.unit), decimals_of(source, entry.unit)
-        best = min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
-        figures = [fixed(factor * value, decimals) for value in (entry.metrics.rmse, entry.metrics.p95, entry.metrics.max)]
-        floor = NOTHING if entry.noise_floor is None else fixed(factor * entry.noise_floor, decimals)
-        simple = NOTHING if best is None else f"{best} {fixed(factor * entry.baselines[best].rmse, decimals)}"
-        published = [] if paper is None else [f"{factor * paper[entry.output]:.2f}" if entry.output in paper else ""]
-        rows.append((entry.output, entry.rows, *figures, *published, floor, unit, simple))
+    rows = [row for report in reports for row in network_rows(report, paper)]
     beside = [] if paper is None else ["paper's max"]
     header = ("network output", "rows", "rmse", "95 %", "max", *beside, "noise", "unit", "best simple model")
     out.table(header, rows, right=range(2, 6 + len(beside)))
@@ -126,7 +114,8 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
-    from sysid.display import percent, quantity, ratio
+    from sysid.display import percent, quantity
+    from sysid.figures import times
     from sysid.reports.sections.where import above_floor, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
@@ -134,9 +123,8 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     rows = []
     for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
         unit = dataset.units.get(item.signal)
-        times = item.stage_rmse / item.noise_floor if item.noise_floor > 0.0 else float("nan")
-        figures = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor))
-        rows.append((item.stage, item.signal, *figures, ratio(times), quantity(item.free_run_rmse, unit)))
+        error, floor, chain = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor, item.free_run_rmse))
+        rows.append((item.stage, item.signal, error, floor, times(item.stage_rmse, item.noise_floor), chain))
     out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
     shares = []
     for end, of_end in reversed(significant(result.shares, result.localised)):
@@ -180,14 +168,13 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     from sysid.cli import gap_tables
     from sysid.gap.statement import response_sentences
     from sysid.names import listed
-    from sysid.reports.words import effect_place, effect_sentence, shown_parameters
+    from sysid.reports.result_figures import error_table, named_sentence, unnamed_sentence
+    from sysid.reports.words import effect_place
 
     machine = dataset.machine
     out.line(f"{result.headline}  [{result.verdict}, {result.seconds:.1f} s]")
     for effect in result.effects:
-        texts = shown_parameters(effect.name, effect.target, effect.given, machine, dataset.units)
-        sentence = effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target), machine)
-        gap_tables.entry(out, sentence, "  ")
+        gap_tables.entry(out, named_sentence(effect, result, dataset), "  ")
     for sentence in response_sentences(result.responses, bool(result.written)):
         gap_tables.entry(out, sentence, "  ")
     out.line()
@@ -196,11 +183,11 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = 
     for tie in result.ambiguous:
         names = " / ".join(effect_place(name, target, machine) for name, target in tie)
         gap_tables.entry(out, f"Cannot be distinguished: {names}", "  ")
-    for text in gap_tables.unnamed_texts(result, dataset):
-        gap_tables.entry(out, text, "  ")
+    for item in result.unnamed:
+        gap_tables.entry(out, unnamed_sentence(item, machine), "  ")
     show_residual_models(out, result, dataset)
     gap_tables.show_near_misses(out, result, dataset, verbose)
-    out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
+    out.show(error_table(result.gap, dataset.units))
     gap_tables.entry(out, f"Held-out recordings: {listed(result.held_out_recordings, gap_tables.RECORDINGS)}.")
     _show_left_out(out, result, dataset)
     gap_tables.show_next_steps(out, result, dataset, verbose)
@@ -227,30 +214,18 @@ def show_missing(out: Printer, result: GapResult) -> None:
 
 def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Residual networks: held-out error of the stage without and with each, or why there is none."""
-    from sysid.display import quantity
+    from sysid.figures import ErrorFigure
 
     for item in result.carried:
         if not item.accepted:
             out.line(f"  no residual network: {item.text}")
             continue
         unit = dataset.units.get(item.signal) or dataset.machine.expected_unit(item.signal) or "1"
-        before, after, floor = (quantity(value, unit) for value in (item.before, item.after, item.noise_floor))
+        before, after, floor = ErrorFigure(item.signal, unit, item.before, item.after, item.noise_floor).texts
         out.line(
             f"  bounded residual network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → "
             f"{after} (noise floor {floor}). It is fitted to the recordings and has no physical cause."
         )
-
-
-def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
-    """Per measured signal: RMSE before and after, noise floor, closed share; in mm and degrees."""
-    from sysid.display import NOTHING, percent, quantity
-
-    rows = []
-    for name, before in result.gap.before.items():
-        after, floor = result.gap.after[name], result.gap.noise_floor[name]
-        closed = percent(result.gap.closed(name)) if before > NOTHING_TO_CLOSE * floor else NOTHING
-        rows.append((name, *(quantity(value, dataset.units.get(name)) for value in (before, after, floor)), closed))
-    return rows
 
 
 def show_repair(

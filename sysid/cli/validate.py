@@ -57,7 +57,8 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
 
 
 def _show(out: Printer, report: ValidationReport) -> None:
-    from sysid.display import percent, quantity, shown_unit
+    from sysid.display import percent, quantity
+    from sysid.reports.result_figures import spike_sentence
 
     show_errors(out, report)
     show_directions(out, report)
@@ -68,6 +69,4 @@ def _show(out: Printer, report: ValidationReport) -> None:
             out.line(f"{level} intervals of {entry.output}, {entry.rows}: ± {width}, coverage {held}; {flagged} flagged")
     for entry in report.outputs:
         for spike in entry.spikes[:3]:
-            factor, unit = shown_unit(entry.unit)
-            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause})"
-            out.line(f"spike in {entry.output}: {factor * spike.error:+.2f} {unit} at {where}")
+            out.line(f"spike in {spike_sentence(entry, spike)}")

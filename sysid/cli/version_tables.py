@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from sysid.cli.output import Printer, size_text
+from sysid.cli.output import Printer
+from sysid.display import size_text
 
 if TYPE_CHECKING:
     from sysid.datasets import DatasetDiff, Lineage, VacuumResult

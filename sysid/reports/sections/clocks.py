@@ -51,11 +51,11 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
 
 def _pair(pair: PairResidual, dataset: Dataset) -> dict[str, Any]:
     ours, other = pair.name.split("~")
-    x_factor, x_unit = display.shown_unit(dataset.units.get(ours, dataset.machine.expected_unit(ours)))
-    factor, unit = display.shown_unit(dataset.units.get(other, dataset.machine.expected_unit(other)))
+    across, up = (dataset.units.get(signal, dataset.machine.expected_unit(signal)) for signal in (ours, other))
+    factor = display.shown_unit(up)[0]
     line = ChartCurve(factor * pair.mean, "before", dots=True, spread=factor * pair.spread)
-    labels = (f"{words.signal_name(ours)} [{x_unit}]", f"residual [{unit}]")
+    labels = display.with_unit(words.signal_name(ours), across), display.with_unit("residual", up)
     return {
-        "picture": Markup(chart(x_factor * pair.motion, [line], labels)),
+        "picture": Markup(chart(display.shown_unit(across)[0] * pair.motion, [line], labels)),
         "caption": f"{words.signal_name(other)} against {words.signal_name(ours)}, over the motion",
     }

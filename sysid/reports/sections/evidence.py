@@ -11,7 +11,8 @@ from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.words import RejectedEffect, label_of, least_error, outcome, rejected, shown
+from sysid.reports.result_figures import parameters_of
+from sysid.reports.words import RejectedEffect, label_of, least_error, outcome, rejected
 
 #: Largest number of shown rows of a stage.
 MAX_ROWS = 25
@@ -101,6 +102,6 @@ def _parameters(row: ComparedModel, dataset: Dataset) -> str:
         effect, target, _, refitted = label_of(label)
         if refitted:
             continue
-        text = shown(effect, name.partition("[")[0], target or row.target, value, dataset.machine, units=dataset.units)
-        groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
+        figures = parameters_of(effect, target or row.target, {name: value}, dataset.machine, dataset.units)
+        groups.setdefault(label, []).extend(figure.sentence for figure in figures)
     return "; ".join(", ".join(parts) for parts in groups.values())

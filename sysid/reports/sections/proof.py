@@ -8,11 +8,13 @@ from typing import Any
 from markupsafe import Markup
 
 from sysid import display
-from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
+from sysid.figures import Table, aligned
+from sysid.gap.result import EffectEvidence, GapResult, NamedEffect, Promotion, WorldGap
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections.summary import dumbbells, signal_gaps
+from sysid.reports.result_figures import point_errors
+from sysid.reports.sections.summary import dumbbells
 
 #: Name of a condition → text.
 CONDITIONS = {
@@ -34,7 +36,8 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     return {
         "held_out": gap.held_out_recordings,
         "promotion": _promotion(gap.promotion, gap) if gap.promotion is not None else None,
-        "effects": [_effect(effect, inputs.dataset.machine) for effect in gap.effects],
+        "effects": _effects(gap, inputs.dataset.machine),
+        "evidence": _evidence(gap, inputs.dataset.machine),
         "world": _world(gap.world_gap, inputs) if gap.world_gap is not None else None,
         "dataset": gap.dataset.partition("@")[0],
     }
@@ -62,34 +65,45 @@ def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
     }
 
 
-def _effect(effect: NamedEffect, machine: Machine) -> dict[str, Any]:
-    found = effect.evidence
-    return {
-        "title": words.effect_title(effect.name, effect.target, machine),
-        "target": words.owner_name(effect.target),
-        "share": effect.gap_share,
-        "without": display.ratio(found.ratio) if found is not None else display.NOTHING,
-        "bic": display.number(found.delta_bic) if found is not None else display.NOTHING,
-        "nats": display.number(found.nats) if found is not None else display.NOTHING,
-        "chance": _chance(found.p_value) if found is not None else display.NOTHING,
-    }
+def _effects(gap: GapResult, machine: Machine) -> Table:
+    rows = [
+        (*_place(effect, machine), Markup("<b>{}</b>").format(display.percent(effect.gap_share)), _without(effect.evidence))
+        for effect in gap.effects
+    ]
+    return Table(("Effect", "Where", "Closes of its stage's gap", "Error without it"), rows, (2, 3))
 
 
-def _chance(value: float) -> str:
-    return f"≤ {display.number(value, 1)}" if math.isfinite(value) else display.NOTHING
+def _evidence(gap: GapResult, machine: Machine) -> Table:
+    rows = [(*_place(effect, machine), *_support(effect.evidence)) for effect in gap.effects]
+    return Table(("Effect", "Where", "2 Δ log evidence", "Nats", "p-value"), rows, (2, 3, 4))
+
+
+def _place(effect: NamedEffect, machine: Machine) -> tuple[str, str]:
+    return words.effect_title(effect.name, effect.target, machine), words.owner_name(effect.target)
+
+
+def _without(found: EffectEvidence | None) -> str:
+    return display.NOTHING if found is None else display.ratio(found.ratio)
+
+
+def _support(found: EffectEvidence | None) -> tuple[str, str, str]:
+    """Log evidence, nats and p-value."""
+    if found is None:
+        return display.NOTHING, display.NOTHING, display.NOTHING
+    chance = f"≤ {display.number(found.p_value, 1)}" if math.isfinite(found.p_value) else display.NOTHING
+    return display.number(found.delta_bic), display.number(found.nats), chance
 
 
 def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
-    units = inputs.dataset.units
-    there, plain = (signal_gaps(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
+    there, plain = (point_errors(gap, inputs.dataset.units) for gap in (found.world, found.compiled))
     rows = []
     for world, compiled in zip(there, plain, strict=True):
-        factor, unit = display.shown_unit(world.unit)
-        values = [factor * v for v in (world.before, compiled.before, world.after, compiled.after, world.noise_floor)]
-        decimals = display.decimals_for(values)
-        rows.append({"name": world.name, "unit": unit, "values": [display.fixed(value, decimals) for value in values]})
+        values = (world.before, compiled.before, world.after, compiled.after, world.noise_floor)
+        texts, unit = aligned(values, world.unit)
+        rows.append((world.name, *texts, unit))
+    header = ("Signal", "Before", "compiled", "After", "compiled", "Noise floor", "Unit")
     return {
-        "rows": rows,
+        "figures": Table(header, rows, (1, 2, 3, 4, 5)),
         "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > WORLD_RATIO * max(c.after, c.noise_floor)],
         "chart": Markup(dumbbells(there, repaired=found.world.after != found.world.before)),
         "recordings": found.recordings,

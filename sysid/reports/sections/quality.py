@@ -68,8 +68,7 @@ def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, flo
         parts.append(
             f'<text class="tick" x="{px(share):.1f}" y="{height - BOTTOM + 16:.0f}" text-anchor="middle">{value}</text>'
         )
-    below = f"command [{label}]" if label else "command"
-    parts += axis_labels((below, "time [s]"), px(0.0), (TOP + height - BOTTOM) / 2, height)
+    parts += axis_labels((display.with_unit("command", unit), "time [s]"), px(0.0), (TOP + height - BOTTOM) / 2, height)
     return svg_element("chart", width, height, "time at each command", parts)
 
 
@@ -121,7 +120,7 @@ def _share(value: float, span: Span) -> float:
 
 def _scale(parts: list[str], span: Span, unit: str | None, upright: bool) -> str:
     """Add the ticks of one side of a map to ``parts``; returns its title."""
-    factor, label = display.shown_unit(unit)
+    factor, _ = display.shown_unit(unit)
     low, high = factor * span.low, factor * span.high
     for value, text in tick_texts(low, high, 3):
         share = (value - low) / (high - low)
@@ -131,7 +130,7 @@ def _scale(parts: list[str], span: Span, unit: str | None, upright: bool) -> str
         else:
             x = MAP_LEFT + MAP * share
             parts.append(f'<text class="tick" x="{x:.1f}" y="{MAP_TOP + MAP + 16:.0f}" text-anchor="middle">{text}</text>')
-    return f"{span.axis} [{label}]" if label else span.axis
+    return display.with_unit(span.axis, unit)
 
 
 #: Number of maps shown unfolded, those with the lowest coverage.

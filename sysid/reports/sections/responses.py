@@ -59,5 +59,5 @@ def _picture(response: AxisResponse) -> Markup:
     if len(bins) < 2:
         return Markup("")
     command, speed = np.array(sorted(bins)).T
-    factor, label = display.shown_unit(f"{response.unit}/s")
-    return Markup(chart(command, [ChartCurve(factor * speed, "measured", dots=True)], ("command", f"speed [{label}]")))
+    curve = ChartCurve(display.shown_unit(f"{response.unit}/s")[0] * speed, "measured", dots=True)
+    return Markup(chart(command, [curve], ("command", display.with_unit("speed", f"{response.unit}/s"))))

@@ -189,14 +189,9 @@ def _is_direction(item: Map) -> bool:
     return item.over.startswith("direction of ")
 
 
-def _axis_label(text: str, unit: str) -> tuple[float, str]:
-    factor, label = display.shown_unit(unit)
-    return factor, f"{text} [{label}]" if label else text
-
-
 def _figure(item: Map) -> dict[str, Any]:
-    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
-    factor, y_label = _axis_label(item.quantity, item.error_unit)
+    labels = display.with_unit(over_name(item.over), item.unit), display.with_unit(item.quantity, item.error_unit)
+    factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
     x = x_factor * np.array(item.at)
     lines = [ChartCurve(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
     if item.after:
@@ -204,20 +199,20 @@ def _figure(item: Map) -> dict[str, Any]:
     names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _is_direction(item) else []
     rows = display.fixed(float(sum(item.count)), 0)
     return {
-        "picture": Markup(chart(x, lines, (x_label, y_label), factor * item.noise_floor, names)),
+        "picture": Markup(chart(x, lines, labels, factor * item.noise_floor, names)),
         "caption": f"over {over_name(item.over)}: explains {display.percent(item.explains)} ({rows} samples)",
     }
 
 
 def _characteristic(item: Map) -> dict[str, Any]:
     """Speed over command, measured and simulated."""
-    factor, y_label = _axis_label("speed", item.error_unit)
-    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
+    labels = display.with_unit(over_name(item.over), item.unit), display.with_unit("speed", item.error_unit)
+    factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
     lines = [
         ChartCurve(factor * np.array(item.simulated), "before"),
         ChartCurve(factor * np.array(item.measured), "measured", dots=True),
     ]
     return {
-        "picture": Markup(chart(x_factor * np.array(item.at), lines, (x_label, y_label))),
+        "picture": Markup(chart(x_factor * np.array(item.at), lines, labels)),
         "caption": "speed over command: measured (dots), simulated (line)",
     }
