@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from sysid.display import NOTHING, decimals_for, digits_for, fixed, interval, quantity, ratio, shown_unit
 from sysid.quoting import markdown
@@ -18,13 +18,21 @@ from sysid.quoting import markdown
 
 @dataclass(frozen=True)
 class Table:
-    """Cells below a header; ``right`` numbers the columns that are aligned right, ``empty`` is the text without any row."""
+    """Cells below a header; a cell may be markup, for pages.
+
+    Args:
+        right: numbers of the columns that are aligned right.
+        title: heading above it.
+        empty: text without any row.
+        row_classes: number of a row → its class in the style sheet of a page.
+    """
 
     header: tuple[str, ...]
     rows: Sequence[Sequence[object]] = ()
     right: Collection[int] = ()
     title: str = ""
     empty: str = ""
+    row_classes: Mapping[int, str] = field(default_factory=dict)
 
     def markdown(self) -> str:
         """The table as Markdown."""
@@ -111,8 +119,8 @@ class ParameterFigure:
     @property
     def interval(self) -> str:
         """The interval, of a vector component by component; :data:`~sysid.display.NOTHING` where it is not known."""
-        known = [ends for ends in self._ends if math.isfinite(ends[0]) and math.isfinite(ends[1])]
-        return ", ".join(interval(*ends, self.unit) for ends in known) or NOTHING
+        texts = [interval(low, high, self.unit) if math.isfinite(high - low) else NOTHING for low, high in self._ends]
+        return ", ".join(texts) if {*texts} - {NOTHING} else NOTHING
 
     @property
     def sentence(self) -> str:
@@ -146,6 +154,16 @@ def stored_parameters(effect: Mapping[str, Any]) -> list[ParameterFigure]:
 
 
 # -- errors of networks -------------------------------------------------------------------------------------------------
+
+
+class HasRows(Protocol):
+    """An output of a network on rows of one kind."""
+
+    @property
+    def output(self) -> str: ...
+
+    @property
+    def rows(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -192,6 +210,15 @@ def stored_errors(metrics: Mapping[str, float]) -> list[NetworkError]:
         )
         for (signal, rows), own in found.items()
     ]
+
+
+#: Kind of rows → words.
+ROWS = {"motion": "in motion", "poses": "at poses"}
+
+
+def output_name(entry: HasRows) -> str:
+    """``boom.joint in motion``."""
+    return f"{entry.output} {ROWS[entry.rows]}"
 
 
 def output_of(key: str) -> tuple[str, str]:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.executor_options import cluster_option, workers_option
+from sysid.cli.network_tables import show_calibration, show_directions, show_errors
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.tables import show_calibration, show_directions, show_errors
 
 if TYPE_CHECKING:
     from sysid.networks import Calibration, Model, NetworkRecipe

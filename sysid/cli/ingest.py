@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sysid.cli.dataset_tables import show_dataset
 from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
-from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -82,9 +82,8 @@ def ingest(
     if role is not None and to is None:
         raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
+    from sysid.cli.dataset_tables import show_findings
     from sysid.cli.datasets import describe
-    from sysid.cli.gap_tables import entry
-    from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
     from sysid.datasets.plausibility import check_plausibility
     from sysid.execution import open_executor
@@ -105,7 +104,7 @@ def ingest(
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
     for line in dataset.machine.left_out:
-        entry(out, f"left out of machine.toml: {line}")
+        out.entry(f"left out of machine.toml: {line}")
     found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")

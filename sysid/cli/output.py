@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -32,8 +33,8 @@ json_option = click.option(
 )
 
 
-#: Characters of one cell of a table.
-MAX_CELL = 1000
+#: Characters of one cell of a table, and columns of a sentence.
+MAX_CELL, WIDTH = 1000, 80
 
 
 class Printer:
@@ -60,6 +61,11 @@ class Printer:
             self.table(found.header, found.rows, found.right)
         elif found.empty:
             self.line(found.empty)
+
+    def entry(self, text: str, bullet: str = "") -> None:
+        """A sentence, wrapped to :data:`WIDTH` columns."""
+        for line in textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet)):
+            self.line(line.rstrip())
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
         """Columns with ``header``; ``right`` numbers the columns that are aligned right."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sysid.display import NOTHING, interval, minute, percent, quantity
-from sysid.figures import NetworkError, Table, stored_parameters
+from sysid.figures import Table, output_name, stored_parameters
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
 from sysid.networks.uncertainty import FALSE_FLAGS
@@ -19,11 +19,10 @@ from sysid.registry.decision import decision_row
 from sysid.registry.effect_changes import CHANGES, change_cells
 from sysid.reports.result_figures import PREDICTIONS, largest_spikes, network_error, prediction_cells, spike_sentence
 from sysid.reports.words import effect_title
-from sysid.validate import ErrorMap, OutputReport, ValidationReport
+from sysid.validate import ErrorMap, ValidationReport
 from sysid.versions.diff import ModelDiff
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.outputs import output_maps
-from sysid.versions.policy import ROWS
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def figures(report: ValidationReport) -> CardBlock:
         best = entry.best_simple
         floor = NOTHING if entry.noise_floor is None else quantity(entry.noise_floor, entry.unit)
         simple = f"{best} {quantity(entry.baselines[best], entry.unit)}" if best else NOTHING
-        rows.append((_output(entry), *entry.texts, floor, simple))
+        rows.append((output_name(entry), *entry.texts, floor, simple))
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
     text = f"On held-out rows of {report.dataset} ({', '.join(recordings)})."
     texts = (text, report.recommendation) if report.recommendation else (text,)
@@ -90,7 +89,7 @@ def baselines(report: ValidationReport) -> Iterator[CardBlock]:
         return
     rows = tuple(
         (
-            _output(entry),
+            output_name(entry),
             quantity(entry.metrics.rmse, entry.unit),
             *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else NOTHING for name in names),
         )
@@ -104,7 +103,7 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
     rows, maps = [], []
     for entry in report.outputs:
         for item in entry.maps[:MAPS_SHOWN]:
-            maps.append((_output(entry), entry.unit, item))
+            maps.append((output_name(entry), entry.unit, item))
         if entry.maps:
             first = entry.maps[0]
             a, b = first.worst
@@ -113,7 +112,7 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
                 for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
             )
             size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
-            rows.append((_output(entry), ", ".join(ends), size, count, percent(first.explains)))
+            rows.append((output_name(entry), ", ".join(ends), size, count, percent(first.explains)))
     if rows:
         header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
         yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
@@ -130,7 +129,7 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
         worst = min(crowded, key=lambda region: region.covered, default=None)
         rows.append(
             (
-                _output(entry),
+                output_name(entry),
                 f"± {quantity(found.half_width, entry.unit)}",
                 f"{100.0 * found.covered:.1f} %",
                 NOTHING if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
@@ -145,10 +144,6 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
         )
         header = ("output", "half width, median", "coverage", "lowest coverage", "flagged")
         yield CardBlock("Uncertainty", (text,), header, tuple(rows))
-
-
-def _output(entry: OutputReport | NetworkError) -> str:
-    return f"{entry.output} {ROWS[entry.rows]}"
 
 
 #: Rectifier → text.
@@ -226,7 +221,7 @@ def network_limits(model: Model | None, report: ValidationReport | None) -> Iter
         yield "Beyond its ranges it extrapolates linearly."
     if report is not None:
         worse = [
-            f"{entry.output} {ROWS[entry.rows]} ({best})"
+            f"{output_name(entry)} ({best})"
             for entry in map(network_error, report.outputs)
             if (best := entry.best_simple) and entry.baselines[best] < entry.rmse
         ]

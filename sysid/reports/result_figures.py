@@ -11,7 +11,7 @@ from sysid.datasets.recording import Dataset
 from sysid.display import NOTHING, decimals_for, fixed, percent, quantity, shown_unit
 from sysid.effects.units import parameter_unit
 from sysid.figures import ErrorFigure, NetworkError, ParameterFigure, Table
-from sysid.gap.result import Gap, GapResult, NamedEffect, Unnamed
+from sysid.gap.result import Gap, GapResult, NamedEffect, ResidualModelResult, Unnamed
 from sysid.machine import Machine
 from sysid.reports.words import effect_sentence, owner_name, signal_name, with_titles
 from sysid.signals import POINTS
@@ -97,6 +97,16 @@ def effect_figures(effect: NamedEffect, dataset: Dataset) -> list[ParameterFigur
 def unnamed_sentence(item: Unnamed, machine: Machine) -> str:
     """An error of a stage that no effect explains, on one line."""
     return f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, machine)}"
+
+
+def residual_sentence(item: ResidualModelResult, dataset: Dataset) -> str:
+    """Held-out error of a stage without and with its residual network."""
+    unit = dataset.units.get(item.signal) or dataset.machine.expected_unit(item.signal) or "1"
+    before, after, floor = ErrorFigure(item.signal, unit, item.before, item.after, item.noise_floor).texts
+    return (
+        f"bounded residual network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → {after} "
+        f"(noise floor {floor}). It is fitted to the recordings and has no physical cause."
+    )
 
 
 def named_sentence(effect: NamedEffect, gap: GapResult, dataset: Dataset) -> str:

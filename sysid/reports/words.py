@@ -50,6 +50,11 @@ def effect_place(name: str, target: str, machine: Machine) -> str:
     return f"{effect_title(name, target, machine)} of {OWNERS.get(target, target)}"
 
 
+def tie_text(tie: Iterable[tuple[str, str]], machine: Machine) -> str:
+    """The effects that recordings cannot distinguish: ``Backlash of boom or Sensor scale of boom.joint``."""
+    return " or ".join(effect_place(name, target, machine) for name, target in tie)
+
+
 def effect_sentence(
     name: str, target: str, parameters: Mapping[str, str], beside: Collection[str] = (), machine: Machine | None = None
 ) -> str:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from sysid.datasets.versions.index import VersionIndex
-from sysid.datasets.versions.manifest import Manifest
+from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.display import NOTHING, fixed, minute, quantity, size_text
 from sysid.errors import SettingsError, StoreError
 from sysid.figures import stored_errors, stored_parameters
@@ -21,6 +21,7 @@ from sysid.parse import parse_json
 from sysid.registry import DamagedModel, ModelVersion
 from sysid.registry.lineage import sources
 from sysid.reports.archive import RESULT
+from sysid.reports.dataset_texts import ROLES, clock_text, length_text, role_text
 from sysid.reports.words import effect_title, signal_name
 from sysid.root import Root
 from sysid.site.item import Fact, Item
@@ -28,7 +29,6 @@ from sysid.workspace import Workspace
 
 #: Group of the facts that give each signal's SI unit.
 SIGNALS = "Signals"
-ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
 
 
 def dataset_items(index: VersionIndex, flights: Mapping[str, str]) -> Iterator[Item]:
@@ -89,15 +89,13 @@ def _dataset_facts(manifest: Manifest) -> Iterator[Fact]:
     flags = manifest["quality"].get("flags", [])
     yield Fact("Content", "flagged sections", str(len(flags)))
     for item in manifest["recordings"]:
-        role = ROLES.get(manifest["splits"].get(item["name"], ""), "no role")
-        rows = f"{item['rows']} poses" if item["kind"] == "poses" else f"{item['rows'] / item['rate_hz']:.1f} s"
-        yield Fact("Recordings", item["name"], f"{rows}, {role}, {len(item['signals'])} signals")
+        role = role_text(item["kind"], manifest["splits"].get(item["name"]))
+        length = length_text(item["kind"], item["rows"], item["rate_hz"])
+        yield Fact("Recordings", item["name"], f"{length}, {role}, {len(item['signals'])} signals")
     for signal, unit in manifest["units"].items():
         yield Fact(SIGNALS, signal, unit)
-    for clock in manifest["clocks"]:
-        low, high = clock["offset_interval95"]
-        text = f"{clock['offset_s']:+.6f} s ± {1e3 * (high - low) / 2.0:.3g} ms, {clock['skew_ppm']:+.1f} ppm"
-        yield Fact("Clocks", f"{clock['recording']}, {clock['stream']}", text if clock["applied"] else f"not applied: {text}")
+    for clock in map(clock_from, manifest["clocks"]):
+        yield Fact("Clocks", f"{clock.recording}, {clock.stream}", clock_text(clock))
 
 
 def _reference(manifest: Manifest) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid import display
-from sysid.figures import Table
+from sysid.figures import ROWS, Table
 from sysid.networks import PAPER_MAX
 from sysid.reports import words
 from sysid.reports.charts import figure, packed
@@ -27,7 +27,6 @@ ABOUT = {
     "motion": "Commands to motion in free runs: errors some seconds after each start, and over whole recordings.",
     "forward": "Joint values to the position of the tip.",
 }
-ROWS = {"motion": "in motion", "poses": "static poses"}
 #: Spikes listed for each report.
 MAX_SPIKES = 12
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, Literal, cast
 
 from markupsafe import Markup
 
 from sysid.datasets.recording import Dataset
-from sysid.figures import ParameterFigure
+from sysid.figures import ParameterFigure, Table
 from sysid.gap.result import NamedEffect
 from sysid.machine import KnownEffect
 from sysid.plant import effects_toml
@@ -21,8 +22,11 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     if inputs.gap is None or not inputs.gap.effects:
         return None
     rows = [row for effect in inputs.gap.effects for row in _rows(effect, inputs.dataset)]
+    header = ("Effect", "Where", "Parameter", "Value", "95 % interval", Markup('<span class="quiet">± 20 %</span>'))
+    row_classes = {number: "first" for number, row in enumerate(rows) if row[0]}
+    figures = Table((*header, "Simulation before"), rows, (3, 4, 6), row_classes=row_classes)
     toml = effects_toml([_as_known(effect) for effect in inputs.gap.effects])
-    return {"rows": rows, "toml": toml, "difference": inputs.gap.machine_diff, "after": inputs.gap.plant_after}
+    return {"figures": figures, "toml": toml, "difference": inputs.gap.machine_diff, "after": inputs.gap.plant_after}
 
 
 def _as_known(effect: NamedEffect) -> KnownEffect:
@@ -30,23 +34,19 @@ def _as_known(effect: NamedEffect) -> KnownEffect:
     return KnownEffect(effect.name, effect.target, parameters, cast(Literal["drive", "structure"] | None, effect.side))
 
 
-def _rows(effect: NamedEffect, dataset: Dataset) -> list[dict[str, Any]]:
+def _rows(effect: NamedEffect, dataset: Dataset) -> Iterator[tuple[object, ...]]:
     machine = dataset.machine
     nominal = next((k.parameters for k in machine.effects if (k.name, k.target) == (effect.name, effect.target)), {})
-    figures = parameters_of(effect.name, effect.target, effect.parameters, machine, dataset.units, effect.interval95, nominal)
-    return [
-        {
-            "effect": words.effect_title(effect.name, effect.target, machine) if number == 0 else "",
-            "target": words.owner_name(effect.target) if number == 0 else "",
-            "parameter": figure.label,
-            "value": "not determined" if figure.name in effect.undetermined else figure.text,
-            "interval": figure.interval,
-            "bar": Markup("") if figure.name in effect.undetermined else _bar(figure),
-            "nominal": "not in it" if figure.before is None else figure.before_text,
-            "first": number == 0,
-        }
-        for number, figure in enumerate(figures)
-    ]
+    place = words.effect_title(effect.name, effect.target, machine), words.owner_name(effect.target)
+    for figure in parameters_of(
+        effect.name, effect.target, effect.parameters, machine, dataset.units, effect.interval95, nominal
+    ):
+        known = figure.name not in effect.undetermined
+        value = Markup("<b>{}</b>").format(figure.text if known else "not determined")
+        before = "not in it" if figure.before is None else figure.before_text
+        bar = _bar(figure) if known else ""
+        yield (*place, figure.label, value, figure.interval, bar, Markup('<span class="quiet">{}</span>').format(before))
+        place = "", ""
 
 
 def _bar(figure: ParameterFigure) -> Markup:

@@ -17,8 +17,8 @@ from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
-from sysid.reports.result_figures import named_sentence, point_errors
-from sysid.reports.sections.where import above_floor, over_name, sentence
+from sysid.reports.result_figures import named_sentence, point_errors, residual_sentence
+from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
 from sysid.reports.words import confidence, remainder_unit
 
 
@@ -98,8 +98,7 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
         size = f"{words.signal_name(item.signal)} has an error of {display.quantity(item.stage_rmse, unit)}, "
-        maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
-        details = [sentence(maps[0], item, unit)] if maps else []
+        details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
         title, text = (
             words.owner_name(item.target).capitalize(),
             f"{size}{times(item.stage_rmse, item.noise_floor)} the noise floor.",
@@ -113,10 +112,8 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
     machine, units = dataset.machine, dataset.units
     cards = [_effect(number, effect, gap, dataset) for number, effect in enumerate(gap.effects, 1)]
     for tie in gap.ambiguous:
-        names = " or ".join(f"{words.effect_title(name, target, machine)} ({words.owner_name(target)})" for name, target in tie)
-        cards.append(
-            _card(len(cards) + 1, "Ambiguous", "", names + ".", ["These recordings cannot distinguish them."], sure=False)
-        )
+        text = f"{words.tie_text(tie, machine)}."
+        cards.append(_card(len(cards) + 1, "Ambiguous", "", text, ["These recordings cannot distinguish them."], sure=False))
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
         size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
@@ -128,20 +125,15 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
             if not item.depends_on.startswith("nothing")
             else "It depends on no measured signal."
         )
-        quiet = [known, *_residual_models(gap, item, machine, units)]
+        quiet = [known, *_residual_models(gap, item, dataset)]
         cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), text, quiet, sure=False))
     return cards
 
 
-def _residual_models(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
+def _residual_models(gap: GapResult, item: Unnamed, dataset: Dataset) -> list[str]:
     """Text about the residual network of an unnamed error."""
-    unit = remainder_unit(item.stage, item.target, machine, units)
-    return [
-        "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause. "
-        f"Held-out error of the stage: {display.quantity(c.before, unit, 2)} → {display.quantity(c.after, unit, 2)}."
-        for c in gap.carried
-        if c.accepted and (c.stage, c.target) == (item.stage, item.target)
-    ]
+    own = [found for found in gap.carried if found.accepted and (found.stage, found.target) == (item.stage, item.target)]
+    return [f"Described by a {residual_sentence(found, dataset)}" for found in own]
 
 
 def _card(number: int, title: str, target: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from sample_crane import sample_dataset, sample_unnamed
 from unnamed_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
 
 from sysid.cli import main
+from sysid.cli.gap_tables import show_residual_models
 from sysid.cli.output import Printer
-from sysid.cli.tables import show_residual_models
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps

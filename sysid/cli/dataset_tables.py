@@ -1,26 +1,56 @@
-"""``sysid datasets NAME --quality``: coverage, noise, flags and excitation of a dataset, before any fit."""
+"""Console output of a dataset version: recordings, samples, clocks; coverage, noise, flags and excitation before any fit;
+findings of plausibility, which stop a search.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from sysid.cli.output import Printer, command, write_json
+from sysid.display import NOTHING, percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
     from sysid.datasets import Dataset
+    from sysid.datasets.plausibility import Finding
     from sysid.datasets.quality import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
 #: Largest number of listed flags; JSON has all.
 MAX_FLAGS = 12
+#: The page that explains the findings of plausibility.
+PAGE = "docs/guide/wrong-data.md"
+
+
+def show_dataset(out: Printer, dataset: Dataset) -> None:
+    """Recordings, samples, clocks and losses of a dataset version."""
+    from sysid.reports.dataset_texts import clock_text, length_text, sample_table
+
+    rows = [
+        (
+            recording.name,
+            recording.kind,
+            dataset.splits.get(recording.name, NOTHING),
+            length_text(recording.kind, len(recording), recording.rate_hz),
+            len(recording.signals),
+            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
+        )
+        for recording in dataset.recordings
+    ]
+    out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    out.show(sample_table(dataset))
+    for clock in dataset.clocks:
+        part = f" ({clock.reason.partition(';')[0]})" if clock.applied and clock.reason.startswith("piece ") else ""
+        out.line(f"clock {clock.stream} of {clock.recording}: {clock_text(clock)}{part}")
+    for source in dataset.sources:
+        for loss in source.losses:
+            out.line(f"loss in {source.path}: {loss}")
 
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
-    from sysid.cli.plausibility import show_findings
     from sysid.cli.roles import show_roles
     from sysid.datasets.plausibility import check_plausibility
     from sysid.datasets.quality import evidence_of
@@ -56,30 +86,9 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
 
 def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> None:
     """Commands and motion of each axis, coverage of the joint space, phases of rest, noise."""
-    from sysid.display import percent, quantity
+    from sysid.reports.dataset_texts import noise_table, rest_sentence, use_table
 
-    spans = {span.axis: span for span in evidence.spans}
-    rows = []
-    for name, use in evidence.axes.items():
-        span = spans.get(name)
-        rows.append(
-            (
-                name,
-                "–" if span is None else percent(span.covered_moving) if span.source == "limits" else "no limits",
-                f"{percent(use.covered(-1))} / {percent(use.covered(1))}",
-                f"{use.negative_s:.0f} / {use.positive_s:.0f}",
-                f"{use.small_negative_s:.1f} / {use.small_positive_s:.1f}",
-                use.command_changes,
-                use.reversals,
-                f"{use.slow_negative_s:.1f} / {use.slow_positive_s:.1f}",
-            )
-        )
-    if rows:
-        header = (
-            *("axis", "range in motion", "commands − / +", "s − / +", "small s − / +"),
-            *("changes", "reversals", "slow s − / +"),
-        )
-        out.table(header, rows, right=range(1, 8))
+    out.show(use_table(evidence, dataset))
     if evidence.maps:
         maps = sorted(evidence.maps, key=lambda item: item.covered_moving)
         listed = ", ".join(f"{m.first.axis}–{m.second.axis} {percent(m.covered_moving)}" for m in maps[:6])
@@ -91,21 +100,8 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         both = sorted(evidence.together_s.items(), key=lambda item: item[1])
         listed = ", ".join(f"{a}+{b} {seconds:.0f} s" for (a, b), seconds in both[:6])
         out.line(f"commanded together: {listed}{f' and {len(both) - 6} pairs longer' if len(both) > 6 else ''}")
-    phases = [phase for recording in evidence.recordings for phase in recording.rests]
-    if phases:
-        longest = max(phase.seconds for phase in phases)
-        out.line(
-            f"at rest: {len(phases)} phases, {sum(p.seconds for p in phases):.0f} s in all, the longest {longest:.1f} s, "
-            f"in {len(evidence.postures)} different posture{'s' if len(evidence.postures) != 1 else ''}"
-        )
-    else:
-        out.line("at rest: no phase of a second or more")
-    noise = []
-    for signal, level in evidence.noise.items():
-        unit = dataset.units.get(signal)
-        values = (level.sheet, level.moving, level.still, level.repeats)
-        noise.append((signal, *("–" if value is None else quantity(value, unit) for value in values)))
-    out.table(("noise", "data sheet", "its samples", "at rest", "same commands again"), noise, right=range(1, 5))
+    out.line(rest_sentence(evidence))
+    out.show(noise_table(evidence, dataset))
 
 
 def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
@@ -150,3 +146,44 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
         out.line(f"cannot be shown: {reason}")
         for group in groups:
             out.line(f"  {group.title}: {group.places}")
+
+
+def show_findings(out: Printer, findings: Sequence[Finding]) -> None:
+    """Each finding with its severity and keys; nothing where all is plausible.
+
+    Axes that do not move in a role are left out: :func:`sysid.cli.roles.show_roles` lists all that a role lacks.
+    """
+    from sysid.datasets.plausibility.check import STILL
+
+    findings = [finding for finding in findings if not all(key.endswith(f":{STILL}") for key in finding.keys)]
+    if not findings:
+        return
+    severe = sum(finding.severity == "severe" for finding in findings)
+    notices = len(findings) - severe
+    counts = [f"{severe} severe"] * bool(severe) + [f"{notices} notice{'s' if notices > 1 else ''}"] * bool(notices)
+    out.line()
+    out.line(f"Implausible: {', '.join(counts)} ({PAGE})")
+    for finding in findings:
+        out.line(f"{'SEVERE' if finding.severity == 'severe' else 'notice'}  {', '.join(finding.keys)}")
+        for line in finding.lines:
+            out.line(f"  {line}")
+    if severe:
+        out.line("Severe findings stop `sysid gap`. Correct the recipe or machine.toml, and ingest again.")
+    out.line()
+
+
+def checked(out: Printer, dataset: Dataset, accept: Sequence[str]) -> None:
+    """Print the findings, and stop where a severe one is not accepted.
+
+    Raises:
+        InputError: severe findings that ``accept`` does not name, or a pattern without a finding.
+    """
+    from sysid.datasets.plausibility import check_plausibility, not_accepted, refuse_severe
+
+    findings = check_plausibility(dataset)
+    left = not_accepted(findings, accept)
+    show_findings(out, left)
+    refuse_severe(left, (), dataset.reference)
+    for finding in findings:
+        word = "accepted" if finding.severity == "severe" else "notice"
+        out.line(f"{word}: {', '.join(finding.keys)}: {finding.lines[0]}")
