@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sysid.display import NOTHING, minute, percent, quantity, size_text
+from sysid.display import NOTHING, interval, minute, percent, quantity, size_text
 from sysid.names import dotted
 
 if TYPE_CHECKING:
@@ -308,11 +308,9 @@ def show_drift(out: Printer, found: DriftReport) -> None:
     out.table(("output", "rows", "compared", *here, "p-value", ""), rows, right=(2, 3, 4, 5, 6, 7))
     for item in found.inputs:
         if item.outside > OUTSIDE_SHARE:
-            (low, high), (least, most) = item.fitted, item.found
-            out.line(
-                f"{item.signal} ({item.rows}): {percent(item.outside)} of the rows beyond the fitted {low:.4g} … {high:.4g}"
-                f" {item.unit}; the new range is {least:.4g} … {most:.4g}"
-            )
+            fitted, measured = (interval(*ends, item.unit) for ends in (item.fitted, item.found))
+            share = f"{percent(item.outside)} of the rows beyond the fitted {fitted}"
+            out.line(f"{item.signal} ({item.rows}): {share}; the new range is {measured}")
     if found.known:
         out.line(f"Left out, because they are also in {found.own}: {', '.join(found.known)}")
     grown = [f"{entry.output} ({entry.rows})" for entry in found.outputs if entry.verdict == "drifted"]

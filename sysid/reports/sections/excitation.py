@@ -29,7 +29,6 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     machine = inputs.dataset.machine
     counted = {_column(v, machine) for v in found.verdicts if v.status != "hidden"}
     columns, others = [name for name in machine.axis_names if name in counted], "" in counted
-    reasons = by_reason(found.of("hidden"), inputs.dataset.machine)
     return {
         "ready": len(found.of("ready")),
         "lacking": len(found.of("lacking")),
@@ -47,10 +46,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "columns": columns,
         "others": others,
         "rows": _rows(found, machine, columns, others),
-        "reasons": [
-            {"why": why, "effects": [{"title": group.title, "places": group.places} for group in groups]}
-            for why, groups in reasons
-        ],
+        "reasons": by_reason(found.of("hidden"), machine),
         "mark": MARK,
     }
 
@@ -126,7 +122,7 @@ def experiments(inputs: ReportInputs) -> dict[str, Any] | None:
     ]
     return {
         "steps": gap.next_experiment,
-        "planned": [{"words": item.words, "file": f"{EXPERIMENTS}/{item.name}.toml"} for item in gap.experiments],
+        "planned": [(item.words, f"{EXPERIMENTS}/{item.name}.toml") for item in gap.experiments],
         "lacking": _amounts([item for item in counted if not item.sufficient], machine),
         "enough": _amounts([item for item in counted if item.sufficient], machine),
         "ties": [words.tie_text(tie, machine) for tie in gap.ambiguous],

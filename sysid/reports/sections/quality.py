@@ -141,10 +141,9 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "by_recording": _by_recording(evidence, dataset),
         "maps": maps[:SHOWN],
         "more_maps": maps[SHOWN:],
-        "together": [
-            {"pair": f"{a} + {b}", "seconds": display.fixed(s, 0)}
-            for (a, b), s in sorted(evidence.together_s.items(), key=lambda i: i[1])
-        ],
+        "together": ", ".join(
+            f"{a} + {b} {display.fixed(s, 0)} s" for (a, b), s in sorted(evidence.together_s.items(), key=lambda i: i[1])
+        ),
         "rest": rest_sentence(evidence),
         "noise": replace(noise_table(evidence, dataset, words.signal_name), header=NOISE),
         "repeats": len(evidence.repeats),

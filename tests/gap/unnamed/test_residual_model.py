@@ -117,9 +117,8 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
     assert "no physical cause" in text
     assert "no residual network: stick: a residual network did not help" in text
     page = build_report(ReportInputs(crane, replace(gap, carried=(item,))))
-    assert (
-        "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause" in page
-    )
+    assert "Described by a bounded residual network (unnamed_residual): command of boom, held-out error" in page
+    assert "It is fitted to the recordings and has no physical cause." in page
     assert "Described by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
 
 
