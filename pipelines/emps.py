@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import sosfiltfilt
 
+from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
-from sysid.cli.tables import show_gap
 from sysid.datasets import Recording, ingest
 from sysid.gap import find_gap
 from sysid.machine import Axis, KnownEffect

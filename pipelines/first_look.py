@@ -11,8 +11,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from sysid.cli.gap_tables import show_gap, show_repair, show_world
+from sysid.cli.network_tables import show_errors
 from sysid.cli.output import PipelineProgress, Printer, rerun_command, write_json
-from sysid.cli.tables import show_errors, show_gap, show_repair, show_world
 from sysid.datasets import ingest
 from sysid.extras import install_command, installed
 from sysid.gap import find_gap

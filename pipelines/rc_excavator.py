@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.cli.gap_tables import show_gap, show_repair
 from sysid.cli.output import PipelineProgress, Printer, write_json
-from sysid.cli.tables import show_gap, show_repair
 from sysid.datasets import Recording, ingest
 from sysid.display import fixed
 from sysid.gap import find_gap

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
-from sysid.cli.tables import show_gap
 from sysid.datasets import Dataset, ingest
 from sysid.gap import GapResult, find_gap
 from sysid.reports import write_report

@@ -1,9 +1,16 @@
-"""Formats SI values as text in mm, degrees and milliseconds, with significant digits."""
+"""Formats SI values as text in mm, degrees and milliseconds, with significant digits; no other module converts units to show
+them.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+import re
 from collections.abc import Iterable
+from datetime import UTC, datetime
+
+from sysid.errors import SettingsError
 
 MINUS = "\N{MINUS SIGN}"
 NARROW_SPACE = "\N{NARROW NO-BREAK SPACE}"
@@ -17,11 +24,37 @@ _SHOWN = {
     "rad/s": (180.0 / math.pi, "°/s"),
     "1": (1.0, ""),
 }
+#: Symbols that a unit may consist of, in products and quotients (``N·m·s/rad``): SI, and what clocks and logs are measured in.
+_SYMBOLS = {
+    *("m", "s", "kg", "A", "K", "mol", "cd", "rad", "sr", "Hz", "N", "Pa", "J", "W", "C", "V", "F", "Ω", "T", "lm", "lx"),
+    *("°C", "L", "bar", "%", "ppm", "µs"),
+}
+_SYMBOL = re.compile(r"[^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|°C|%")
+_JOINTS = re.compile(r"[\s·*/()^⁻⁰¹²³⁴⁵⁶⁷⁸⁹\d.-]*")
 
 
+@functools.cache
 def shown_unit(unit: str | None) -> tuple[float, str]:
-    """``(factor, label)`` with ``shown = factor · value``; ``shown_unit("m") == (1000.0, "mm")``."""
-    return _SHOWN.get(unit or "1", (1.0, unit or ""))
+    """``(factor, label)`` with ``shown = factor · value``; ``shown_unit("m") == (1000.0, "mm")``.
+
+    Args:
+        unit: SI unit; None or empty where none is stated.
+
+    Raises:
+        SettingsError: it is none.
+    """
+    if unit in _SHOWN or not unit:
+        return _SHOWN[unit or "1"]
+    if not set(_SYMBOL.findall(unit)) <= _SYMBOLS or not _JOINTS.fullmatch(_SYMBOL.sub("", unit)):
+        raise SettingsError("unit of a figure", repr(unit), "an SI unit such as m, rad/s, N·m or 1")
+    return 1.0, unit
+
+
+def with_unit(text: str, unit: str | None) -> str:
+    """The title of an axis or a curve, with the unit that its values are shown in: ``with_unit("speed", "m/s")`` is
+    ``speed [mm/s]``."""
+    label = shown_unit(unit)[1]
+    return f"{text} [{label}]" if label else text
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -92,6 +125,22 @@ def ratio(value: float) -> str:
     if not math.isfinite(value):
         return NOTHING
     return f"{fixed(value, 1 if value < 9.95 else 0)}{NARROW_SPACE}×"
+
+
+def size_text(count: float) -> str:
+    """A number of bytes: ``size_text(1.5e6) == "1.5 MB"``."""
+    if count < 1000.0:
+        return f"{count:.0f} bytes"
+    for unit in ("kB", "MB"):
+        count /= 1000.0
+        if count < 1000.0:
+            return f"{count:.1f} {unit}"
+    return f"{count / 1000.0:.1f} GB"
+
+
+def minute(milliseconds: float) -> str:
+    """A time since 1970 in UTC: ``2026-11-25 16:11``."""
+    return f"{datetime.fromtimestamp(milliseconds / 1e3, UTC):%Y-%m-%d %H:%M}"
 
 
 def _with_unit(text: str, label: str) -> str:

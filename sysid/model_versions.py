@@ -10,26 +10,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.datasets import Dataset
+from sysid.display import quantity
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.parse import parse_json
 from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
 from sysid.reports.archive import RESULT
+from sysid.reports.card import Card, CardBlock, card_of, changes
 from sysid.validate import ValidationReport
 from sysid.versions import (
-    Card,
     DriftReport,
     ExportedFile,
     ModelDiff,
     ModelLineage,
     PromotionPolicy,
-    card_of,
     diff_versions,
     drift_of,
     export_onnx,
     lineage_of,
     policy_checks,
 )
-from sysid.versions.card import CardBlock, changes
 from sysid.versions.lineage import ResultUse
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import evaluated_by
@@ -193,8 +192,8 @@ def _policy_check(version: ModelVersion, champion: ModelVersion | None) -> tuple
         return (Check("staying at a target", "failed", "no figures are recorded with it"),)
     other = _hold_error(champion) if champion is not None and champion.reference != version.reference else None
     if champion is None or other is None:
-        return (Check("staying at a target", "passed", f"error {1e3 * own:.2f} mm; there is no champion to compare with"),)
-    text = f"error {1e3 * own:.2f} mm, {champion.reference} {1e3 * other:.2f} mm"
+        return (Check("staying at a target", "passed", f"error {quantity(own, 'm', 4)}; there is no champion to compare with"),)
+    text = f"error {quantity(own, 'm', 4)}, {champion.reference} {quantity(other, 'm', 4)}"
     return (Check("staying at a target", "passed" if own <= other else "failed", text),)
 
 

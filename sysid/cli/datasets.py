@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sysid.cli.dataset_tables import show_dataset
 from sysid.cli.output import Printer, json_option, write_json
-from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def datasets() -> None:
 def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
     if quality:
-        from sysid.cli.quality import show_quality
+        from sysid.cli.dataset_tables import show_quality
 
         show_quality(location, reference, json_file)
         return

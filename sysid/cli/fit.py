@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.executor_options import cluster_option, workers_option
+from sysid.cli.network_tables import show_calibration, show_directions, show_errors
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.tables import show_calibration, show_directions, show_errors
 
 if TYPE_CHECKING:
     from sysid.networks import Calibration, Model, NetworkRecipe
@@ -62,8 +62,8 @@ def fit(
     with progress_bar(f"fit {kind}, {len(references)} datasets") as progress:
         calls = [(location, kind, reference, settings) for reference in references]
         results = open_executor(cluster, workers, trusted_network=trusted_network).run(_task, calls, progress, reports=True)
-    columns = ("model", "network output", "rows", "rmse", "95 %", "max", "unit", "time")
-    out.table(columns, [row for result in results for row in _rows(result)], right=(3, 4, 5, 7))
+    columns = ("model", "network output", "rows", "rmse", "95 %", "max", "time")
+    out.table(columns, [row for result in results for row in _rows(result)], right=(3, 4, 5, 6))
     write_json(json_file, {"schema": 1, "fits": results})
 
 
@@ -134,14 +134,15 @@ def _show(out: Printer, found: _Fit) -> None:
 
 def _rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
     """Rows of one fit of several: the errors of each output."""
-    from sysid.display import NOTHING, shown_unit
+    from sysid.display import NOTHING
+    from sysid.figures import NetworkError
 
     head, taken = str(result["model"]), f"{result['seconds']:.1f} s"
     if result["validation"] is None:
-        return [(head, "not evaluated", *[NOTHING] * 5, taken)]
+        return [(head, "not evaluated", *[NOTHING] * 4, taken)]
     rows = []
     for entry in result["validation"]["outputs"]:
-        factor, unit = shown_unit(entry["unit"])
-        errors = (f"{factor * entry['metrics'][key]:.3g}" for key in ("rmse", "p95", "max"))
-        rows.append((head, entry["output"], entry["rows"], *errors, unit, taken))
+        errors = {key: entry["metrics"][key] for key in ("rmse", "p95", "max")}
+        figure = NetworkError(entry["output"], entry["rows"], entry["unit"], **errors)
+        rows.append((head, figure.output, figure.rows, *figure.texts, taken))
     return rows

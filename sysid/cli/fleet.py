@@ -81,10 +81,7 @@ def gap(
     _, machine = described(workspace, result.machines[0].dataset)
     out.line(f"{len(result.machines)} machines: {', '.join(item.dataset for item in result.machines)}")
     for table in tables(result, machine):
-        if table.rows:
-            out.table(table.header, table.rows, table.right)
-        else:
-            out.line(table.empty)
+        out.show(table)
     for note in result.notes:
         out.line(f"note: {note}")
     out.line(f"Page: {write_page(workspace.output(PAGE), fleet_page(result, machine))}")
@@ -179,11 +176,7 @@ def watch(
         out.line(f"left out: {recording}: {why}")
     for recording in result.dropped:
         out.line(f"no longer in {result.dataset}: {recording}")
-    table = drift_table(result.fleet, machine)
-    if table.rows:
-        out.table(table.header, table.rows, table.right)
-    else:
-        out.line(table.empty)
+    out.show(drift_table(result.fleet, machine))
     page = write_page(workspace.output(f"fleet/watch/{name}.html"), fleet_page(result.fleet, machine))
     out.line(f"Page: {page}")
     write_json(json_file, result.to_json())

@@ -10,10 +10,9 @@ import click
 
 from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.gap_mujoco import repaired_path, write_model
-from sysid.cli.gap_tables import entry
+from sysid.cli.gap_tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
 from sysid.cli.own_simulator import MUJOCO, open_simulator
-from sysid.cli.tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
@@ -161,7 +160,7 @@ def gap(
             out.line()
             out.line("Planned recordings:")
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
-            entry(out, f"{experiment.name}: {experiment.words}", "  ")
+            out.entry(f"{experiment.name}: {experiment.words}", "  ")
             out.line(f"    {planned['file']}")
         if result.plant_after:
             show_repair(out, result, dataset, folder, location)

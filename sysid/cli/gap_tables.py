@@ -1,22 +1,31 @@
-"""Console output of a gap result: what a repair writes, near misses, delays, and the most useful next steps."""
+"""Console output of a gap result: verdict, what a repair writes, near misses, delays, held-out errors, useful next steps; the
+repair and its promotion; localisation; what recordings show without a model; repeatability of names.
+"""
 
 from __future__ import annotations
 
 import math
-import textwrap
+import shlex
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
+
+from sysid.cli.output import command
+from sysid.display import NOTHING, percent, quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from sysid.cli.output import Printer
     from sysid.datasets import Dataset
+    from sysid.figures import ParameterFigure
     from sysid.gap import GapResult
+    from sysid.gap.repeatability import RepeatedEffect
     from sysid.gap.result import NearMissResult, WrittenEffect
-    from sysid.machine import EffectKey
+    from sysid.machine import EffectKey, Machine
 
-#: Columns of a sentence, and names of recordings in one.
-WIDTH, RECORDINGS = 80, 8
+#: Names of recordings in a sentence.
+RECORDINGS = 8
 #: Next steps and near misses that are listed, unless everything is requested.
 STEPS, MISSES = 3, 5
 #: Standard deviations between the value of a listed near miss and the simulation.
@@ -29,24 +38,113 @@ LINKS = "Small errors of mass, first moment and inertia are adjusted together an
 KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}
 
 
+def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = False) -> None:
+    """The verdict, everything that the repair writes, unnamed errors, near misses, the gap of every signal, next steps.
+
+    Args:
+        verbose: every near miss and next step, at full length.
+    """
+    from sysid.gap.statement import response_sentences
+    from sysid.names import listed
+    from sysid.reports.result_figures import error_table, named_sentence, unnamed_sentence
+    from sysid.reports.words import tie_text
+
+    machine = dataset.machine
+    out.line(f"{result.headline}  [{result.verdict}, {result.seconds:.1f} s]")
+    for effect in result.effects:
+        out.entry(named_sentence(effect, result, dataset), "  ")
+    for sentence in response_sentences(result.responses, bool(result.written)):
+        out.entry(sentence, "  ")
+    out.line()
+    show_written(out, result, dataset)
+    show_delays(out, result, dataset)
+    for tie in result.ambiguous:
+        out.entry(f"Cannot be distinguished: {tie_text(tie, machine)}", "  ")
+    for item in result.unnamed:
+        out.entry(unnamed_sentence(item, machine), "  ")
+    show_residual_models(out, result, dataset)
+    show_near_misses(out, result, dataset, verbose)
+    out.show(error_table(result.gap, dataset.units))
+    out.entry(f"Held-out recordings: {listed(result.held_out_recordings, RECORDINGS)}.")
+    _show_left_out(out, result, dataset)
+    show_next_steps(out, result, dataset, verbose)
+
+
+def _show_left_out(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """What the machine's description contains beyond the simulation."""
+    from sysid.gap.statement import left_out_sentence
+
+    sentence = left_out_sentence(dataset.machine.left_out)
+    if sentence in result.notes:
+        out.entry(sentence)
+
+
+def show_missing(out: Printer, result: GapResult) -> None:
+    """What follows the decision and could not be computed."""
+    from sysid.gap.statement import missing_sentences
+
+    for sentence in missing_sentences(result.missing):
+        out.entry(sentence)
+
+
+def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
+    from sysid.figures import times
+    from sysid.reports.sections.where import above_floor, listed_shares, maps_of, sentence
+    from sysid.reports.words import owner_name, signal_name, stage_name
+
+    out.line(f"{result.headline}  [{result.verdict}]")
+    rows = []
+    for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
+        unit = dataset.units.get(item.signal)
+        error, floor, chain = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor, item.free_run_rmse))
+        rows.append((item.stage, item.signal, error, floor, times(item.stage_rmse, item.noise_floor), chain))
+    out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
+    shares = []
+    for end, unit, of_end, _ in listed_shares(result, dataset.units):
+        for number, share in enumerate(of_end):
+            what = f"{owner_name(end)} off by {quantity(share.rmse, unit)}" if number == 0 else ""
+            shares.append((what, percent(share.share), owner_name(share.target), stage_name(share.stage)))
+    if shares:
+        out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
+    for item in above_floor(result):
+        if maps := maps_of(result, item):
+            out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
+    _show_left_out(out, result, dataset)
+
+
+def show_responses(out: Printer, dataset: Dataset) -> list[dict[str, Any]]:
+    """What the recordings show of each axis without a model; returns it as values for JSON."""
+    from sysid.datasets.quality.responses import responses_of
+    from sysid.figures import Table
+    from sysid.reports.sections.responses import response_rows
+
+    responses = responses_of(dataset)
+    header = ("without a model", "delay", "command", "motion begins at", "speed at full")
+    out.show(Table(header, response_rows(responses), (1, 3, 4)))
+    return [asdict(response) for response in responses]
+
+
 def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """One row for every parameter that the repair writes into the plant: named, adjusted without a name, changed."""
     if not result.written:
         return
-    from sysid.display import NOTHING, percent
     from sysid.effects import inertial_error
+    from sysid.reports.result_figures import parameters_of
     from sysid.reports.words import effect_place
 
+    machine = dataset.machine
     rows: list[tuple[str, ...]] = []
     links = [item.target for item in result.written if item.name == inertial_error.EFFECT.name]
     shown = [item for item in result.written if item.name != inertial_error.EFFECT.name]
     for item in shown:
         title = effect_place(item.name, item.target, dataset.machine)
         share = percent(item.gap_share) if item.gap_share is not None else NOTHING
-        for number, (key, value) in enumerate(item.parameters.items()):
-            value_text, interval = _value_texts(item, key, value, dataset)
+        figures = parameters_of(item.name, item.target, item.parameters, machine, dataset.units, item.interval95, item.before)
+        for number, figure in enumerate(figures):
+            known = f" (was {figure.before_text})" if figure.before is not None else ""
             first = (title, share, KINDS[item.kind]) if number == 0 else ("", "", "")
-            rows.append((first[0], f"{key.replace('_', ' ')} {value_text}", interval, *first[1:]))
+            rows.append((first[0], f"{figure.label} {figure.text}{known}", figure.interval, *first[1:]))
         for key in _undetermined(result, item):
             rows.append(("", f"{key.replace('_', ' ')} not determined", "", "", ""))
     count = f"{len(result.written)} effect{'' if len(result.written) == 1 else 's'}"
@@ -55,25 +153,24 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     else:
         out.line(f"A repair (--add) would write {count}:")
     out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
-    entry(out, SHARE)
+    out.entry(SHARE)
     if links:
-        entry(out, f"{LINKS} {', '.join(links)}.")
+        out.entry(f"{LINKS} {', '.join(links)}.")
     for effect in result.effects:
         if effect.aliases:
             others = ", ".join(effect_place(name, target, dataset.machine) for name, target in effect.aliases)
             place = effect_place(effect.name, effect.target, dataset.machine)
-            entry(out, f"{place}: {others} in its place changes the recordings in the same way.")
+            out.entry(f"{place}: {others} in its place changes the recordings in the same way.")
     reasons: dict[str, list[str]] = {}
     for item in shown:
         if item.kind == "adjusted":
             reasons.setdefault(plain_reason(item.why), []).append(effect_place(item.name, item.target, dataset.machine))
     for why, titles in reasons.items():
-        entry(out, f"No name, because {why}: {', '.join(titles)}.")
+        out.entry(f"No name, because {why}: {', '.join(titles)}.")
 
 
 def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Dead time and lag of every axis and their sum, before → after; axes without a change are left out."""
-    from sysid.display import quantity
     from sysid.gap.statement import order_sentence
 
     def change(ends: tuple[float, float]) -> str:
@@ -88,13 +185,24 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
     if rows:
         out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
     if sentence := order_sentence(result.order):
-        entry(out, sentence)
+        out.entry(sentence)
+
+
+def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """Residual networks: held-out error of the stage without and with each, or why there is none."""
+    from sysid.reports.result_figures import residual_sentence
+
+    for item in result.carried:
+        text = residual_sentence(item, dataset) if item.accepted else f"no residual network: {item.text}"
+        out.line(f"  {text}")
 
 
 def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
     """Effects that are not written and lack one condition for a name, with it; the clearest first."""
+    from sysid.reports.result_figures import parameters_of
     from sysid.reports.words import effect_place
 
+    machine = dataset.machine
     written = {(item.name, item.target, item.side) for item in result.written}
     found: dict[EffectKey, NearMissResult] = {}
     for miss in sorted(result.near_misses, key=lambda miss: -miss.distance):  # a pump shows at several stages
@@ -105,11 +213,21 @@ def show_near_misses(out: Printer, result: GapResult, dataset: Dataset, verbose:
     if shown:
         out.line("Near misses, which are not written:")
     for miss in shown:
-        values = ", ".join(f"{key.replace('_', ' ')} {_miss_text(miss, key, dataset)}" for key in miss.parameters)
-        title = effect_place(miss.name, miss.target, dataset.machine)
-        entry(out, f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ")
+        figures = parameters_of(miss.name, miss.target, miss.parameters, machine, dataset.units, miss.interval95)
+        values = ", ".join(map(_miss_text, figures))
+        title = effect_place(miss.name, miss.target, machine)
+        out.entry(f"{title}, {values}: {plain_reason(miss.lacks)}.", "  ")
     if shown and len(others) > len(shown):
         out.line(f"  ({len(others) - len(shown)} more, less clear: --verbose)")
+
+
+def _miss_text(figure: ParameterFigure) -> str:
+    """``delay 30.0 ms ± 20 ms``."""
+    low, high = figure.interval95 or (math.nan, math.nan)
+    half = 0.5 * (high - low)
+    if not math.isfinite(half):
+        return f"{figure.label} {figure.text}"
+    return f"{figure.label} {figure.text} ± {quantity(half, figure.unit, 2)}"
 
 
 def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
@@ -120,7 +238,7 @@ def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: 
     out.line()
     out.line("Next, the most useful first:" if len(steps) > 1 else "Next:")
     for number, step in enumerate(steps if verbose else steps[:STEPS], 1):
-        entry(out, step, f"  {number}. ")
+        out.entry(step, f"  {number}. ")
     if not verbose and len(steps) > STEPS:
         out.line(f"  ({len(steps) - STEPS} more: --verbose)")
 
@@ -131,7 +249,7 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     from sysid.gap.excitation import TRAVEL_UNITS, axis_of
     from sysid.gap.servo.sag import advice_on_sag, sagging_axis
     from sysid.names import listed
-    from sysid.reports.words import effect_place, effect_title
+    from sysid.reports.words import effect_place, effect_title, tie_text
 
     machine, steps = dataset.machine, list[str]()
     for planned in result.experiments:
@@ -142,9 +260,8 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     sagging = [axis for tie in result.ambiguous if (axis := sagging_axis(tie, machine))]
     steps += [advice_on_sag(sagging)] if sagging else []
     for tie in (tie for tie in result.ambiguous if not sagging_axis(tie, machine)):
-        names = " or ".join(effect_place(name, target, machine) for name, target in tie)
         motions = dict.fromkeys(effect_named(name).need.advice.format(axis=target) for name, target in tie)
-        steps.append(f"{' '.join(motions)} These recordings cannot distinguish {names}.")
+        steps.append(f"{' '.join(motions)} These recordings cannot distinguish {tie_text(tie, machine)}.")
     still: dict[str, None] = {}
     groups: dict[tuple[str, str], dict[str, None]] = {}
     for item in result.excitation:
@@ -168,12 +285,6 @@ def next_steps(result: GapResult, dataset: Dataset) -> list[str]:
     return steps
 
 
-def entry(out: Printer, text: str, bullet: str = "") -> None:
-    """A sentence, wrapped to :data:`WIDTH` columns."""
-    for line in textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet)):
-        out.line(line.rstrip())
-
-
 def plain_reason(why: str) -> str:
     """The condition that an effect without a name fails, in plain words; one that only a stored result has, as it is."""
     from sysid.gap.reasons import Reason
@@ -182,56 +293,92 @@ def plain_reason(why: str) -> str:
     return known.get(why, why) or "it was fitted beside the others"
 
 
-def _value_texts(item: WrittenEffect, key: str, value: Any, dataset: Dataset) -> tuple[str, str]:
-    """A value with the known one that it replaces, and its interval."""
-    from sysid.display import NOTHING, digits_for, interval
-    from sysid.effects.units import parameter_unit
-    from sysid.reports.words import shown
-
-    machine, units = dataset.machine, dataset.units
-    ends = item.interval95.get(key)
-    single: tuple[float, float] | None = None
-    if ends is not None and not isinstance(ends[0], tuple) and not isinstance(ends[1], tuple):
-        single = float(ends[0]), float(ends[1])
-    digits = digits_for(*single) if single else 3
-    text = shown(item.name, key, item.target, value, machine, digits, units)
-    if key in item.before:
-        text += f" (was {shown(item.name, key, item.target, item.before[key], machine, 3, units)})"
-    if ends is None:
-        return text, NOTHING
-    if single is None:
-        low, high = (shown(item.name, key, item.target, end, machine, 4, units) for end in ends)
-        return text, f"{low} to {high}"
-    if not (math.isfinite(single[0]) and math.isfinite(single[1])):
-        return text, NOTHING
-    return text, interval(*single, parameter_unit(item.name, key, item.target, machine, units))
-
-
 def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
     for effect in result.effects:
         if (effect.name, effect.target, effect.side) == (item.name, item.target, item.side):
             yield from effect.undetermined
 
 
-def _miss_text(miss: NearMissResult, key: str, dataset: Dataset) -> str:
-    from sysid.display import digits_for
-    from sysid.reports.words import shown
+def show_repair(
+    out: Printer, result: GapResult, dataset: Dataset, folder: Path | None = None, workspace: str | Path | None = None
+) -> None:
+    """The change of ``machine.toml`` by ``--add``, the promotion with its checks, and commands to apply or undo it.
 
-    def text(value: float, digits: int) -> str:
-        return shown(miss.name, key.partition("[")[0], miss.target, value, dataset.machine, digits, dataset.units)
+    Args:
+        folder: of the result and its ``machine.diff``.
+        workspace: for the printed commands.
+    """
+    name = result.plant_after.partition("@")[0]
+    out.line(f"Plant {result.plant_after} = plant {result.plant_before} repaired. Change of machine.toml (SI units):")
+    out.line()
+    for line in result.machine_diff.splitlines():
+        out.line(f"  {line}".rstrip())
+    out.line()
+    for item in result.carried:
+        if item.accepted:
+            out.line(
+                f"It also contains unnamed_residual ({item.stage} of {item.target}), a network, which machine.toml cannot "
+                f"describe; it is only in {result.plant_after}."
+            )
+    if folder is not None and result.machine_diff:
+        out.line(f"Apply it: patch machine.toml {shlex.quote(str(folder / 'machine.diff'))}, and ingest again.")
+    found = result.promotion
+    if found is None:
+        return
+    for check in found.checks:
+        out.line(f"  {check.status:<8}  {check.name}: {check.text}")
+    if found.promoted:
+        instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
+        out.line(f"Promoted: `{name}` alone now means plant {found.version}{instead}.")
+        back = found.previous if found.previous != found.version else result.plant_before
+        out.line(
+            f"Undo it:  {command('models', 'promote', back, workspace=workspace)}   ({back} and machine.toml are unchanged)"
+        )
+    else:
+        out.line(f"Not promoted: {found.reason}.")
+        champion = f"`{name}` alone still means {found.current}" if found.current else "No version of this name is promoted"
+        anyway = f"{command('models', 'promote', found.version, workspace=workspace)} --anyway 'WHY'"
+        out.line(f"{champion}; {found.version} is stored. To promote it regardless: {anyway}")
+    out.line(f"`{command('gap', dataset.name)}` without --plant still tests the simulation that machine.toml describes.")
 
-    low, high = miss.interval95[key]
-    half = 0.5 * (high - low)
-    if not math.isfinite(half):
-        return text(miss.parameters[key], 3)
-    return f"{text(miss.parameters[key], digits_for(low, high))} ± {text(half, 2)}"
+
+def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """The held-out gap in the PyBullet world and with the compiled plant, before and after."""
+
+    found = result.world_gap
+    if found is None:
+        return
+    rows = []
+    for name in found.world.before:
+        columns = (found.world.before, found.world.after, found.compiled.before, found.compiled.after)
+        rows.append((name, *(quantity(column[name], dataset.units.get(name)) for column in columns)))
+    if rows:
+        header = ("in the PyBullet world", "before", "after", "compiled before", "compiled after")
+        out.table(header, rows, right=range(1, 5))
+    if found.skipped:
+        out.line(f"Not run in the PyBullet world: {found.skipped}")
 
 
-def unnamed_texts(result: GapResult, dataset: Dataset) -> Sequence[str]:
-    """The unnamed errors as text."""
-    from sysid.reports.words import with_titles
+def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine: Machine) -> None:
+    """Share of the runs in which each effect was named, and the spread of its values."""
+    from sysid.reports.result_figures import parameters_of
 
-    return [
-        f"Unnamed: {item.stage} of {item.target}, depends on {item.depends_on}: {with_titles(item.form, dataset.machine)}"
-        for item in result.unnamed
-    ]
+    if not repeats:
+        out.line("no effect was named in any run")
+        return
+    words = {
+        "consistent": "consistent",
+        "moves": "NOT consistent: value varies",
+        "sometimes": "NOT consistent: not named in all runs",
+    }
+    rows = []
+    for item in repeats:
+        first = (item.name, item.target, f"{len(item.named)} of {len(item.shown)}")
+        for number, (key, values) in enumerate(item.parameters.items()):
+            low, middle, high = (
+                parameters_of(item.name, item.target, {key: value}, machine)[0].text
+                for value in (min(values), item.median(key), max(values))
+            )
+            tail = (key, middle, f"{low} … {high}", f"{100.0 * item.spread(key):.0f} %")
+            rows.append((*(first if number == 0 else ("", "", "")), *tail, words[item.verdict] if number == 0 else ""))
+    out.table(("effect", "target", "named in", "parameter", "median", "range", "±", "over the runs"), rows, right=(2, 4, 5, 6))

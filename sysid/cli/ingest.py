@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sysid.cli.dataset_tables import show_dataset
 from sysid.cli.executor_options import cluster_option, workers_option
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
-from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -84,7 +84,6 @@ def ingest(
     from sysid import datasets
     from sysid.cli.checks import show_findings, show_roles
     from sysid.cli.datasets import describe
-    from sysid.cli.gap_tables import entry
     from sysid.datasets.checks.run import check_plausibility
     from sysid.execution import open_executor
 
@@ -104,7 +103,7 @@ def ingest(
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
     for line in dataset.machine.left_out:
-        entry(out, f"left out of machine.toml: {line}")
+        out.entry(f"left out of machine.toml: {line}")
     found = show_roles(out, dataset, workspace)
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} already holds all of these recordings: nothing was added.")

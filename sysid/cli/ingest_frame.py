@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid.cli.output import Printer, write_json
+from sysid.display import quantity
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -49,35 +50,29 @@ def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, js
 def _show(out: Printer, item: SurveyResult) -> None:
     proposal = item.proposal
     what = "static markers" if proposal.method == "markers" else "rotating points"
-    left = f"residual {1e3 * proposal.rms_m:.2f} mm RMS, {1e3 * proposal.max_m:.2f} mm maximum"
+    left = f"residual {quantity(proposal.rms_m, 'm')} RMS, {quantity(proposal.max_m, 'm')} maximum"
     out.line(f"{item.source}: from {len(proposal.names)} {what} ({', '.join(proposal.names)}): {left}")
     rows = [
-        (
-            axis,
-            f"{1e3 * place:.2f}",
-            _half(1e3 * place95, ".2f"),
-            f"{math.degrees(turn):.3f}",
-            _half(math.degrees(turn95), ".3f"),
-        )
+        (axis, quantity(place, "m", 4), _half(place95, "m"), quantity(turn, "rad", 4), _half(turn95, "rad"))
         for axis, place, place95, turn, turn95 in zip(
             "xyz", proposal.frame.translation, proposal.translation95, proposal.frame.rpy, proposal.rotation95, strict=True
         )
     ]
-    out.table(("base axis", "place [mm]", "± 95 %", "rpy [°]", "± 95 % about the axis"), rows, right=(1, 2, 3, 4))
+    out.table(("base axis", "place", "± 95 %", "rpy", "± 95 % about the axis"), rows, right=(1, 2, 3, 4))
     for text in proposal.open:
         out.line(f"open: {text}")
     for text in proposal.notes:
         out.line(f"note: {text}")
     of = "frame" if proposal.method == "markers" else "axis"
-    out.line(f"The recipe's own {of} differs by {1e3 * item.moved_m:.2f} mm and {math.degrees(item.turned_rad):.3f}°.")
+    out.line(f"The recipe's own {of} differs by {quantity(item.moved_m, 'm')} and {quantity(item.turned_rad, 'rad')}.")
     out.line("To use it, copy these lines to the recipe:")
     out.line()
     out.block(proposal.lines)
     out.line()
 
 
-def _half(value: float, spec: str) -> str:
-    return format(value, spec) if math.isfinite(value) else "open"
+def _half(value: float, unit: str) -> str:
+    return quantity(value, unit, 2) if math.isfinite(value) else "open"
 
 
 def _plain(item: SurveyResult) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, command, progress_bar, size_text, write_json
+from sysid.cli.output import Printer, command, progress_bar, write_json
+from sysid.display import size_text
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 

@@ -9,7 +9,6 @@ from string import Template
 
 import click
 
-from sysid.cli.gap_tables import entry
 from sysid.cli.init_from import Choices, drafted_apart
 from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
@@ -110,11 +109,11 @@ def init(
     left_out, assumed = ((), ()) if drafted is None else (drafted.left_out, drafted.assumed)
     if drafted is not None:
         count = "1 axis" if len(drafted.axes) == 1 else f"{len(drafted.axes)} axes"
-        entry(out, f"{count}, {listed(drafted.axes)}, to the end effector {drafted.tip}")
+        out.entry(f"{count}, {listed(drafted.axes)}, to the end effector {drafted.tip}")
     for line in left_out:
-        entry(out, f"left out: {line}")
+        out.entry(f"left out: {line}")
     for line in assumed:
-        entry(out, f"assumed: {line}")
+        out.entry(f"assumed: {line}")
     folder = directory / "datasets" / name
     do = "describe" if source is None else "check"
     out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")

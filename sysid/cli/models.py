@@ -39,7 +39,7 @@ def show(location: str, reference: str | None, kind: str | None, json_file: str 
     registry = _registry(location)
     out = Printer(json_file)
     if reference is not None:
-        from sysid.cli.model_tables import show_model
+        from sysid.cli.version_tables import show_model
 
         version = registry.find(reference)
         difference = ""
@@ -118,7 +118,7 @@ def promote(location: str, reference: str, policy: Path | None, dataset: str | N
     """
     from dataclasses import asdict
 
-    from sysid.cli.model_tables import show_promotion
+    from sysid.cli.version_tables import show_promotion
     from sysid.versions import load_policy
 
     if "@" not in reference:
@@ -140,7 +140,7 @@ def promote(location: str, reference: str, policy: Path | None, dataset: str | N
 @click.pass_obj
 def lineage(location: str, reference: str, json_file: str | None) -> None:
     """Show the sources of a version, to the raw files, and what was made from it."""
-    from sysid.cli.model_tables import show_model_lineage
+    from sysid.cli.version_tables import show_model_lineage
 
     found = _versions(location).lineage(reference)
     show_model_lineage(Printer(json_file), found)
@@ -157,7 +157,7 @@ def diff_two(location: str, before: str, after: str, json_file: str | None) -> N
 
     Predictions over the common range, recipe, dataset, figures, files, and the geometry of forward models.
     """
-    from sysid.cli.model_tables import show_model_diff
+    from sysid.cli.version_tables import show_model_diff
 
     found = _versions(location).diff(before, after)
     show_model_diff(Printer(json_file), found)
@@ -180,7 +180,7 @@ def export(
     """Write a network as ONNX, and keep it only if it predicts the same."""
     from dataclasses import asdict
 
-    from sysid.cli.model_tables import show_exported
+    from sysid.cli.version_tables import show_exported
 
     folder, files = _versions(location).export(reference, out, precision)
     show_exported(Printer(json_file), folder, files)

@@ -7,10 +7,11 @@ import os
 import shlex
 import shutil
 import sys
+import textwrap
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +20,9 @@ from sysid.errors import SettingsError
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
+
+if TYPE_CHECKING:
+    from sysid.figures import Table
 
 json_option = click.option(
     "--json",
@@ -29,8 +33,8 @@ json_option = click.option(
 )
 
 
-#: Characters of one cell of a table.
-MAX_CELL = 1000
+#: Characters of one cell of a table, and columns of a sentence.
+MAX_CELL, WIDTH = 1000, 80
 
 
 class Printer:
@@ -51,7 +55,19 @@ class Printer:
         """Text of several lines."""
         self.console.print(visible(text, len(text), keep="\n\t"), markup=False, soft_wrap=True)
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
+    def show(self, found: Table) -> None:
+        """A table, or its text where it has no row."""
+        if found.rows:
+            self.table(found.header, found.rows, found.right)
+        elif found.empty:
+            self.line(found.empty)
+
+    def entry(self, text: str, bullet: str = "") -> None:
+        """A sentence, wrapped to :data:`WIDTH` columns."""
+        for line in textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet)):
+            self.line(line.rstrip())
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
         """Columns with ``header``; ``right`` numbers the columns that are aligned right."""
         from rich import box
         from rich.cells import cell_len
@@ -75,7 +91,7 @@ class Printer:
         self.console.print(table)
 
 
-def _aligned(row: Sequence[str], widths: Sequence[int], right: Sequence[int]) -> str:
+def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int]) -> str:
     """The cells of a row side by side, padded to widths in columns of the terminal."""
     from rich.cells import cell_len
 
@@ -140,17 +156,6 @@ def write_json_text(json_file: str | Path | None, text: str) -> None:
         raise SettingsError(f"--json {path}", f"no folder {path.parent}", "a file in an existing folder")
     with written_whole(path) as half:
         half.write_text(text, "utf-8")
-
-
-def size_text(count: float) -> str:
-    """A number of bytes with its unit, as in ``1.5 MB``."""
-    if count < 1000.0:
-        return f"{count:.0f} bytes"
-    for unit in ("kB", "MB"):
-        count /= 1000.0
-        if count < 1000.0:
-            return f"{count:.1f} {unit}"
-    return f"{count / 1000.0:.1f} GB"
 
 
 def open_standard_streams() -> None:

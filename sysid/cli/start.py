@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.gap_tables import entry
 from sysid.cli.ingest_inspect import log_files
 from sysid.cli.init import KINDS
 from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
@@ -74,8 +73,8 @@ def start(
     each axis without a model, and runs the gap. Files that are there already are used as they are.
     """
     from sysid.cli.gap import gap
+    from sysid.cli.gap_tables import show_responses
     from sysid.cli.ingest import ingest
-    from sysid.cli.tables import show_responses
     from sysid.datasets import Store
     from sysid.machine import load_machine
     from sysid.names import slug
@@ -154,17 +153,17 @@ def _described(
         found = describe(summaries, folder, name, Answers(given), kind, robot)
     while found.questions and not yes and sys.stdin.isatty():
         for question in found.questions:
-            entry(out, f"{question.why}.")
+            out.entry(f"{question.why}.")
             choice = click.Choice(question.choices) if question.choices else None
             given[question.key] = click.prompt(question.key, default=question.proposal, type=choice)
         found = describe(summaries, folder, name, Answers(given, frozenset(given)), kind, robot)
     for axis in found.axes:
         out.line(f"axis  {axis}")
     for line in found.left_out:
-        entry(out, f"left out: {line}")
+        out.entry(f"left out: {line}")
     for question in found.questions:
         choices = f" ({', '.join(question.choices)})" if question.choices else ""
-        entry(out, f"? {question.why}. Proposed: --set {question.key}={question.proposal}{choices}")
+        out.entry(f"? {question.why}. Proposed: --set {question.key}={question.proposal}{choices}")
     if found.questions and not yes:
         keys = " ".join(f"--set {q.key}={q.proposal}" for q in found.questions)
         raise SettingsError(f"sysid start {folder}", "open questions", "an answer to each", f"Add {keys}, or --yes.")

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
+from sysid.cli.network_tables import show_coverage, show_directions, show_errors
 from sysid.cli.output import Printer, json_option, write_json
-from sysid.cli.tables import show_directions, show_errors
-
-if TYPE_CHECKING:
-    from sysid.validate import ValidationReport
 
 
 @click.command()
@@ -24,7 +19,7 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
     On another dataset than its own, it also tests for drift: whether the recordings lie inside the fitted ranges, and whether
     the errors are significantly larger than on its own held-out rows.
     """
-    from sysid.cli.model_tables import show_drift
+    from sysid.cli.version_tables import show_drift
     from sysid.errors import ExcitationError, StoreError
     from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
@@ -37,7 +32,9 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
     report, drift, not_evaluated = None, None, ""
     try:
         report = workspace.validation(model, dataset)
-        _show(out, report)
+        show_errors(out, report)
+        show_directions(out, report)
+        show_coverage(out, report)
     except ExcitationError as error:
         if own:
             raise
@@ -54,20 +51,3 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
             out.line(f"No error report: {not_evaluated}")
     values = report.to_json() if report is not None else {"model": version.reference, "dataset": dataset.reference}
     write_json(json_file, {"schema": 1, **values, "drift": drift.to_json() if drift is not None else None})
-
-
-def _show(out: Printer, report: ValidationReport) -> None:
-    from sysid.display import percent, quantity, shown_unit
-
-    show_errors(out, report)
-    show_directions(out, report)
-    for entry in report.outputs:
-        if entry.coverage is not None:
-            level, width = percent(entry.coverage.level), quantity(entry.coverage.half_width, entry.unit)
-            held, flagged = percent(entry.coverage.covered), percent(entry.coverage.flagged)
-            out.line(f"{level} intervals of {entry.output}, {entry.rows}: ± {width}, coverage {held}; {flagged} flagged")
-    for entry in report.outputs:
-        for spike in entry.spikes[:3]:
-            factor, unit = shown_unit(entry.unit)
-            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause})"
-            out.line(f"spike in {entry.output}: {factor * spike.error:+.2f} {unit} at {where}")

@@ -5,14 +5,14 @@ each machine.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from sysid.display import NOTHING, number, quantity, shown_unit
+from sysid.display import NOTHING, number, quantity, shown_unit, with_unit
+from sysid.figures import Table
 from sysid.fleet.differences import Difference
 from sysid.fleet.drift import Drift
 from sysid.fleet.effects import FleetEffect, ParameterHistory
@@ -21,17 +21,6 @@ from sysid.machine import Machine
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.pages import page
 from sysid.reports.words import effect_place
-
-
-@dataclass(frozen=True)
-class Table:
-    """Text cells; ``right`` numbers the columns that are aligned right."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    right: tuple[int, ...]
-    empty: str
 
 
 def tables(result: FleetResult, machine: Machine) -> tuple[Table, ...]:
@@ -43,12 +32,12 @@ def tables(result: FleetResult, machine: Machine) -> tuple[Table, ...]:
     count = len(result.machines)
     named = tuple((place_of(e, machine), f"{len(result.named_on(e))} of {count}") for e in result.effects)
     return (
-        Table("Named effects", ("Effect", "Named on"), named, (1,), "No effect is named on any machine."),
+        Table(("Effect", "Named on"), named, (1,), "Named effects", "No effect is named on any machine."),
         Table(
-            "Differences between machines",
             ("Effect", "Parameter", "Mean", "SD between machines", "p", "Machines"),
             tuple(_difference(item, machine) for item in result.differences),
             (2, 3, 4),
+            "Differences between machines",
             "No parameter is determined on two machines.",
         ),
         drift_table(result, machine),
@@ -57,13 +46,8 @@ def tables(result: FleetResult, machine: Machine) -> tuple[Table, ...]:
 
 def drift_table(result: FleetResult, machine: Machine) -> Table:
     """The parameters that changed."""
-    return Table(
-        "Drifts",
-        ("Machine", "Effect", "Parameter", "Before", "After", "Since", "Noticed"),
-        tuple(_drift(item, machine) for item in result.drifts),
-        (3, 4),
-        "No parameter drifts.",
-    )
+    header = ("Machine", "Effect", "Parameter", "Before", "After", "Since", "Noticed")
+    return Table(header, tuple(_drift(item, machine) for item in result.drifts), (3, 4), "Drifts", "No parameter drifts.")
 
 
 def place_of(effect: FleetEffect, machine: Machine) -> str:
@@ -142,12 +126,11 @@ def _groups(result: FleetResult, machine: Machine) -> Iterator[dict[str, Any]]:
 
 def _chart(history: ParameterHistory, together: list[ParameterHistory]) -> str:
     """Values with their intervals over hours of motion; the hidden second curve gives all machines one scale."""
-    factor, unit = shown_unit(history.unit)
+    factor, _ = shown_unit(history.unit)
     hours, values = np.array(history.ends), factor * np.array(history.values)
     spread = factor * _Z * np.array(history.deviations)
     ends = factor * np.array([[min(h.values), max(h.values)] for h in together])
     scale = np.full(len(hours), np.nan)
     scale[0], scale[-1] = ends.min(), ends.max()
-    label = f"{history.parameter} [{unit}]" if unit else history.parameter
     lines = [ChartCurve(scale, "scale"), ChartCurve(values, "after", dots=True, spread=spread)]
-    return chart(60.0 * hours, lines, ("motion [min]", label), include_zero=False)
+    return chart(60.0 * hours, lines, ("motion [min]", with_unit(history.parameter, history.unit)), include_zero=False)

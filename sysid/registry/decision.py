@@ -6,11 +6,11 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from datetime import UTC, datetime
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
+from sysid.display import minute
 from sysid.errors import StoreError
 from sysid.parse import parse_json
 
@@ -106,7 +106,7 @@ def now_ms() -> int:
 
 def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
     """Time, decision, what decided it, and reason, as text."""
-    when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
+    when = minute(decision.decided_ms)
     instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
     what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'none'} stays"
     evaluated_by = str(decision.judged.get("policy") or decision.judged.get("by") or "–")

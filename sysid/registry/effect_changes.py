@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sysid.display import interval, quantity
+from sysid.figures import ParameterFigure
 
 
 @dataclass(frozen=True)
@@ -53,17 +53,12 @@ def _parameters(lineage: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, st
             yield (*place, name), (value, tuple(ends) if known else (), str(effect.get("units", {}).get(name, "")))
 
 
-def effect_value(value: Any, unit: str) -> str:
-    """A parameter as text: with the unit and the digits of the report, or in SI with six digits where the unit is not known."""
-    if isinstance(value, list | tuple):
-        return ", ".join(effect_value(item, unit) for item in value)
-    if not isinstance(value, float | int):
-        return "none" if value is None else str(value)
-    return quantity(value, unit, 4) if unit else f"{value:.6g}"
+CHANGES = ("effect", "on", "parameter", "before", "after", "95 % interval")
 
 
-def effect_interval(ends: tuple[float, ...], unit: str) -> str:
-    """Its 95 % interval as text; empty without one."""
-    if len(ends) != 2:
-        return ""
-    return interval(*ends, unit) if unit else " to ".join(f"{end:.6g}" for end in ends)
+def change_cells(change: EffectChange, title: Callable[[str], str] = str) -> tuple[str, ...]:
+    """A row below :data:`CHANGES`; ``title``: of an effect, from its name."""
+    ends = (change.interval95[0], change.interval95[1]) if len(change.interval95) == 2 else None
+    figure = ParameterFigure(change.parameter, change.unit, change.after, ends, change.before)
+    interval = "" if ends is None else figure.interval
+    return title(change.effect), change.target, figure.label, figure.before_text, figure.text, interval

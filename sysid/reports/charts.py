@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -20,11 +20,12 @@ from sysid.files import plain
 from sysid.pictures import ticks
 
 Array = npt.NDArray[np.float64]
-Scale = Callable[[float], float]
 
 #: Sizes of a small chart, and of one of half the page's width [px].
 SMALL, WIDE = (300.0, 200.0), (450.0, 230.0)
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 10.0, 10.0, 42.0
+#: Right margin of a heat map, which holds its key [px].
+KEY = 64.0
 #: Cells of a heat map with fewer rows are dotted.
 FEW_ROWS = 3
 
@@ -37,6 +38,74 @@ class ChartCurve:
     look: str
     dots: bool = False
     spread: Array | None = None
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The area of a chart between its axes: values ``x`` and ``y`` (low, high), at ``left`` and ``top`` [px]."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    left: float
+    top: float
+    width: float
+    height: float
+
+    @classmethod
+    def of(cls, size: tuple[float, float], x: tuple[float, float], y: tuple[float, float], right: float = RIGHT) -> Plane:
+        """That of a chart of a size [px], with the usual margins."""
+        return cls(x, y, LEFT, TOP, size[0] - LEFT - right, size[1] - TOP - BOTTOM)
+
+    def px(self, value: float) -> float:
+        return self.left + self.width * (value - self.x[0]) / (self.x[1] - self.x[0])
+
+    def py(self, value: float) -> float:
+        return self.top + self.height * (self.y[1] - value) / (self.y[1] - self.y[0])
+
+    def box(
+        self,
+        look: str,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        title: str = "",
+        style: str = "",
+        gap: tuple[float, float] = (0.0, 0.0),
+    ) -> str:
+        """A rectangle between values; ``style``: further attributes, ``gap``: to its neighbours across and above [px]."""
+        (left, right), (low, high) = map(self.px, x), map(self.py, y)
+        corner = f'x="{left + gap[0]:.1f}" y="{high + gap[1]:.1f}"'
+        size = f'width="{right - left - 2.0 * gap[0]:.1f}" height="{low - high - 2.0 * gap[1]:.1f}"'
+        text = f"<title>{escape(title)}</title>" if title else ""
+        return f'<rect class="{look}" {corner} {size}{style and " "}{style}>{text}</rect>'
+
+    def x_axis(self, texts: Sequence[tuple[float, str]], lines: bool = False) -> list[str]:
+        """Texts below the area, with vertical lines through it."""
+        foot, parts = self.top + self.height, list[str]()
+        for value, text in texts:
+            x = f"{self.px(value):.1f}"
+            if lines:
+                parts.append(f'<line class="grid" x1="{x}" x2="{x}" y1="{self.top:.0f}" y2="{foot:.0f}"/>')
+            parts.append(f'<text class="tick" x="{x}" y="{foot + 16:.0f}" text-anchor="middle">{escape(text)}</text>')
+        return parts
+
+    def y_axis(self, count: int = 4, lines: bool = False) -> list[str]:
+        """Round values beside the area, with horizontal lines through it."""
+        parts = []
+        for value, text in tick_texts(*self.y, count):
+            y, near = self.py(value), abs(value) < 1e-12 * max(map(abs, self.y)) or value == 0.0
+            if lines:
+                ends = f'x1="{self.left:.0f}" x2="{self.left + self.width:.0f}" y1="{y:.1f}" y2="{y:.1f}"'
+                parts.append(f'<line class="{"zero" if near else "grid"}" {ends}/>')
+            parts.append(f'<text class="tick" x="{self.left - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
+        return parts
+
+    def labels(self, across: str, up: str, height: float) -> list[str]:
+        """Titles of both axes, in a picture of this height."""
+        centre, middle = self.left + self.width / 2, self.top + self.height / 2
+        return [
+            f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(across)}</text>',
+            f'<text class="label" transform="translate(13 {middle:.0f}) rotate(-90)" text-anchor="middle">{escape(up)}</text>',
+        ]
 
 
 def chart(
@@ -57,31 +126,17 @@ def chart(
         include_zero: the vertical axis reaches zero.
         size: width and height [px].
     """
-    width, height = size
     low, high = _range(lines, noise, include_zero)
-    first, last = float(np.min(x)), float(np.max(x))
-    if names:
-        first, last = first - 0.5, last + 0.5
+    margin = 0.5 if names else 0.0
+    first, last = float(np.min(x)) - margin, float(np.max(x)) + margin
     last = last if last > first else first + 1.0
-
-    def px(value: float) -> float:
-        return LEFT + (width - LEFT - RIGHT) * (value - first) / (last - first)
-
-    def py(value: float) -> float:
-        return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
-
-    parts = []
-    if noise > 0.0:
-        top, bottom = py(min(noise, high)), py(max(-noise, low))
-        parts.append(
-            f'<rect class="noise" x="{LEFT:.0f}" y="{top:.1f}" width="{width - LEFT - RIGHT:.0f}" height="{bottom - top:.1f}"/>'
-        )
-    parts += grid_lines(low, high, py, width)
-    parts += _x_axis(first, last, px, names, x, height)
-    for line in lines:
-        parts.append(_curve(x, line, px, py))
-    parts += axis_labels(labels, (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2, height)
-    return svg_element("chart", width, height, f"{labels[1]} over {labels[0]}", parts)
+    plane = Plane.of(size, (first, last), (low, high))
+    parts = [plane.box("noise", plane.x, (max(-noise, low), min(noise, high)))] if noise > 0.0 else []
+    parts += plane.y_axis(lines=True)
+    parts += plane.x_axis(list(zip(x.tolist(), names, strict=True)) if names else tick_texts(first, last, 5), lines=not names)
+    parts += [_curve(x, line, plane) for line in lines]
+    parts += plane.labels(*labels, size[1])
+    return svg_element("chart", *size, f"{labels[1]} over {labels[0]}", parts)
 
 
 def heat_map(
@@ -98,59 +153,36 @@ def heat_map(
         edges: of the cells, (a + 1,) across and (b + 1,) upwards.
         labels: of the two variables; ``unit``: of the values.
     """
-    width, height = WIDE
-    right = 64.0
-    (first, last), (low, high) = (tuple(float(part[k]) for k in (0, -1)) for part in edges)
-    most = max(float(np.nanmax(values, initial=0.0)), 1e-300)
-
-    def px(value: float) -> float:
-        return LEFT + (width - LEFT - right) * (value - first) / (last - first)
-
-    def py(value: float) -> float:
-        return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
-
-    parts = _x_axis(first, last, px, (), np.zeros(0), height)
+    across, up = ((float(part[0]), float(part[-1])) for part in edges)
+    plane, most = Plane.of(WIDE, across, up, KEY), max(float(np.nanmax(values, initial=0.0)), 1e-300)
+    parts = plane.x_axis(tick_texts(*across, 5), lines=True)
     for a, b in np.ndindex(values.shape):
-        if not counts[a, b]:
-            continue
-        x, y = px(float(edges[0][a])), py(float(edges[1][b + 1]))
-        w, h = px(float(edges[0][a + 1])) - x, py(float(edges[1][b])) - y
-        few = " few" if counts[a, b] < FEW_ROWS else ""
-        text = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
-        share = 0.06 + 0.94 * float(values[a, b]) / most
-        parts.append(
-            f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
-            f"<title>{escape(text)}</title></rect>"
-        )
-    for value, text in tick_texts(low, high):
-        parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{py(value) + 4:.1f}" text-anchor="end">{text}</text>')
-    foot, top = height - BOTTOM, TOP
+        if counts[a, b]:
+            text = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
+            ends = [(float(part[k]), float(part[k + 1])) for part, k in zip(edges, (a, b), strict=True)]
+            look = "cell few" if counts[a, b] < FEW_ROWS else "cell"
+            parts.append(plane.box(look, ends[0], ends[1], text, _shade(float(values[a, b]) / most)))
+    parts += plane.y_axis()
+    left, foot = plane.left + plane.width + 10.0, plane.top + plane.height
     for step in range(8):  # colour key from zero to the largest value
-        share, h = 0.06 + 0.94 * (step + 0.5) / 8.0, (foot - top) / 8.0
-        at = f'x="{width - right + 10:.0f}" y="{foot - (step + 1) * h:.1f}" width="10" height="{h:.1f}"'
-        parts.append(f'<rect class="cell" {at} fill-opacity="{share:.2f}"/>')
-    for y, value in ((foot, 0.0), (top + 9.0, most)):
-        text = display.number(value, 2)
-        parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{y:.1f}">{text}</text>')
-    middle = (top + foot) / 2
-    parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{middle:.0f}">{escape(unit)}</text>')
-    parts += axis_labels(labels, (LEFT + width - right) / 2, middle, height)
-    return svg_element("chart", width, height, f"error over {labels[0]} and {labels[1]}", parts)
+        h = plane.height / 8.0
+        place = f'x="{left:.0f}" y="{foot - (step + 1) * h:.1f}" width="10" height="{h:.1f}"'
+        parts.append(f'<rect class="cell" {_shade((step + 0.5) / 8.0)} {place}/>')
+    middle = plane.top + plane.height / 2
+    for y, text in ((foot, display.number(0.0, 2)), (plane.top + 9.0, display.number(most, 2)), (middle, unit)):
+        parts.append(f'<text class="tick" x="{left + 14.0:.0f}" y="{y:.1f}">{escape(text)}</text>')
+    parts += plane.labels(*labels, WIDE[1])
+    return svg_element("chart", *WIDE, f"error over {labels[0]} and {labels[1]}", parts)
+
+
+def _shade(share: float) -> str:
+    return f'fill-opacity="{0.06 + 0.94 * share:.2f}"'
 
 
 def svg_element(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> str:
     """The SVG element of a picture; ``look`` is its class, ``what`` its text alternative."""
     box = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(what)}"'
     return f'<svg class="{look}" {box}>{"".join(parts)}</svg>'
-
-
-def axis_labels(labels: tuple[str, str], centre: float, middle: float, height: float) -> list[str]:
-    """Titles of the horizontal and the vertical axis."""
-    turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
-    return [
-        f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>',
-        f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>',
-    ]
 
 
 def tick_texts(low: float, high: float, count: int = 4) -> list[tuple[float, str]]:
@@ -177,32 +209,8 @@ def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tup
     return low - margin, high + margin
 
 
-def grid_lines(low: float, high: float, py: Scale, width: float) -> list[str]:
-    """Horizontal lines at round values, with their numbers."""
-    parts = []
-    for value, text in tick_texts(low, high):
-        y = py(value)
-        look = "zero" if abs(value) < 1e-12 * max(abs(high), abs(low)) or value == 0.0 else "grid"
-        parts.append(f'<line class="{look}" x1="{LEFT:.0f}" x2="{width - RIGHT:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
-    return parts
-
-
-def _x_axis(first: float, last: float, px: Scale, names: Sequence[str], x: Array, height: float) -> list[str]:
-    y = height - BOTTOM + 16
-    if names:
-        return [
-            f'<text class="tick" x="{px(float(at)):.1f}" y="{y:.0f}" text-anchor="middle">{escape(text)}</text>'
-            for at, text in zip(x, names, strict=True)
-        ]
-    return [
-        f'<line class="grid" x1="{px(value):.1f}" x2="{px(value):.1f}" y1="{TOP:.0f}" y2="{height - BOTTOM:.0f}"/>'
-        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{text}</text>'
-        for value, text in tick_texts(first, last, 5)
-    ]
-
-
-def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
+def _curve(x: Array, line: ChartCurve, plane: Plane) -> str:
+    px, py = plane.px, plane.py
     there = np.isfinite(line.y)
     parts = []
     if line.spread is not None and there.sum() > 1:

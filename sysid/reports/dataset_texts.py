@@ -6,16 +6,20 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from sysid import display
+from sysid.datasets.quality.evidence import DatasetEvidence
 from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts, together
-from sysid.datasets.recording import Dataset
+from sysid.datasets.quality.use import AxisUse
+from sysid.datasets.recording import ClockRecord, Dataset
 from sysid.display import NOTHING
+from sysid.figures import Table
 from sysid.gap.experiment.excitation_verdict import ExcitationVerdict, RecordingRequest
 from sysid.machine import Axis, Machine
 from sysid.reports import words
@@ -108,21 +112,144 @@ def _filled(dataset: Dataset, signal: str) -> float:
     return sum(int(np.count_nonzero(~np.isnan(values))) for values in own) / rows if rows else float("nan")
 
 
+def sample_table(dataset: Dataset) -> Table:
+    """For each signal: samples in the files, those that are used, rows with a value, and why samples are not used."""
+    rows = [
+        (
+            line.name, line.counts.samples, line.counts.used, display.percent(line.filled), f"{line.counts.bridged_s:.1f} s",
+            line.lost,
+        )
+        for line in sample_lines(dataset)
+    ]  # fmt: skip
+    return Table(("signal", "samples", "used", "filled", "bridged", "not used"), rows, (1, 2, 3, 4))
+
+
+def noise_table(evidence: DatasetEvidence, dataset: Dataset, spell: Callable[[str], str] = str) -> Table:
+    """Standard deviation of the noise of each signal, by source; ``spell``: of the name of a signal."""
+    rows = []
+    for signal, level in evidence.noise.items():
+        values = (level.sheet, level.moving, level.still, level.repeats)
+        texts = (NOTHING if value is None else display.quantity(value, dataset.units.get(signal)) for value in values)
+        rows.append((spell(signal), *texts))
+    return Table(("noise", "data sheet", "its samples", "at rest", "same commands again"), rows, (1, 2, 3, 4))
+
+
+def use_table(evidence: DatasetEvidence, dataset: Dataset) -> Table:
+    """Commands and motion of each axis: shares of its range and of its commands, seconds in either direction, reversals."""
+    spans, rows = {span.axis: span for span in evidence.spans}, []
+    for name, use in evidence.axes.items():
+        span = spans.get(name)
+        seen = NOTHING if span is None else display.percent(span.covered_moving) if span.source == "limits" else "no limits"
+        visited = f"{display.percent(use.covered(-1))} / {display.percent(use.covered(1))}"
+        cells = use_cells(use, dataset.machine.axis(name).follows_positions)
+        rows.append((name, seen, visited, *cells, display.fixed(use.idle_s, 1), use.command_changes, use.reversals))
+    header = ("axis", "range in motion", "commands − / +", *USES, "idle s", "changes", "reversals")
+    return Table(header, rows, range(1, 9))
+
+
+def use_cells(use: AxisUse, follows_positions: bool) -> tuple[str, str, str]:
+    """Seconds in either direction, below :data:`USES`; an axis whose command is a position has no small commands."""
+    small = NOTHING if follows_positions else _sides(use.small_negative_s, use.small_positive_s)
+    return _sides(use.negative_s, use.positive_s), small, _sides(use.slow_negative_s, use.slow_positive_s)
+
+
+USES = ("s − / +", "small s − / +", "slow s − / +")
+
+
+def _sides(negative: float, positive: float) -> str:
+    return f"{display.fixed(negative, 1)} / {display.fixed(positive, 1)}"
+
+
+def rest_sentence(evidence: DatasetEvidence) -> str:
+    """How often and how long the machine was at rest."""
+    phases = [phase for recording in evidence.recordings for phase in recording.rests]
+    if not phases:
+        return "The machine was never at rest for a second."
+    times, postures = len(phases), len(evidence.postures)
+    total, longest = sum(phase.seconds for phase in phases), max(phase.seconds for phase in phases)
+    return (
+        f"The machine was at rest {times} time{'s' if times > 1 else ''}, {display.number(total)} s in all, at most "
+        f"{display.number(longest)} s, in {postures} different posture{'s' if postures > 1 else ''}."
+    )
+
+
+def flag_table(lines: Sequence[FlagLine]) -> Table:
+    """Events that ingest flagged."""
+    rows = [
+        (
+            line.recording,
+            line.signals,
+            line.kind,
+            f"{display.fixed(line.from_s, 2)} to {display.fixed(line.to_s, 2)}",
+            line.text,
+        )
+        for line in lines
+    ]
+    return Table(("Recording", "Signals", "Kind", "From – to [s]", "Details"), rows, (3,))
+
+
+def file_table(sources: Iterable[tuple[str, int, str, Sequence[str]]]) -> Table:
+    """Raw files: path, size in bytes, sha256, what could not be read."""
+    rows = [
+        (path, display.size_text(size), Markup("<code>{}…</code>").format(sha256[:16]), "; ".join(losses))
+        for path, size, sha256, losses in sources
+    ]
+    return Table(("File", "Size", "sha256", "Losses"), rows, (1,))
+
+
+#: Role of a recording in the split → its name on pages.
+ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
+
+
+def role_text(kind: str, role: str | None) -> str:
+    """The role of a recording; static poses have none."""
+    return "static poses" if kind == "poses" else ROLES.get(role or "", "no role")
+
+
+def length_text(kind: str, rows: int, rate_hz: float) -> str:
+    """``61.2 s``, or ``60 poses``."""
+    return f"{rows} poses" if kind == "poses" else f"{rows / rate_hz:.1f} s"
+
+
+def clock_text(clock: ClockRecord) -> str:
+    """``+0.300012 s ± 0.104 ms, skew +12.1 ppm``."""
+    if not clock.applied:
+        return f"not aligned: {clock.reason}"
+    text = f"{clock.offset_s:+.6f} s ± {1e3 * half_offset(clock):.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
+    return text.replace("-", display.MINUS)
+
+
+def half_offset(clock: ClockRecord) -> float:
+    """Half of the 95 % interval of the offset of a clock [s]."""
+    low, high = clock.offset_interval95
+    return 0.5 * (high - low)
+
+
+def clock_table(clocks: Sequence[ClockRecord]) -> Table:
+    """Offset and skew of each clock with half of their intervals, and what it was aligned on or why it was not."""
+    rows: list[tuple[str, ...]] = []
+    for clock in clocks:
+        signals, low, high = ", ".join(clock.used_signals), *clock.skew_interval95
+        offset = display.fixed(clock.offset_s, 6), display.fixed(1e3 * half_offset(clock), 3)
+        figures = (*offset, display.fixed(clock.skew_ppm, 1), display.fixed(0.5 * (high - low), 1))
+        why = Markup('{} <span class="quiet">({})</span>').format(signals, clock.reason) if clock.reason else signals
+        shown = (*figures, why) if clock.applied else ("not aligned", "", "", "", clock.reason)
+        rows.append((clock.recording, clock.stream, *shown))
+    header = ("Recording", "Clock", "Offset [s]", "± [ms]", "Skew [ppm]", "±", "Aligned on")
+    row_classes = {number: "refused" for number, clock in enumerate(clocks) if not clock.applied}
+    return Table(header, rows, range(2, 6), row_classes=row_classes)
+
+
 #: An offset whose 95 % interval is wider than this is of no use at the usual rate of 100 Hz: half a sample [s].
 COARSE_S = 0.005
 
 
-def clock_summary(clocks: Iterable[tuple[str, bool, float]]) -> str:
-    """The sentence.
-
-    Args:
-        clocks: recording, whether its offset was applied, and half of the 95 % interval of the offset [s].
-    """
-    rows = list(clocks)
-    fine = sum(applied and half <= COARSE_S for _, applied, half in rows)
-    coarse = [name for name, applied, half in rows if applied and half > COARSE_S]
-    left = [name for name, applied, _ in rows if not applied]
-    parts = [f"{fine} of {len(rows)} clocks are aligned to within {1e3 * COARSE_S:.0f} ms"]
+def clock_summary(clocks: Sequence[ClockRecord]) -> str:
+    """How many clocks are aligned, and which are known less exactly or not at all."""
+    fine = sum(clock.applied and half_offset(clock) <= COARSE_S for clock in clocks)
+    coarse = [clock.recording for clock in clocks if clock.applied and half_offset(clock) > COARSE_S]
+    left = [clock.recording for clock in clocks if not clock.applied]
+    parts = [f"{fine} of {len(clocks)} clocks are aligned to within {1e3 * COARSE_S:.0f} ms"]
     parts += [f"{', '.join(coarse)}: known less exactly"] if coarse else []
     parts += [f"{', '.join(left)}: not aligned"] if left else []
     return "; ".join(parts) + "."

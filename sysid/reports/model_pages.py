@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
 
 from sysid import display
+from sysid.figures import Table, output_of, output_unit, stored_errors
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.decision import decision_row
-from sysid.registry.figures import held_out_figures
+from sysid.reports.card import Card
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import SiteBar, page
 from sysid.reports.words import signal_name
 from sysid.validate import ErrorMap
-from sysid.versions import Card
 
 STYLES = ("page.css", "models.css")
 #: Style classes of the lines of a chart.
@@ -37,8 +35,7 @@ def card_page(card: Card, bar: SiteBar | None = None, lineage: Markup | None = N
             "name": f"part-{number}",
             "title": block.title,
             "text": [_inline(text) for text in block.text],
-            "header": block.header,
-            "rows": block.rows,
+            "table": block.table,
             "code": block.code,
             "maps": [Markup(_map(*item)) for item in block.maps],
         }
@@ -93,7 +90,7 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
         "reference": version.reference,
         "aliases": [alias for alias in version.aliases if alias in (CHAMPION, CANDIDATE)]
         + [alias for alias in version.aliases if alias not in (CHAMPION, CANDIDATE)],
-        "created": f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M}",
+        "created": display.minute(version.created_ms),
         "digest": version.digest[:12],
         "card": card,
         "dataset": dataset,
@@ -115,8 +112,12 @@ def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -
     }
 
 
-def _figures(version: ModelVersion) -> list[dict[str, str]]:
-    return [{**asdict(row), "output": signal_name(row.signal)} for row in held_out_figures(version)]
+def _figures(version: ModelVersion) -> Table:
+    rows = [
+        (signal_name(error.output), Markup('<span class="quiet">{}</span>').format(error.rows), *error.texts)
+        for error in stored_errors(version.metrics)
+    ]
+    return Table(("Held out", "", "RMSE", "95 %", "max"), rows, (2, 3, 4))
 
 
 def _charts(versions: Sequence[ModelVersion]) -> list[str]:
@@ -124,14 +125,14 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
     keys = dict.fromkeys(key for version in versions for key in version.metrics if key.endswith(".rmse"))
     if len(versions) < 2:
         return []
-    groups: dict[tuple[str, bool], list[str]] = {}
+    groups: dict[tuple[str, str], list[str]] = {}
     for key in keys:
-        signal, _, kind = key.removesuffix(".rmse").rpartition(".")
-        groups.setdefault((_unit(signal), kind == "poses"), []).append(key)
+        signal, rows = output_of(key.removesuffix(".rmse"))
+        groups.setdefault((output_unit(signal), rows), []).append(key)
     found = []
     numbers, names = np.arange(len(versions), dtype=np.float64), [f"@{version.version}" for version in versions]
     for (unit, _), own in groups.items():
-        factor, label = display.shown_unit(unit)
+        factor, _ = display.shown_unit(unit)
         lines = [
             ChartCurve(np.array([factor * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
             for key, look in zip(own, LINE_CLASSES, strict=False)
@@ -139,7 +140,7 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
         legend = "".join(
             f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LINE_CLASSES, strict=False)
         )
-        drawn = chart(numbers, lines, ("version", f"RMSE [{label}]"), names=names, size=WIDE)
+        drawn = chart(numbers, lines, ("version", display.with_unit("RMSE", unit)), names=names, size=WIDE)
         found.append(f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>")
     return found
 
@@ -147,20 +148,15 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
 def _map(output: str, unit: str, item: ErrorMap) -> str:
     """RMSE of an output in bins of two variables."""
     factor, label = display.shown_unit(unit)
-    scales = [display.shown_unit(own) if own in ("m", "rad", "m/s", "rad/s") else (1.0, own) for own in item.units]
-    edges = [scale * np.array(part) for (scale, _), part in zip(scales, item.edges, strict=True)]
-    labels = [f"{signal_name(name)} [{shown_as}]" for name, (_, shown_as) in zip(item.over, scales, strict=True)]
-    drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (edges[0], edges[1]), (labels[0], labels[1]), label)
+    a, b = (display.shown_unit(own)[0] * np.array(part) for own, part in zip(item.units, item.edges, strict=True))
+    across, up = (display.with_unit(signal_name(name), own) for name, own in zip(item.over, item.units, strict=True))
+    drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (a, b), (across, up), label)
     return f"<figure>{drawn}<figcaption>{escape(output)}</figcaption></figure>"
 
 
 def _title(key: str) -> str:
-    signal, _, kind = key.removesuffix(".rmse").rpartition(".")
-    return f"{signal_name(signal)}, {'poses' if kind == 'poses' else 'motion'}"
-
-
-def _unit(signal: str) -> str:
-    return "rad" if signal.endswith(".joint") else "m"
+    signal, rows = output_of(key.removesuffix(".rmse"))
+    return f"{signal_name(signal)}, {rows}"
 
 
 def _inline(text: str) -> Markup:

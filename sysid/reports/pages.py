@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,11 @@ def filled(template: str, folder: Path = FOLDER, **values: Any) -> Markup:
     Args:
         folder: of the template; templates that it extends or includes may be of this package.
     """
+    return Markup(_environment(folder).get_template(template).render(**values))
+
+
+@functools.cache
+def _environment(folder: Path) -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([folder, FOLDER]),
         autoescape=True,
@@ -50,15 +56,12 @@ def filled(template: str, folder: Path = FOLDER, **values: Any) -> Markup:
         lstrip_blocks=True,
     )
     environment.filters |= {
-        "number": display.number,
         "fixed": display.fixed,
         "percent": display.percent,
-        "ratio": display.ratio,
         "owner": words.owner_name,
-        "stage": words.stage_name,
-        "effect": words.effect_title,
+        "table": lambda table, look="numbers": filled("table.html", table=table, look=look),
     }
-    return Markup(environment.get_template(template).render(**values))
+    return environment
 
 
 def page(template: str, styles: Sequence[str], folder: Path = FOLDER, bar: SiteBar | None = None, **values: Any) -> str:

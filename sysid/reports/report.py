@@ -10,21 +10,18 @@ from typing import Any
 
 from markupsafe import Markup
 
+from sysid.figures import Table
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.pages import FOLDER, SiteBar, filled, page, write_page
 from sysid.reports.sections import (
-    clocks,
     evidence,
     excitation,
-    experiments,
     networks,
-    parameters,
     proof,
     quality,
     responses,
     summary,
     traces,
-    versions,
     where,
 )
 
@@ -40,6 +37,29 @@ class Section:
     context: Callable[[ReportInputs], Context | None]
 
 
+def _versions(inputs: ReportInputs) -> Context:
+    """Versions and their sources, settings and software of the figures."""
+    gap = inputs.gap
+    rows = [
+        (
+            Markup('<b class="nowrap">{}</b>').format(note.reference),
+            note.kind,
+            ", ".join(note.parents),
+            Markup("<code>{}</code>").format(note.digest[:12]),
+            note.note,
+        )
+        for note in inputs.versions
+    ]
+    return {
+        "figures": Table(("Version", "Kind", "Made from", "Content", ""), rows),
+        "software": dict(inputs.software),
+        "settings": {key: str(value) for key, value in (gap.settings if gap is not None else {}).items()},
+        "notes": gap.notes if gap is not None else (),
+        "digest": inputs.dataset.digest,
+        "reference": inputs.dataset.reference,
+    }
+
+
 #: In the order of the page: result, proof, details, data.
 SECTIONS: tuple[Section, ...] = (
     Section("summary", "In short", summary.context),
@@ -47,14 +67,14 @@ SECTIONS: tuple[Section, ...] = (
     Section("responses", "Without a model", responses.context),
     Section("traces", "Before and after", traces.context),
     Section("proof", "The proof", proof.context),
-    Section("parameters", "What was added", parameters.context),
+    Section("parameters", "What was added", proof.parameters),
     Section("evidence", "Candidates and evidence", evidence.context),
-    Section("experiments", "What to record next", experiments.context),
+    Section("experiments", "What to record next", excitation.experiments),
     Section("networks", "Networks", networks.context),
     Section("excitation", "Excitation", excitation.context),
     Section("quality", "The recordings", quality.context),
-    Section("clocks", "The clocks", clocks.context),
-    Section("versions", "Versions", versions.context),
+    Section("clocks", "The clocks", quality.clocks),
+    Section("versions", "Versions", _versions),
 )
 
 

@@ -1,5 +1,5 @@
-"""Texts for reports and the console: stages, verdicts, signals, named effects with their parameters and units, and the reasons
-why an effect was named and its alternatives were rejected.
+"""Words for reports and the console: stages, verdicts, signals, named effects, and the reasons why an effect was named and its
+alternatives were rejected.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ import re
 import string
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sysid import display
 from sysid.effects import BY_NAME
-from sysid.effects.units import parameter_unit
 from sysid.effects.wording import sentences_of, title_of
 from sysid.machine import Machine
 
@@ -49,6 +48,11 @@ def effect_title(name: str, target: str = "", machine: Machine | None = None) ->
 def effect_place(name: str, target: str, machine: Machine) -> str:
     """``Dead time of boom``; ``Sensor bias of boom.joint``."""
     return f"{effect_title(name, target, machine)} of {OWNERS.get(target, target)}"
+
+
+def tie_text(tie: Iterable[tuple[str, str]], machine: Machine) -> str:
+    """The effects that recordings cannot distinguish: ``Backlash of boom or Sensor scale of boom.joint``."""
+    return " or ".join(effect_place(name, target, machine) for name, target in tie)
 
 
 def effect_sentence(
@@ -88,34 +92,6 @@ def localised(places: list[str]) -> str:
     """The places of the stages with errors, as a sentence."""
     listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")
     return f"Simulation and machine disagree at: {listed}."
-
-
-#: Text for a parameter that the recordings do not determine.
-UNDETERMINED = "not determined"
-_NONE: Mapping[str, str] = {}
-
-
-def shown(
-    effect: str,
-    parameter: str,
-    target: str,
-    value: Any,
-    machine: Machine,
-    digits: int = 3,
-    units: Mapping[str, str] = _NONE,
-) -> str:
-    """A parameter's value with its unit as text; vectors component by component."""
-    unit = parameter_unit(effect, parameter, target, machine, units)
-    if isinstance(value, (list, tuple)):
-        return "(" + ", ".join(display.quantity(float(item), unit, digits) for item in value) + ")"
-    return display.quantity(float(value), unit, digits)
-
-
-def shown_parameters(
-    effect: str, target: str, parameters: Mapping[str, Any], machine: Machine, units: Mapping[str, str] = _NONE
-) -> dict[str, str]:
-    """All parameters of an effect as text."""
-    return {name: shown(effect, name, target, value, machine, units=units) for name, value in parameters.items()}
 
 
 def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str, str]) -> str:

@@ -8,21 +8,20 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import Any
 
 from sysid.datasets.versions.index import VersionIndex
-from sysid.datasets.versions.manifest import Manifest
-from sysid.display import fixed, interval, quantity
-from sysid.errors import StoreError
+from sysid.datasets.versions.manifest import Manifest, clock_from
+from sysid.display import NOTHING, fixed, minute, quantity, size_text
+from sysid.errors import SettingsError, StoreError
+from sysid.figures import stored_errors, stored_parameters
 from sysid.gap.statement import headline
 from sysid.names import dotted
 from sysid.parse import parse_json
 from sysid.registry import DamagedModel, ModelVersion
-from sysid.registry.effect_changes import effect_value
-from sysid.registry.figures import held_out_figures
 from sysid.registry.lineage import sources
 from sysid.reports.archive import RESULT
+from sysid.reports.dataset_texts import ROLES, clock_text, length_text, role_text
 from sysid.reports.words import effect_title, signal_name
 from sysid.root import Root
 from sysid.site.item import Fact, Item
@@ -30,7 +29,6 @@ from sysid.workspace import Workspace
 
 #: Group of the facts that give each signal's SI unit.
 SIGNALS = "Signals"
-ROLES = {"fit": "fit", "select": "selection", "held_out": "held out"}
 
 
 def dataset_items(index: VersionIndex, flights: Mapping[str, str]) -> Iterator[Item]:
@@ -55,12 +53,11 @@ def _files(manifest: Manifest, flights: Mapping[str, str]) -> Item | None:
     if not sources or (base is not None and base["by"] == "split"):
         return None
     digest = hashlib.sha256("".join(sorted(source["sha256"] for source in sources)).encode()).hexdigest()
-    size = sum(source["size"] for source in sources)
     return Item(
         "logs",
         _reference(manifest),
         digest=digest,
-        summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {_size(size)}",
+        summary=f"{len(sources)} raw file{'s' * (len(sources) > 1)}, {size_text(sum(source['size'] for source in sources))}",
         parents=tuple(flights[source["sha256"]] for source in sources if source["sha256"] in flights),
     )
 
@@ -92,19 +89,13 @@ def _dataset_facts(manifest: Manifest) -> Iterator[Fact]:
     flags = manifest["quality"].get("flags", [])
     yield Fact("Content", "flagged sections", str(len(flags)))
     for item in manifest["recordings"]:
-        role = ROLES.get(manifest["splits"].get(item["name"], ""), "no role")
-        rows = f"{item['rows']} poses" if item["kind"] == "poses" else f"{item['rows'] / item['rate_hz']:.1f} s"
-        yield Fact("Recordings", item["name"], f"{rows}, {role}, {len(item['signals'])} signals")
+        role = role_text(item["kind"], manifest["splits"].get(item["name"]))
+        length = length_text(item["kind"], item["rows"], item["rate_hz"])
+        yield Fact("Recordings", item["name"], f"{length}, {role}, {len(item['signals'])} signals")
     for signal, unit in manifest["units"].items():
         yield Fact(SIGNALS, signal, unit)
-    for clock in manifest["clocks"]:
-        low, high = clock["offset_interval95"]
-        text = f"{clock['offset_s']:+.6f} s ± {1e3 * (high - low) / 2.0:.3g} ms, {clock['skew_ppm']:+.1f} ppm"
-        yield Fact("Clocks", f"{clock['recording']}, {clock['stream']}", text if clock["applied"] else f"not applied: {text}")
-
-
-def _size(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+    for clock in map(clock_from, manifest["clocks"]):
+        yield Fact("Clocks", f"{clock.recording}, {clock.stream}", clock_text(clock))
 
 
 def _reference(manifest: Manifest) -> str:
@@ -128,7 +119,7 @@ def gap_items(root: Root, units: Mapping[str, Mapping[str, str]]) -> Iterator[It
             yield _gap(parse_json(content), reference, content, changed, units.get(reference, {}))
         except FileNotFoundError:
             continue
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, StoreError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, StoreError, SettingsError) as error:
             damage = f"gap result of {reference}: {error}"
             yield Item("damaged", reference, damage=damage, summary=damage)
 
@@ -140,7 +131,7 @@ def _gap(values: dict[str, Any], reference: str, content: bytes, changed: float,
     return Item(
         "gap",
         reference,
-        created=f"{datetime.fromtimestamp(changed, UTC):%Y-%m-%d %H:%M}",
+        created=minute(1e3 * changed),
         digest=hashlib.sha256(content).hexdigest(),
         summary=f"{found}: {', '.join(effects)}" if effects else found,
         parents=tuple([f"dataset:{reference}"] + ([f"plant:{before}"] if "@" in before else [])),
@@ -154,20 +145,20 @@ def _gap_facts(values: dict[str, Any], units: Mapping[str, str]) -> Iterator[Fac
     yield Fact("Result", "plant before", values["plant"]["before"])
     yield Fact("Result", "plant after", values["plant"]["after"])
     for effect in values["effects"]:
-        where = f"{effect_title(effect['name'], effect['target'])}, {effect['target']}"
-        for name, value in effect["parameters"].items():
-            if value is None:
-                continue
-            unit = effect.get("units", {}).get(name)
-            low, high = effect["interval95"].get(name) or (None, None)
-            spread = f" ({interval(low, high, unit)})" if low is not None and high is not None else ""
-            yield Fact("Effects", f"{where}: {name.replace('_', ' ')}", f"{quantity(value, unit)}{spread}")
+        yield from _parameters(effect)
     for item in values["unnamed"]:
         yield Fact("Unnamed", f"{item['stage']} stage of {item['target']}", f"depends on {item['depends_on']}; {item['form']}")
     for when in ("before", "after"):
         for signal, value in values["gap"][when].items():
             if value is not None:
                 yield Fact(f"Held-out RMSE {when}", signal_name(signal), quantity(value, units.get(signal)))
+
+
+def _parameters(effect: Mapping[str, Any]) -> Iterator[Fact]:
+    for figure in stored_parameters(effect):
+        place = f"{effect_title(effect['name'])}, {effect['target']}: {figure.label}"
+        ends = figure.interval
+        yield Fact("Effects", place, figure.text if ends == NOTHING else f"{figure.text} ({ends})")
 
 
 #: Lineage entries that are shown otherwise, or are digests of what another entry names.
@@ -191,7 +182,7 @@ def _model(version: ModelVersion, kinds: Mapping[str, str]) -> Item:
     return Item(
         version.kind,
         version.reference,
-        created=f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M}",
+        created=minute(version.created_ms),
         digest=version.digest,
         summary=_summary(version),
         aliases=version.aliases,
@@ -204,22 +195,21 @@ def _summary(version: ModelVersion) -> str:
     effects = [f"{effect_title(item['name'])} ({item['target']})" for item in version.lineage.get("effects", ())]
     if version.kind == "plant":
         return ", ".join(effects) or "as machine.toml describes it"
-    rows = [row for row in held_out_figures(version) if row.rows == "motion"] or held_out_figures(version)
-    return f"held-out RMSE {signal_name(rows[0].signal)} {rows[0].rmse}" if rows else ""
+    errors = sorted(stored_errors(version.metrics), key=lambda error: error.rows != "motion")
+    return f"held-out RMSE {signal_name(errors[0].output)} {errors[0].texts[0]}" if errors else ""
 
 
 def _model_facts(version: ModelVersion) -> Iterator[Fact]:
     yield Fact("Content", "kind", version.kind)
     yield Fact("Content", "aliases", ", ".join(version.aliases) or "none")
-    for row in held_out_figures(version):
-        yield Fact("Held-out RMSE", f"{signal_name(row.signal)}, {row.rows}", row.rmse)
-    if not held_out_figures(version):
+    errors = stored_errors(version.metrics)
+    for error in errors:
+        yield Fact("Held-out RMSE", f"{signal_name(error.output)}, {error.rows}", error.texts[0])
+    if not errors:
         for name, value in version.metrics.items():
             yield Fact("Figures", name, f"{value:.4g}")
     for effect in version.lineage.get("effects", ()):
-        for name, value in effect.get("parameters", {}).items():
-            text = effect_value(value, effect.get("units", {}).get(name, ""))
-            yield Fact("Effects", f"{effect_title(effect['name'])}, {effect['target']}: {name.replace('_', ' ')}", text)
+        yield from _parameters(effect)
     for name, value in dotted({key: value for key, value in version.lineage.items() if key not in _LEFT_OUT}):
         text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
         yield Fact("Lineage and recipe", name, text)

@@ -8,21 +8,22 @@ import base64
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from sysid.datasets.versions.manifest import Manifest
+from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.display import NOTHING, fixed, number, percent, quantity
 from sysid.errors import StoreError
+from sysid.figures import Table
 from sysid.registry import CHAMPION
 from sysid.reports.charts import WIDE, ChartCurve, chart, embed
-from sysid.reports.dataset_texts import clock_summary
+from sysid.reports.dataset_texts import clock_summary, clock_table, file_table, flag_lines, flag_table, kinds_of, role_text
 from sysid.reports.pages import SiteBar, page
-from sysid.site.inventory import ROLES, ended
+from sysid.site.inventory import ended
 from sysid.site.item import WORDS, Item
 from sysid.site.lineage import around, drawing, lineage_graph
 
@@ -36,7 +37,8 @@ def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, 
         report: relative URL of the report on its gap result; empty without one.
         command: that computes one.
     """
-    flags = list(manifest["quality"].get("flags", []))
+    flags, clocks = list(manifest["quality"].get("flags", [])), [clock_from(item) for item in manifest["clocks"]]
+    lines = flag_lines(flags)
     return page(
         "dataset.html",
         STYLES,
@@ -48,80 +50,60 @@ def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, 
         drawing=lineage,
         report=report,
         command=command,
-        recordings=list(_recordings(manifest, Counter(flag["recording"] for flag in flags))),
-        signals=list(_signals(manifest)),
-        clocks=[_clock(record) for record in manifest["clocks"]],
-        clock_summary=clock_summary((c["recording"], c["applied"], 0.5 * _width(c)) for c in manifest["clocks"]),
-        flags=flags,
-        files=manifest["sources"],
+        recordings=_recordings(manifest, Counter(flag["recording"] for flag in flags)),
+        signals=_signals(manifest),
+        clocks=clock_table(clocks),
+        clock_summary=clock_summary(clocks),
+        flags=flag_table(lines),
+        flag_kinds=kinds_of(lines),
+        files=file_table((s["path"], s["size"], s["sha256"], s["losses"]) for s in manifest["sources"]),
         machine=list(manifest["machine"].items()),
     )
 
 
-def _recordings(manifest: Manifest, flags: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+def _recordings(manifest: Manifest, flags: Mapping[str, int]) -> Table:
+    rows = []
     for item in manifest["recordings"]:
         poses = item["kind"] == "poses"
-        yield {
-            "name": item["name"],
-            "role": "static poses" if poses else ROLES.get(manifest["splits"].get(item["name"], ""), "no role"),
-            "rows": item["rows"],
-            "rate": NOTHING if poses else number(item["rate_hz"]),
-            "seconds": NOTHING if poses else fixed(item["rows"] / item["rate_hz"], 1),
-            "signals": len(item["signals"]),
-            "flags": flags.get(item["name"], 0),
-        }
+        rate, seconds = (NOTHING, NOTHING) if poses else (number(item["rate_hz"]), fixed(item["rows"] / item["rate_hz"], 1))
+        role = role_text(item["kind"], manifest["splits"].get(item["name"]))
+        rows.append((item["name"], role, item["rows"], rate, seconds, len(item["signals"]), flags.get(item["name"], 0)))
+    header = ("recording", "role", "rows", "rate [Hz]", "time [s]", "signals", "flagged sections")
+    return Table(header, rows, range(2, 7))
 
 
-def _signals(manifest: Manifest) -> Iterator[dict[str, Any]]:
+def _signals(manifest: Manifest) -> Table:
     quality = manifest["quality"].get("recordings", {})
     poses = {item["name"] for item in manifest["recordings"] if item["kind"] == "poses"}
+    rows = []
     for name, unit in manifest["units"].items():
-        found = [entry["signals"][name] for entry in quality.values() if name in entry.get("signals", {})]
-        moving = [
-            entry["signals"][name] for key, entry in quality.items() if name in entry.get("signals", {}) and key not in poses
-        ]
+        found = {key: entry["signals"][name] for key, entry in quality.items() if name in entry.get("signals", {})}
         if not found:
             continue
-        yield {
-            "name": name,
-            "recordings": len(found),
-            "low": quantity(min(map(_value, (entry.get("min") for entry in found))), unit),
-            "high": quantity(max(map(_value, (entry.get("max") for entry in found))), unit),
-            "missing": percent(sum(_value(entry.get("missing")) for entry in found) / len(found)),
-            "gap": _longest([entry["longest_gap_s"] for entry in found if entry.get("longest_gap_s") is not None]),
-            "noise": _noise([entry["noise"] for entry in moving if entry.get("noise") is not None], unit),
-        }
+        low, high = (_known(found.values(), key) for key in ("min", "max"))
+        gaps = [entry["longest_gap_s"] for entry in found.values() if entry.get("longest_gap_s") is not None]
+        noise = [entry["noise"] for key, entry in found.items() if key not in poses and entry.get("noise") is not None]
+        rows.append(
+            (
+                name,
+                len(found),
+                quantity(min(low), unit),
+                quantity(max(high), unit),
+                percent(sum(_known(found.values(), "missing")) / len(found)),
+                fixed(max(gaps), 2) if gaps else NOTHING,
+                quantity(max(noise), unit) if noise else NOTHING,
+            )
+        )
+    return Table(("signal", "recordings", "from", "to", "missing", "longest gap [s]", "noise"), rows, range(1, 7))
 
 
-def _noise(values: list[float], unit: str) -> str:
-    return quantity(max(values), unit) if values else NOTHING
+def _known(entries: Iterable[Mapping[str, Any]], key: str) -> list[float]:
+    """A figure of every recording; NaN where it is null."""
+    return [math.nan if entry.get(key) is None else float(entry[key]) for entry in entries]
 
 
-def _longest(values: list[float]) -> str:
-    return fixed(max(values), 2) if values else NOTHING
-
-
-def _value(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _clock(record: Mapping[str, Any]) -> dict[str, Any]:
-    how = record["reason"][:1].upper() + record["reason"][1:]
-    return {
-        "recording": record["recording"],
-        "stream": record["stream"],
-        "offset": fixed(record["offset_s"], 6),
-        "half": number(0.5e3 * _width(record)),
-        "skew": fixed(record["skew_ppm"], 1),
-        "how": how if record["applied"] else f"Not applied. {how}",
-        "warning": not record["applied"],
-    }
-
-
-def _width(record: Mapping[str, Any]) -> float:
-    """Width of the 95 % interval of a clock's offset [s]."""
-    low, high = record["offset_interval95"]
-    return float(high - low)
+def _code(text: str) -> Markup:
+    return Markup("<code>{}</code>").format(text)
 
 
 #: Columns and rows of the table of times.
@@ -162,33 +144,37 @@ def _page(item: Item, values: Mapping[str, Any], bar: SiteBar, lineage: Markup) 
         bad=values["ended"] in (None, "fault"),
         notes=values.get("notes", []),
         figures=[(fact.name, fact.text) for fact in item.facts if fact.group == "Result" and fact.name != "ended"],
-        timing=[(title, _microseconds(values[key])) for title, key in TIMES if key in values],
+        timing=_timing(values),
         error_of=values.get("error_of") or "",
         error=_error_rows(values),
         curve=_curve(values.get("distance_by_second_mm") or []),
         violations=list((values.get("verdicts") or {}).items()),
-        events=[_event(event) for event in values["events"]],
+        events=_events(values["events"]),
         events_lost=values.get("events_lost", 0),
-        versions=[(name, digest[:12]) for name, digest in values["versions"].items()],
+        versions=Table(("version", "content"), [(name, _code(digest[:12])) for name, digest in values["versions"].items()]),
         log=str(log),
         logs=str(log.parent.parent),
         sha256=values["sha256"],
     )
 
 
-def _microseconds(times: Mapping[str, float | None]) -> list[str]:
-    found = [times[quantile] for quantile in QUANTILES]
-    return [NOTHING if value is None else fixed(value, 0) for value in found]
+def _timing(values: Mapping[str, Any]) -> Table:
+    rows = []
+    for title, key in TIMES:
+        if key in values:
+            found = (values[key][quantile] for quantile in QUANTILES)
+            rows.append((title, *(NOTHING if value is None else fixed(value, 0) for value in found)))
+    return Table(("[µs]", "p50", "p99", "largest"), rows, (1, 2, 3))
 
 
-def _error_rows(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _error_rows(values: Mapping[str, Any]) -> Table:
     """Distance and coordinates: mean, RMSE and largest error [mm]."""
-    distance = values.get("distance_mm")
-    if not distance:
-        return []
-    axes = zip("xyz", values["rmse_mm"], values["max_mm"], strict=True)
-    first = ("distance", *(fixed(distance[key], 2) for key in ("mean", "rmse", "max")))
-    return [first, *((axis, "", fixed(rmse, 2), fixed(worst, 2)) for axis, rmse, worst in axes)]
+    rows: list[tuple[str, ...]] = []
+    if distance := values.get("distance_mm"):
+        rows.append(("distance", *(fixed(distance[key], 2) for key in ("mean", "rmse", "max"))))
+        axes = zip("xyz", values["rmse_mm"], values["max_mm"], strict=True)
+        rows += [(axis, "", fixed(rmse, 2), fixed(worst, 2)) for axis, rmse, worst in axes]
+    return Table(("", "mean [mm]", "RMSE [mm]", "largest [mm]"), rows, (1, 2, 3))
 
 
 def _curve(rows: list[tuple[int, float]]) -> Markup:
@@ -202,16 +188,17 @@ def _curve(rows: list[tuple[int, float]]) -> Markup:
     return Markup(chart(time, [ChartCurve(values, "after")], ("time [s]", "largest distance [mm]"), size=WIDE))
 
 
-def _event(event: Mapping[str, Any]) -> dict[str, Any]:
-    violation = event["kind"] == "violation"
-    return {
-        "time": fixed(event["time_s"], 2),
-        "what": f"{event['check']} of {event['target']}" if violation else "state",
-        "text": event["text"],
-        "reaction": event["reaction"] if violation else "",
-        "cycles": event["cycles"] if violation else "",
-        "severe": event["reaction"] in SEVERE if violation else event["text"] == "fault",
-    }
+def _events(events: Sequence[Mapping[str, Any]]) -> Table:
+    rows: list[tuple[object, ...]] = []
+    row_classes = {}
+    for event in events:
+        time, violation = fixed(event["time_s"], 2), event["kind"] == "violation"
+        if event["reaction"] in SEVERE if violation else event["text"] == "fault":
+            row_classes[len(rows)] = "refused"
+        what = f"{event['check']} of {event['target']}" if violation else "state"
+        reaction, cycles = (event["reaction"], event["cycles"]) if violation else ("", "")
+        rows.append((time, what, event["text"], reaction, cycles))
+    return Table(("time [s]", "what", "", "reaction", "cycles"), rows, (0, 4), row_classes=row_classes)
 
 
 FOLDER = Path(__file__).parent

@@ -1,6 +1,5 @@
-"""Operations on model versions: promotion by a policy, drift, differences, lineage, cards, ONNX."""
+"""Operations on model versions: promotion by a policy, drift, differences, lineage, ONNX."""
 
-from sysid.versions.card import Card, card_of
 from sysid.versions.diff import ModelDiff, diff_versions
 from sysid.versions.drift import DriftReport, OutputDrift, drift_of
 from sysid.versions.lineage import ModelLineage, lineage_of
@@ -9,7 +8,6 @@ from sysid.versions.outputs import OutputMap, output_maps
 from sysid.versions.policy import PromotionPolicy, load_policy, policy_checks
 
 __all__ = [
-    "Card",
     "DriftReport",
     "ExportedFile",
     "ModelDiff",
@@ -17,7 +15,6 @@ __all__ = [
     "OutputDrift",
     "OutputMap",
     "PromotionPolicy",
-    "card_of",
     "diff_versions",
     "drift_of",
     "export_onnx",

@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 from sysid.config import Strict, load_settings
 from sysid.display import quantity
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.figures import output_name
 from sysid.registry import NETWORKS
 from sysid.registry.decision import Check
 from sysid.units import si_factor
@@ -24,7 +25,6 @@ from sysid.validate import OutputReport, ValidationReport
 
 Figure = Literal["rmse", "max", "p50", "p95", "p99", "bias"]
 FIGURES: tuple[Figure, ...] = get_args(Figure)
-ROWS = {"motion": "in motion", "poses": "at poses"}
 
 _QUANTITY = re.compile(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)\s*")
 
@@ -150,20 +150,20 @@ def _limits(part: KindPolicy, report: ValidationReport, where: str) -> Iterator[
 
 def _limit(entry: OutputReport, figure: Figure, most: float) -> Check:
     value = _figure(entry, figure)
-    what = f"{_name(entry)}: {figure} {quantity(value, entry.unit)}"
-    name = f"limit on {figure} of {_name(entry)}"
+    what = f"{output_name(entry)}: {figure} {quantity(value, entry.unit)}"
+    name = f"limit on {figure} of {output_name(entry)}"
     if value <= most:
         return Check(name, "passed", f"{what}, at most {quantity(most, entry.unit)} allowed")
     return Check(name, "failed", f"{what}, {quantity(value - most, entry.unit)} above the {quantity(most, entry.unit)} allowed")
 
 
 def _baseline(entry: OutputReport, margin: float) -> Check:
-    name = f"simple models of {_name(entry)}"
+    name = f"simple models of {output_name(entry)}"
     if not entry.baselines:
-        return Check(name, "left out", f"{_name(entry)}: no simple model to compare with")
+        return Check(name, "left out", f"{output_name(entry)}: no simple model to compare with")
     title, best = min(entry.baselines.items(), key=lambda item: item[1].rmse)
     ours, theirs = entry.metrics.rmse, best.rmse
-    what = f"{_name(entry)}: rmse {quantity(ours, entry.unit)}"
+    what = f"{output_name(entry)}: rmse {quantity(ours, entry.unit)}"
     text = f"{what}, {_compared(ours, theirs)} the {quantity(theirs, entry.unit)} of the best simple model ({title})"
     return _within_margin(name, ours, theirs, margin, text)
 
@@ -176,21 +176,21 @@ def _against(part: KindPolicy, report: ValidationReport, champion: ValidationRep
     checks = []
     for key, entry in ours.items():
         if key not in theirs:
-            text = f"{_name(entry)}: {champion.model} does not predict it"
-            checks.append(Check(f"champion in {_name(entry)}", "left out", text))
+            text = f"{output_name(entry)}: {champion.model} does not predict it"
+            checks.append(Check(f"champion in {output_name(entry)}", "left out", text))
             continue
         checks += [_figure_against(entry, theirs[key], figure, part.margin, champion.model) for figure in part.not_worse]
     for key, entry in theirs.items():
         if key not in ours:
-            text = f"{_name(entry)}: {champion.model} predicts it, this version does not"
-            checks.append(Check(f"champion in {_name(entry)}", "failed", text))
+            text = f"{output_name(entry)}: {champion.model} predicts it, this version does not"
+            checks.append(Check(f"champion in {output_name(entry)}", "failed", text))
     return checks
 
 
 def _figure_against(ours: OutputReport, theirs: OutputReport, figure: Figure, margin: float, champion: str) -> Check:
     mine, other = _figure(ours, figure), _figure(theirs, figure)
-    name = f"champion in {figure} of {_name(ours)}"
-    what = f"{_name(ours)}: {figure} {quantity(mine, ours.unit)}"
+    name = f"champion in {figure} of {output_name(ours)}"
+    what = f"{output_name(ours)}: {figure} {quantity(mine, ours.unit)}"
     text = f"{what}, {_compared(mine, other)} the {quantity(other, ours.unit)} of {champion}"
     return _within_margin(name, mine, other, margin, text)
 
@@ -210,10 +210,6 @@ def _compared(value: float, other: float) -> str:
 
 def _figure(entry: OutputReport, figure: Figure) -> float:
     return abs(float(getattr(entry.metrics, figure)))
-
-
-def _name(entry: OutputReport) -> str:
-    return f"{entry.output} {ROWS[entry.rows]}"
 
 
 def _quantity(value: str | float, where: str) -> tuple[float, str]:

@@ -108,14 +108,6 @@ STYLES = {
 }
 OTHER_COLOURS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
 
-#: SI unit → factor and unit in the plots.
-DISPLAY_UNITS = {
-    "m": (1e3, "mm"),
-    "rad": (180.0 / np.pi, "°"),
-    "m/s": (1e3, "mm/s"),
-    "rad/s": (180.0 / np.pi, "°/s"),
-}
-
 
 def sdk() -> Any:
     """The SDK, imported late (half a second), with its telemetry off."""

@@ -1,14 +1,12 @@
-"""Layout of the viewer: the machine on the left, its signals in tabs on the right, the commands below; and what was found,
-beside it: as text, effects with their values, errors before and after, the worst moments; and maps of the gap as line charts,
-the mean error over a variable, before and after the repair, with ticks, units and words.
+"""Layout of the viewer: the machine on the left, its signals in tabs on the right, the commands below, the findings beside it;
+and maps of the gap as line charts: the mean error over a variable, before and after the repair, with ticks, units and words.
 
 The viewer has no chart over another axis than time, so that curves, axes and labels are drawn as lines and points in a plane.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,94 +14,15 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.display import interval, quantity
-from sysid.effects import BY_NAME
-from sysid.effects.units import parameter_unit
-from sysid.effects.wording import title_of
-from sysid.gap.disagreement import worst_row
-from sysid.gap.result import GapResult, Map, NamedEffect
-from sysid.machine import Machine
+from sysid.display import shown_unit, with_unit
+from sysid.gap.result import Map
 from sysid.pictures import ticks
 from sysid.signals import split_signal
-from sysid.view.drawing import TIMELINE, sdk
 
 Array = npt.NDArray[np.float64]
 
+#: Entities of the findings as text, and of the worst moments.
 ENTITY, MOMENTS = "findings", "moments"
-
-
-@dataclass(frozen=True)
-class WorstMoment:
-    """The row with the largest error of a simulated signal: ``error`` (simulated − measured) [SI] at ``time`` [s]."""
-
-    signal: str
-    version: str
-    time: float
-    error: float
-
-
-def worst_moments(tables: Mapping[str, pd.DataFrame]) -> list[WorstMoment]:
-    """Of every signal of every simulation; ``tables`` holds ``measured`` and simulations with the same rows."""
-    found = []
-    measured = tables["measured"]
-    for version, table in tables.items():
-        if version == "measured" or len(table) != len(measured):
-            continue
-        for signal in table.columns:
-            if signal == "time" or signal.endswith(".command") or signal not in measured:
-                continue
-            worst = worst_row(table[signal], measured[signal])
-            if worst is not None:
-                found.append(WorstMoment(signal, version, float(measured["time"].iloc[worst[0]]), worst[1]))
-    return found
-
-
-def findings_text(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> str:
-    """The result as Markdown."""
-    return "\n".join(_lines(gap, machine, units))
-
-
-def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapping[str, str]) -> None:
-    """The text, valid at all times, and a line at each worst moment."""
-    rr = sdk()
-    rr.log(ENTITY, rr.TextDocument(text, media_type="text/markdown"), static=True, recording=stream)
-    for moment in sorted(moments, key=lambda item: item.time):
-        rr.set_time(TIMELINE, duration=moment.time, recording=stream)
-        size = quantity(abs(moment.error), units.get(moment.signal, "1"))
-        level = "WARN" if moment.version == "before" else "INFO"
-        text = f"{moment.version}: largest error of {moment.signal}, {size}"
-        rr.log(MOMENTS, rr.TextLog(text, level=level), recording=stream)
-    rr.reset_time(recording=stream)
-
-
-def _lines(gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Iterator[str]:
-    yield f"## {gap.headline}\n"
-    for effect in gap.effects:
-        values = ", ".join(_value(effect, name, machine) for name in effect.parameters)
-        title = title_of(BY_NAME[effect.name], effect.target, machine) if effect.name in BY_NAME else effect.name
-        yield f"- **{title}** on {effect.target}: {values}"
-    for item in gap.unnamed:
-        yield f"- unnamed at the {item.stage} stage of {item.target}: depends on {item.depends_on}"
-    yield "\n### Held-out error (RMSE)\n"
-    yield "| signal | before | after | sensor noise |"
-    yield "| --- | --- | --- | --- |"
-    for signal, before in gap.gap.before.items():
-        figures = (before, gap.gap.after.get(signal, before), gap.gap.noise_floor.get(signal, np.nan))
-        texts = (quantity(value, units.get(signal, "1")) if np.isfinite(value) else "–" for value in figures)
-        yield f"| {signal} | {' | '.join(texts)} |"
-
-
-def _value(effect: NamedEffect, name: str, machine: Machine) -> str:
-    unit = parameter_unit(effect.name, name, effect.target, machine, effect.units)
-    value = effect.parameters[name]
-    if not isinstance(value, int | float):
-        return f"{name.replace('_', ' ')} {value}"
-    low, high = effect.interval95.get(name, (np.nan, np.nan))
-    spread = ""
-    if not isinstance(low, tuple) and not isinstance(high, tuple) and np.isfinite([low, high]).all():
-        spread = f" ({interval(low, high, unit, 4)})"
-    return f"{name.replace('_', ' ')} {quantity(value, unit, 4)}{spread}"
-
 
 #: Largest number of maps per output, and the least share of the variance that they explain.
 MAX_MAPS, MIN_EXPLAINED = 3, 0.15
@@ -126,21 +45,13 @@ def entity(item: Map) -> str:
     return "/".join(("maps", item.signal, item.quantity.replace(" ", "_"), item.over.replace(" ", "_")))
 
 
-def log_maps(
-    stream: Any, maps: Sequence[Map], colours: Mapping[str, tuple[int, int, int]], units: Mapping[str, tuple[float, str]]
-) -> None:
-    """Log the informative maps, valid at all times.
-
-    Args:
-        colours: of ``before`` and ``after``.
-        units: SI unit → display factor and unit.
-    """
+def log_maps(stream: Any, maps: Sequence[Map], colours: Mapping[str, tuple[int, int, int]]) -> None:
+    """Log the informative maps, valid at all times; ``colours``: of ``before`` and ``after``."""
     for item in informative(maps):
-        factor, label = _shown(item.error_unit, units)
-        across, unit = _shown(item.unit, units)
+        factor, across = shown_unit(item.error_unit)[0], shown_unit(item.unit)[0]
         curves = {"before": factor * np.array(item.mean), "after": factor * np.array(item.after)}
         curves = {name: values for name, values in curves.items() if len(values)}
-        words = (f"{item.over} [{unit}]" if unit else item.over, f"{item.quantity} of {item.signal} [{label}]")
+        words = with_unit(item.over, item.unit), with_unit(f"{item.quantity} of {item.signal}", item.error_unit)
         _log_chart(stream, entity(item), across * np.array(item.at), curves, 2.0 * factor * item.noise_floor, words, colours)
 
 
@@ -202,12 +113,6 @@ def _log_chart(
         log(f"{name}/bins", rr.Points2D(points, colors=[colours[name]], radii=1.6))
         end = points[-1:] + np.array([[MARGIN, 0.0]]) if len(points) else points
         log(f"{name}/name", rr.Points2D(end, labels=[name], colors=[colours[name]], radii=0.1, show_labels=True))
-
-
-def _shown(unit: str, units: Mapping[str, tuple[float, str]]) -> tuple[float, str]:
-    """Display factor and unit; of a rate those of its signal."""
-    factor, label = units.get(unit.removesuffix("/s"), (1.0, unit.removesuffix("/s").removesuffix("1")))
-    return factor, f"{label or 1}/s" if unit.endswith("/s") else label
 
 
 #: Seconds of the past that the trails of boom tip and tool show.

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.display import shown_unit, with_unit
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, link_entity, link_shapes, log_shapes, saved, sdk
+from sysid.view.drawing import STYLES, TIMELINE, link_entity, link_shapes, log_shapes, saved, sdk
 from sysid.view.layout import blueprint
 from sysid.world import World, WorldState
 
@@ -69,11 +70,9 @@ def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, st
     links = link_shapes(machine.urdf_text or "", kinematics)
     factors = {}
     for signal in source.signals:
-        unit = units.get(signal, "1")
-        factors[signal], shown_as = DISPLAY_UNITS.get(unit, (1.0, unit))
+        factors[signal], _ = shown_unit(units.get(signal))
         for name, style in (("measured", STYLES["measured"]), ("world", STYLES["after"])):
-            label = name if shown_as in ("", "1") else f"{name} [{shown_as}]"
-            look = rr.SeriesLines(colors=[style.colour], names=[label])
+            look = rr.SeriesLines(colors=[style.colour], names=[with_unit(name, units.get(signal))])
             rr.log(f"signals/{signal}/{name}", look, static=True, recording=stream)
     log_shapes(stream, "machine/world", machine, kinematics, STYLES["measured"])
     every = max(1, round(source.rate_hz / STATE_HZ))

@@ -1,18 +1,27 @@
-"""Writes a Rerun recording (``.rrd``): moving machine, trails, signals, and their layout."""
+"""Writes Rerun recordings (``.rrd``): of a recording with its simulations (moving machine, trails, signals, errors, findings),
+and of path tracking (path, machines, errors, commands, and text at its moment).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.display import quantity, shown_unit, with_unit
+from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult
+from sysid.machine import Machine
+from sysid.reports.result_figures import effect_figures, error_table, unnamed_sentence
+from sysid.reports.words import effect_title
+from sysid.signals import axis_signal, point_signals
 from sysid.view.drawing import (
-    DISPLAY_UNITS,
     OTHER_COLOURS,
     STYLES,
     TIMELINE,
@@ -24,8 +33,10 @@ from sysid.view.drawing import (
     sdk,
     send_piece,
     styles_of,
-)  # fmt: skip
-from sysid.view.layout import WorstMoment, blueprint, findings_text, log_findings, log_maps, worst_moments
+)
+from sysid.view.layout import ENTITY, MOMENTS, blueprint, log_maps, machine_view, screen
+
+Array = npt.NDArray[np.float64]
 
 
 def write_rerun(
@@ -64,9 +75,60 @@ def write_rerun(
         _log_signals(stream, dataset, source, tables, styles)
         _log_errors(stream, dataset, tables, styles, moments)
         if gap is not None:
-            log_findings(stream, findings_text(gap, dataset.machine, dataset.units), moments, dataset.units)
-        log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, DISPLAY_UNITS)
+            log_findings(stream, findings_text(gap, dataset), moments, dataset.units)
+        log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")})
     return path
+
+
+@dataclass(frozen=True)
+class WorstMoment:
+    """The row with the largest error of a simulated signal: ``error`` (simulated − measured) [SI] at ``time`` [s]."""
+
+    signal: str
+    version: str
+    time: float
+    error: float
+
+
+def worst_moments(tables: Mapping[str, pd.DataFrame]) -> list[WorstMoment]:
+    """Of every signal of every simulation; ``tables`` holds ``measured`` and simulations with the same rows."""
+    found = []
+    measured = tables["measured"]
+    for version, table in tables.items():
+        if version == "measured" or len(table) != len(measured):
+            continue
+        for signal in table.columns:
+            if signal == "time" or signal.endswith(".command") or signal not in measured:
+                continue
+            worst = worst_row(table[signal], measured[signal])
+            if worst is not None:
+                found.append(WorstMoment(signal, version, float(measured["time"].iloc[worst[0]]), worst[1]))
+    return found
+
+
+def findings_text(gap: GapResult, dataset: Dataset) -> str:
+    """The result as Markdown: effects with their values, unnamed errors, the held-out error of every signal."""
+    lines = [f"## {gap.headline}\n"]
+    for effect in gap.effects:
+        title = effect_title(effect.name, effect.target, dataset.machine)
+        lines.append(
+            f"- **{title}** on {effect.target}: {', '.join(figure.sentence for figure in effect_figures(effect, dataset))}"
+        )
+    lines += [f"- {unnamed_sentence(item, dataset.machine)}" for item in gap.unnamed]
+    return "\n".join([*lines, "\n### Held-out error (RMSE)\n", error_table(gap.gap, dataset.units).markdown()])
+
+
+def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapping[str, str]) -> None:
+    """The text, valid at all times, and a line at each worst moment."""
+    rr = sdk()
+    rr.log(ENTITY, rr.TextDocument(text, media_type="text/markdown"), static=True, recording=stream)
+    for moment in sorted(moments, key=lambda item: item.time):
+        rr.set_time(TIMELINE, duration=moment.time, recording=stream)
+        size = quantity(abs(moment.error), units.get(moment.signal, "1"))
+        level = "WARN" if moment.version == "before" else "INFO"
+        text = f"{moment.version}: largest error of {moment.signal}, {size}"
+        rr.log(MOMENTS, rr.TextLog(text, level=level), recording=stream)
+    rr.reset_time(recording=stream)
 
 
 def _log_errors(
@@ -76,11 +138,11 @@ def _log_errors(
     rr = sdk()
     measured = tables["measured"]
     for moment in moments:
-        factor, unit = DISPLAY_UNITS.get(dataset.units.get(moment.signal, "1"), (1.0, dataset.units.get(moment.signal, "")))
+        factor, _ = shown_unit(dataset.units.get(moment.signal))
         error = factor * (tables[moment.version][moment.signal] - measured[moment.signal]).to_numpy(dtype=np.float64)
         known, time = np.isfinite(error), measured["time"].to_numpy(dtype=np.float64)
         colour, place = styles[moment.version].colour, f"errors/{moment.signal}/{moment.version}"
-        log_curve(stream, place, time[known], error[known], colour, f"{moment.version} [{unit}]")
+        log_curve(stream, place, time[known], error[known], colour, with_unit(moment.version, dataset.units.get(moment.signal)))
         look = rr.SeriesPoints(colors=[colour], markers=["circle"], marker_sizes=[7.0], names=[f"largest {moment.version}"])
         rr.log(f"{place}/largest", look, static=True, recording=stream)
         largest = rr.Scalars.columns(scalars=np.array([factor * moment.error]))
@@ -95,7 +157,8 @@ def _log_signals(
         zip((s for s in source.signals if s.endswith(".command")), OTHER_COLOURS * len(source.signals), strict=False)
     )
     for signal in source.signals:
-        factor, unit = DISPLAY_UNITS.get(dataset.units.get(signal, "1"), (1.0, dataset.units.get(signal, "")))
+        unit = dataset.units.get(signal)
+        factor, _ = shown_unit(unit)
         for name, table in tables.items():
             if signal not in table.columns or (signal.endswith(".command") and name != "measured"):
                 continue
@@ -103,8 +166,69 @@ def _log_signals(
             known = np.isfinite(values)
             if not known.any():
                 continue
-            label = signal.removesuffix(".command") if signal in commands else name
-            label = f"{label} [{unit}]" if unit not in ("", "1") else label
+            label = with_unit(signal.removesuffix(".command") if signal in commands else name, unit)
             colour = commands.get(signal, styles[name].colour)
             time, width = table["time"].to_numpy(dtype=np.float64)[known], 1.5 if name == "measured" else 2.2
             log_curve(stream, f"signals/{signal}/{name}", time, values[known], colour, label, width)
+
+
+# -- path tracking ------------------------------------------------------------------------------------------------------
+
+#: Colour of a path [RGB].
+_PATH = (230, 60, 90)
+
+
+def write_tracks(
+    path: Path,
+    machine: Machine,
+    target: Array,
+    rows: Mapping[str, pd.DataFrame],
+    name: str,
+    *,
+    point: str = "ee",
+    texts: Sequence[tuple[float, str]] = (),
+) -> Path:
+    """Write the tracking of one path by one or several policies.
+
+    Args:
+        path: the ``.rrd`` file.
+        target: end-effector targets, (n, 3) [m], in the rows of the tables.
+        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands if any (SI).
+        name: of the recording.
+        point: whose error is drawn, ``ee`` or ``tool``.
+        texts: lines of a log, each with its time [s].
+    """
+    rr = sdk()
+    with rerun_file(path, name, _track_layout(list(rows), bool(texts)), name) as stream:
+        rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
+        rr.log("machine/path", rr.LineStrips3D([target], colors=[_PATH], radii=0.0015), static=True, recording=stream)
+        styles = [STYLES["measured"], *styles_of(rows)]
+        kinematics = machine.kinematics()
+        for style, (policy, table) in zip(styles, rows.items(), strict=False):
+            if kinematics is not None:
+                log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
+            log_points(stream, f"machine/{policy}", machine, table, style)
+            error = shown_unit("m")[0] * (table[list(point_signals(point))].to_numpy(dtype=np.float64) - target)
+            commands = [axis_signal(axis, "command") for axis in machine.axis_names]
+            curves = {f"error/{axis}/{policy}": (error[:, k], with_unit(policy, "m")) for k, axis in enumerate("xyz")}
+            for signal in commands:
+                if signal in table and table[signal].notna().any():
+                    curves[f"commands/{signal}/{policy}"] = (table[signal].to_numpy(dtype=np.float64), policy)
+            for entity, (values, label) in curves.items():
+                log_curve(stream, entity, table["time"].to_numpy(dtype=np.float64), values, style.colour, label)
+        if texts:
+            times, lines = zip(*texts, strict=True)
+            send_piece(stream, "texts", np.array(times), rr.TextLog.columns(text=list(lines)))
+    return path
+
+
+def _track_layout(policies: list[str], texts: bool) -> object:
+    import rerun.blueprint as rrb
+
+    points = [f"machine/{policy}/{point}" for policy in policies for point in ("ee", "tool")]
+    errors = [rrb.TimeSeriesView(origin=f"error/{axis}", name=f"error {axis}") for axis in "xyz"]
+    right = rrb.Vertical(*errors, rrb.TimeSeriesView(origin="commands", name="commands"))
+    left = machine_view(points, TIMELINE)
+    if texts:
+        left = rrb.Vertical(left, rrb.TextLogView(origin="texts", name="findings"), row_shares=[3, 1])
+    return screen(rrb.Horizontal(left, right), TIMELINE)

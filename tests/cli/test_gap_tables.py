@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli.gap_tables import WIDTH, entry, next_steps, plain_reason
-from sysid.cli.output import Printer
-from sysid.cli.tables import show_gap
+from sysid.cli.gap_tables import next_steps, plain_reason, show_gap
+from sysid.cli.output import WIDTH, Printer
 from sysid.datasets import Dataset
 from sysid.gap import GapResult
 from sysid.gap.reasons import Reason
@@ -122,7 +121,7 @@ def test_next_steps_are_grouped_over_axes_and_short(capsys: pytest.CaptureFixtur
 )
 def test_a_sentence_is_whole_in_lines_of_80_columns(text: str, bullet: str) -> None:
     lines: list[str] = []
-    entry(SimpleNamespace(line=lines.append), text, bullet)  # type: ignore[arg-type]
+    Printer.entry(SimpleNamespace(line=lines.append), text, bullet)  # type: ignore[arg-type]
     assert all(len(line) <= WIDTH for line in lines)
     assert "".join("".join(lines).split()) == "".join((bullet + text if lines else "").split())
 

@@ -175,7 +175,7 @@ def test_export_and_card(place: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert run(*ws, "promote", "crane-actuator@1", "--anyway", "<b>first</b>") == 0
     assert run(*ws, "card", "crane-actuator") == 0
     text = (place / "cards/crane-actuator@1.md").read_text()
-    assert re.search(r"\| boom\.joint in motion \| [\d.]+° \| .* \| (polynomial, degree \d|linkage geometry): ", text)
+    assert re.search(r"\| boom\.joint in motion \| [\d.]+° \| .* \| (polynomial, degree \d|linkage geometry) [\d.]+° \|", text)
     assert "| raw file | run-1/log.csv | 10 bytes | abababababab |" in text
     assert 'open_workspace("./workspace").network("crane-actuator@1")' in text
     page = (place / "cards/crane-actuator@1.html").read_text()

@@ -35,7 +35,7 @@ def test_the_verdicts_say_what_there_is_and_what_to_record(workspace: Path, caps
     assert run("--workspace", workspace, "datasets", "lift", "--quality") == 0
     out = capsys.readouterr().out
     lines = [" ".join(line.split()) for line in out.splitlines()]
-    assert any(line.startswith("boom 30 % 10 % / 10 % 16 / 16 0.0 / 0.0 32 12 ") for line in lines), out
+    assert any(line.startswith("boom 30 % 10 % / 10 % 16.0 / 16.0 0.0 / 0.0 0.0 / 0.0 40.0 32 12") for line in lines), out
     assert "Command dead-band boom 0 of 2 s of small commands on each side" in lines
     assert "→ Record boom with slow commands from 0 to 30 % and back on both sides, 30 s." in lines
     assert "cannot be shown: machine.toml names no URDF" in lines

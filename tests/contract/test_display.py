@@ -8,7 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.display import MINUS, decimals_for, fixed, interval, number, percent, quantity, ratio, shown_unit
+from sysid.display import (
+    MINUS,
+    decimals_for,
+    fixed,
+    interval,
+    minute,
+    number,
+    percent,
+    quantity,
+    ratio,
+    shown_unit,
+    size_text,
+    with_unit,
+)
+from sysid.errors import SettingsError
 from sysid.reports.words import effect_sentence
 
 
@@ -69,6 +83,24 @@ def test_number_is_right_to_its_digits(value: float, digits: int) -> None:
 def test_units_that_are_shown_as_they_are() -> None:
     assert shown_unit("N·m") == (1.0, "N·m")
     assert shown_unit(None) == (1.0, "")
+    for unit in ("N·m·s/rad", "rad/(N·m)", "kg·m²", "1/s", "1 / s", "ppm", "%", "°C"):
+        assert shown_unit(unit) == (1.0, unit)
+
+
+@pytest.mark.parametrize("unit", ["joint", "drive/s", "command/s", "signal", "N or N·m", "mm", "furlong", "m;s"])
+def test_what_is_no_si_unit_raises(unit: str) -> None:
+    for text in (lambda: quantity(1.0, unit), lambda: interval(0.0, 1.0, unit), lambda: with_unit("speed", unit)):
+        with pytest.raises(SettingsError, match=f"unit of a figure: '{unit}'; expected an SI unit"):
+            text()
+
+
+def test_a_title_has_the_unit_of_what_is_shown() -> None:
+    assert (with_unit("speed", "rad/s"), with_unit("command", "1"), with_unit("x", None)) == ("speed [°/s]", "command", "x")
+
+
+def test_sizes_and_times() -> None:
+    assert [size_text(count) for count in (12, 1.5e3, 1.5e6, 2e9)] == ["12 bytes", "1.5 kB", "1.5 MB", "2.0 GB"]
+    assert minute(1764087060000) == "2025-11-25 16:11"
 
 
 def test_a_gain_beside_a_dead_band_is_told_as_the_slope_that_it_is() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sysid.registry.effect_changes import EffectChange, effect_changes, effect_interval, effect_value
+from sysid.registry.effect_changes import EffectChange, effect_changes
 
 
 def lineage(*effects: dict[str, Any]) -> dict[str, Any]:
@@ -31,14 +31,3 @@ def test_the_same_effect_on_another_axis_is_another_one() -> None:
 
 def test_an_effect_without_parameters_or_intervals_counts() -> None:
     assert effect_changes({}, lineage({"name": "a", "target": "b"})) == (EffectChange("a", "b", "", None, "", ()),)
-
-
-def test_a_value_has_the_unit_and_digits_of_the_report_where_its_unit_is_known() -> None:
-    with_units = {**BACKLASH, "units": {"width": "rad"}}
-    (change,) = effect_changes({}, lineage(with_units))
-    assert change.unit == "rad"
-    assert effect_value(change.after, change.unit) == "0.5730°"
-    assert effect_interval(change.interval95, change.unit) == "0.516 to 0.630°"
-    assert (effect_value(0.0105102, ""), effect_interval((0.009, 0.011), "")) == ("0.0105102", "0.009 to 0.011")
-    assert effect_value([0.012, -0.001], "m") == "12.00\u202fmm, −1.000\u202fmm"
-    assert (effect_value(None, "m"), effect_value("drive", ""), effect_interval((), "m")) == ("none", "drive", "")

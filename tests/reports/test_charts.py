@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid.figures import ErrorFigure
 from sysid.pictures import ticks
 from sysid.reports.charts import ChartCurve, chart, heat_map
 from sysid.reports.picture_parts import Canvas
-from sysid.reports.sections.summary import SignalGap, dumbbells
+from sysid.reports.sections.summary import dumbbells
 
 
 @given(st.floats(-1e4, 1e4), st.floats(1e-6, 1e4))
@@ -38,7 +39,7 @@ def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
 
 @pytest.mark.parametrize("after", [0.0, 1e-6, 2e-3])
 def test_errors_below_the_noise_have_a_place(after: float) -> None:
-    text = dumbbells([SignalGap("a.joint", "rad", after, after, 1e-3)], repaired=True)
+    text = dumbbells([ErrorFigure("a.joint", "rad", after, after, 1e-3)], repaired=True)
     places = [float(x) for x in re.findall(r'cx="([^"]*)"', text)]
     assert len(places) == 2
     assert all(190.0 <= x <= 710.0 for x in places)

@@ -6,7 +6,7 @@ from sysid.datasets import Dataset
 from sysid.datasets.clocks.records import align
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.reports import ReportInputs, build_report
-from sysid.reports.sections import clocks
+from sysid.reports.sections import quality
 from tests.datasets.test_clock_resets import set_clock
 from tests.datasets.test_clock_residual import stored
 
@@ -14,7 +14,7 @@ from tests.datasets.test_clock_residual import stored
 def test_every_piece_of_a_stream_is_shown_with_its_pictures(crane: Dataset) -> None:
     recording, _ = set_clock(60.0, 30.0, 1.7)
     inputs = ReportInputs(crane, clocks=clock_residuals(stored(recording), align([recording])))
-    values = clocks.context(inputs)
+    values = quality.clocks(inputs)
     assert values is not None
     assert [len(record["pictures"]) for record in values["records"]] == [3, 3]
     assert "s its clock was set by +1." in values["records"][1]["reason"]
@@ -24,4 +24,4 @@ def test_every_piece_of_a_stream_is_shown_with_its_pictures(crane: Dataset) -> N
 
 
 def test_without_raw_channels_the_section_is_left_out(crane: Dataset) -> None:
-    assert clocks.context(ReportInputs(crane)) is None
+    assert quality.clocks(ReportInputs(crane)) is None

@@ -8,8 +8,13 @@ import pytest
 
 from sysid.datasets.recording import Dataset
 from sysid.effects.units import parameter_unit
-from sysid.machine import Axis, machine_from_files
-from sysid.reports.words import remainder_unit, shown
+from sysid.machine import Axis, Machine, machine_from_files
+from sysid.reports.result_figures import parameters_of
+from sysid.reports.words import remainder_unit
+
+
+def text_of(effect: str, parameter: str, target: str, value: float, machine: Machine) -> str:
+    return parameters_of(effect, target, {parameter: value}, machine)[0].text
 
 
 @pytest.mark.parametrize(
@@ -36,8 +41,8 @@ def test_unit(crane: Dataset, effect: str, parameter: str, target: str, unit: st
 def test_a_prismatic_force_axis_without_geometry_has_newtons(crane: Dataset) -> None:
     slide = Axis("slide", "force", "joint", inertia=95.0, joint_type="prismatic")
     machine = replace(crane.machine, axes=(slide,), urdf=None, urdf_text=None, tip=None, tool=None)
-    assert shown("coulomb_friction", "force", "slide", 20.71, machine) == "20.7\u202fN"
-    assert shown("viscous_friction", "coefficient", "slide", 203.0, machine) == "203\u202fN·s/m"
+    assert text_of("coulomb_friction", "force", "slide", 20.71, machine) == "20.7\u202fN"
+    assert text_of("viscous_friction", "coefficient", "slide", 203.0, machine) == "203\u202fN·s/m"
 
 
 def test_a_revolute_force_axis_without_geometry_has_newton_metres(crane: Dataset) -> None:
@@ -58,7 +63,7 @@ def test_the_load_of_a_joint_behind_a_cylinder_is_a_moment(crane: Dataset) -> No
 def test_a_sensor_of_a_servo_without_geometry_reads_an_angle(crane: Dataset) -> None:
     servo = Axis("pitch", "position", "joint")
     machine = replace(crane.machine, axes=(servo,), urdf=None, urdf_text=None, tip=None, tool=None)
-    assert shown("sensor_bias", "bias", "pitch.joint", 0.037, machine) == "2.12°"
+    assert text_of("sensor_bias", "bias", "pitch.joint", 0.037, machine) == "2.12°"
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,7 @@ def test_a_policy_is_promoted_when_it_is_no_worse_than_the_one_in_use(workspace:
     assert versions.promote("rated@1").promoted
     refused = versions.promote("rated@2")
     assert not refused.promoted
-    assert refused.checks[0].text == "error 20.78 mm, rated@1 17.32 mm"
+    assert refused.checks[0].text == "error 20.78\u202fmm, rated@1 17.32\u202fmm"
     assert versions.promote("rated@3").promoted
     assert not versions.promote("rated@4").promoted
     assert workspace.models.find("rated").reference == "rated@3"

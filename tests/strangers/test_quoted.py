@@ -24,7 +24,7 @@ from sysid.machine import KnownEffect
 from sysid.machine.sources import mjcf_model
 from sysid.plant import effects_toml
 from sysid.quoting import code, comment, markdown, toml_key, toml_value
-from sysid.versions.card import Card, CardBlock
+from sysid.reports.card import Card, CardBlock
 
 #: Ends of strings and comments, escapes and templates of many languages, marks that hide text, words that are reserved.
 HOSTILE = (

@@ -17,8 +17,9 @@ from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.member import LearningCurve
 from sysid.networks.motion_inputs import MotionBounds, Window
 from sysid.registry import Registry
+from sysid.reports.card import card_of
 from sysid.validate import validate_model
-from sysid.versions import card_of, diff_versions, drift_of, policy_checks
+from sysid.versions import diff_versions, drift_of, policy_checks
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.onnx_export import export_onnx
 from sysid.versions.policy import PromotionPolicy

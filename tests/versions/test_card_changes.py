@@ -8,7 +8,7 @@ from pathlib import Path
 from sample_workspace import sample_workspace
 
 from sysid.model_versions import ModelVersions
-from sysid.versions.card import CardBlock
+from sysid.reports.card import CardBlock
 
 
 def block(versions: ModelVersions, reference: str) -> CardBlock | None:

@@ -168,7 +168,7 @@ def test_errors_run_beside_their_signals_with_a_mark_at_the_worst_moment(written
 
 def test_the_findings_are_text_with_values_and_units(written: Written) -> None:
     text = "".join(drawn(written, "/findings", "text"))
-    assert "**Backlash** on slew: width 0.6028° (0.5964 to 0.6108°)" in text
+    assert "**Backlash** on slew: width 0.603° (0.596 to 0.611°)" in text
     assert "| boom.cylinder |" in text
 
 

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.display import shown_unit, with_unit
 from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import DISPLAY_UNITS, OTHER_COLOURS, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
+from sysid.view.drawing import OTHER_COLOURS, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
 from sysid.view.layout import machine_view, screen
 from sysid_rl.run.flight_messages import CYCLES, VERDICTS
 from sysid_rl.run.tail import LogMessage, Tail
@@ -96,11 +97,10 @@ class _FlightView:
             log_shapes(stream, "machine/now", machine, self._kinematics, STYLES["measured"])
         self._factors = []
         for axis, colour in zip(machine.axis_names, OTHER_COLOURS * len(machine.axis_names), strict=False):
-            factor, unit = DISPLAY_UNITS.get(machine.expected_unit(axis_signal(axis, "joint")) or "", (1.0, ""))
-            self._factors.append(factor)
+            unit = machine.expected_unit(axis_signal(axis, "joint"))
+            self._factors.append(shown_unit(unit)[0])
             for name, style in (("joint", STYLES["measured"]), ("setpoint", STYLES["after"])):
-                label = f"{name} [{unit}]" if unit else name
-                self._curve(f"axes/{axis}/{name}", style.colour, label)
+                self._curve(f"axes/{axis}/{name}", style.colour, with_unit(name, unit))
             self._curve(f"commands/{axis}", colour, axis)
         self._curve("timing/lateness", STYLES["before"].colour, "lateness [µs]")
         self._curve("timing/turn", STYLES["after"].colour, "a cycle took [µs]")

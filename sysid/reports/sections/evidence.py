@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from sysid import display
 from sysid.datasets.recording import Dataset
+from sysid.figures import Table
 from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.words import RejectedEffect, label_of, least_error, outcome, rejected, shown
+from sysid.reports.result_figures import parameters_of
+from sysid.reports.words import RejectedEffect, label_of, least_error, outcome, rejected
 
 #: Largest number of shown rows of a stage.
 MAX_ROWS = 25
@@ -61,35 +65,35 @@ def _bar(times: float, largest: float) -> int | None:
 def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, dataset: Dataset) -> dict[str, Any]:
     ordered = sorted(rows, key=lambda row: (not math.isfinite(row.selection_rmse), row.selection_rmse))
     best, named = least_error(ordered), [(effect.name, effect.target) for effect in gap.effects]
-    shown_rows = []
+    shown: list[tuple[object, ...]] = []
+    row_classes = {}
     for row in ordered[:MAX_ROWS]:
         why, won = outcome(row, best, named)
-        added, refitted = _titles(row, target, dataset.machine)
-        shown_rows.append(
-            {
-                "effects": added,
-                "refitted": refitted,
-                "parameters": _parameters(row, dataset),
-                "fit": display.fixed(row.fit_rmse, 2),
-                "bic": display.fixed(row.delta_bic, 0),
-                "verdict": why,
-                "won": won,
-            }
-        )
-    return {"stage": words.stage_name(stage), "target": words.owner_name(target), "count": len(ordered), "rows": shown_rows}
+        if won:
+            row_classes[len(shown)] = "won"
+        figures = display.fixed(row.fit_rmse, 2), display.fixed(row.delta_bic, 0)
+        shown.append((_titles(row, target, dataset.machine), _parameters(row, dataset), *figures, why))
+    header = ("Added", "Fitted values", "Error", "2 Δ log evidence", "Result")
+    return {
+        "stage": words.stage_name(stage),
+        "target": words.owner_name(target),
+        "count": len(ordered),
+        "figures": Table(header, shown, (2, 3), row_classes=row_classes),
+    }
 
 
-def _titles(row: ComparedModel, target: str, machine: Machine) -> tuple[str, str]:
-    """Titles of the added effects, and of those that were only refitted."""
+def _titles(row: ComparedModel, target: str, machine: Machine) -> Markup:
+    """Titles of the added effects, and in small print of those that were only refitted."""
     added: list[str] = []
     refitted: list[str] = []
     for text in row.effects:
-        name, of, rest, again = label_of(text)
+        name, of, rest, only = label_of(text)
         extra = [words.owner_name(of)] if of and of != target else []
         extra += [rest] if rest else []
         title = words.effect_title(name, of or target, machine) + (f" ({', '.join(extra)})" if extra else "")
-        (refitted if again else added).append(title)
-    return " + ".join(added) or "nothing added", ", ".join(title.lower() for title in refitted)
+        (refitted if only else added).append(title)
+    again = Markup("<small> with {} readjusted</small>").format(", ".join(refitted).lower()) if refitted else ""
+    return escape(" + ".join(added) or "nothing added") + again
 
 
 def _parameters(row: ComparedModel, dataset: Dataset) -> str:
@@ -101,6 +105,6 @@ def _parameters(row: ComparedModel, dataset: Dataset) -> str:
         effect, target, _, refitted = label_of(label)
         if refitted:
             continue
-        text = shown(effect, name.partition("[")[0], target or row.target, value, dataset.machine, units=dataset.units)
-        groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
+        figures = parameters_of(effect, target or row.target, {name: value}, dataset.machine, dataset.units)
+        groups.setdefault(label, []).extend(figure.sentence for figure in figures)
     return "; ".join(", ".join(parts) for parts in groups.values())

@@ -1,12 +1,16 @@
-"""Excitation verdict for every effect and location, and what to record if it is insufficient."""
+"""Excitation verdict for every effect and location, and what to record: before any fit, and after a gap result."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+from markupsafe import Markup
+
 from sysid import display
+from sysid.figures import Table
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict
+from sysid.gap.result import EXPERIMENTS, Excitation
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.dataset_texts import SIDES, amount, by_reason, request_text
@@ -25,7 +29,6 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     machine = inputs.dataset.machine
     counted = {_column(v, machine) for v in found.verdicts if v.status != "hidden"}
     columns, others = [name for name in machine.axis_names if name in counted], "" in counted
-    reasons = by_reason(found.of("hidden"), inputs.dataset.machine)
     return {
         "ready": len(found.of("ready")),
         "lacking": len(found.of("lacking")),
@@ -43,10 +46,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "columns": columns,
         "others": others,
         "rows": _rows(found, machine, columns, others),
-        "reasons": [
-            {"why": why, "effects": [{"title": group.title, "places": group.places} for group in groups]}
-            for why, groups in reasons
-        ],
+        "reasons": by_reason(found.of("hidden"), machine),
         "mark": MARK,
     }
 
@@ -99,3 +99,45 @@ def _cell(verdicts: Sequence[ExcitationVerdict], named: bool) -> dict[str, Any] 
         "place": words.owner_name(worst.target) if named else "",
         "title": "; ".join(v.text for v in verdicts),
     }
+
+
+# -- what to record next ------------------------------------------------------------------------------------------------
+
+
+def experiments(inputs: ReportInputs) -> dict[str, Any] | None:
+    """Context of the section about recordings that a gap result suggests."""
+    gap, machine, units = inputs.gap, inputs.dataset.machine, inputs.dataset.units
+    if gap is None or not (gap.next_experiment or gap.excitation or gap.ambiguous or gap.unnamed):
+        return None
+    counted = sorted(gap.excitation, key=lambda item: (item.target, item.name))
+    unnamed = [
+        (
+            words.stage_name(item.stage),
+            words.owner_name(item.target),
+            display.quantity(item.rmse, words.remainder_unit(item.stage, item.target, machine, units)),
+            words.signal_name(item.depends_on) if item.depends_on in units else item.depends_on,
+            Markup("<code>{}</code>").format(words.with_titles(item.form, machine)),
+        )
+        for item in gap.unnamed
+    ]
+    return {
+        "steps": gap.next_experiment,
+        "planned": [(item.words, f"{EXPERIMENTS}/{item.name}.toml") for item in gap.experiments],
+        "lacking": _amounts([item for item in counted if not item.sufficient], machine),
+        "enough": _amounts([item for item in counted if item.sufficient], machine),
+        "ties": [words.tie_text(tie, machine) for tie in gap.ambiguous],
+        "unnamed": Table(("Stage", "Where", "Size (RMS)", "Depends on", "Form"), unnamed, (2,)),
+    }
+
+
+def _amounts(found: Sequence[Excitation], machine: Machine) -> Table:
+    rows = [
+        (
+            words.effect_title(item.name, item.target, machine),
+            words.owner_name(item.target),
+            f"{display.number(item.have)} {item.unit}".strip(),
+            f"{display.number(item.need)} {item.unit}".strip(),
+        )
+        for item in found
+    ]
+    return Table(("Effect", "Where", "Recorded", "Needed"), rows, (2, 3))

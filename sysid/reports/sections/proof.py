@@ -1,18 +1,23 @@
-"""The proof: promotion conditions, share of the gap that each effect closes, gap in the PyBullet world."""
+"""The proof: promotion conditions, share of the gap that each effect closes, gap in the PyBullet world; and what was added."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Literal, cast
 
 from markupsafe import Markup
 
 from sysid import display
-from sysid.gap.result import GapResult, NamedEffect, Promotion, WorldGap
-from sysid.machine import Machine
+from sysid.datasets.recording import Dataset
+from sysid.figures import ParameterFigure, Table, aligned
+from sysid.gap.result import EffectEvidence, GapResult, NamedEffect, Promotion, WorldGap
+from sysid.machine import KnownEffect, Machine
+from sysid.plant import effects_toml
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections.summary import dumbbells, signal_gaps
+from sysid.reports.result_figures import parameters_of, point_errors
+from sysid.reports.sections.summary import dumbbells
 
 #: Name of a condition → text.
 CONDITIONS = {
@@ -34,7 +39,8 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     return {
         "held_out": gap.held_out_recordings,
         "promotion": _promotion(gap.promotion, gap) if gap.promotion is not None else None,
-        "effects": [_effect(effect, inputs.dataset.machine) for effect in gap.effects],
+        "effects": _effects(gap, inputs.dataset.machine),
+        "evidence": _evidence(gap, inputs.dataset.machine),
         "world": _world(gap.world_gap, inputs) if gap.world_gap is not None else None,
         "dataset": gap.dataset.partition("@")[0],
     }
@@ -62,36 +68,94 @@ def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
     }
 
 
-def _effect(effect: NamedEffect, machine: Machine) -> dict[str, Any]:
-    found = effect.evidence
-    return {
-        "title": words.effect_title(effect.name, effect.target, machine),
-        "target": words.owner_name(effect.target),
-        "share": effect.gap_share,
-        "without": display.ratio(found.ratio) if found is not None else display.NOTHING,
-        "bic": display.number(found.delta_bic) if found is not None else display.NOTHING,
-        "nats": display.number(found.nats) if found is not None else display.NOTHING,
-        "chance": _chance(found.p_value) if found is not None else display.NOTHING,
-    }
+def _effects(gap: GapResult, machine: Machine) -> Table:
+    rows = [
+        (*_place(effect, machine), Markup("<b>{}</b>").format(display.percent(effect.gap_share)), _without(effect.evidence))
+        for effect in gap.effects
+    ]
+    return Table(("Effect", "Where", "Closes of its stage's gap", "Error without it"), rows, (2, 3))
 
 
-def _chance(value: float) -> str:
-    return f"≤ {display.number(value, 1)}" if math.isfinite(value) else display.NOTHING
+def _evidence(gap: GapResult, machine: Machine) -> Table:
+    rows = [(*_place(effect, machine), *_support(effect.evidence)) for effect in gap.effects]
+    return Table(("Effect", "Where", "2 Δ log evidence", "Nats", "p-value"), rows, (2, 3, 4))
+
+
+def _place(effect: NamedEffect, machine: Machine) -> tuple[str, str]:
+    return words.effect_title(effect.name, effect.target, machine), words.owner_name(effect.target)
+
+
+def _without(found: EffectEvidence | None) -> str:
+    return display.NOTHING if found is None else display.ratio(found.ratio)
+
+
+def _support(found: EffectEvidence | None) -> tuple[str, str, str]:
+    """Log evidence, nats and p-value."""
+    if found is None:
+        return display.NOTHING, display.NOTHING, display.NOTHING
+    chance = f"≤ {display.number(found.p_value, 1)}" if math.isfinite(found.p_value) else display.NOTHING
+    return display.number(found.delta_bic), display.number(found.nats), chance
 
 
 def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
-    units = inputs.dataset.units
-    there, plain = (signal_gaps(g.before, g.after, g.noise_floor, units) for g in (found.world, found.compiled))
+    there, plain = (point_errors(gap, inputs.dataset.units) for gap in (found.world, found.compiled))
     rows = []
     for world, compiled in zip(there, plain, strict=True):
-        factor, unit = display.shown_unit(world.unit)
-        values = [factor * v for v in (world.before, compiled.before, world.after, compiled.after, world.noise_floor)]
-        decimals = display.decimals_for(values)
-        rows.append({"name": world.name, "unit": unit, "values": [display.fixed(value, decimals) for value in values]})
+        values = (world.before, compiled.before, world.after, compiled.after, world.noise_floor)
+        texts, unit = aligned(values, world.unit)
+        rows.append((world.name, *texts, unit))
+    header = ("Signal", "Before", "compiled", "After", "compiled", "Noise floor", "Unit")
     return {
-        "rows": rows,
+        "figures": Table(header, rows, (1, 2, 3, 4, 5)),
         "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > WORLD_RATIO * max(c.after, c.noise_floor)],
         "chart": Markup(dumbbells(there, repaired=found.world.after != found.world.before)),
         "recordings": found.recordings,
         "skipped": found.skipped,
     }
+
+
+# -- what was added -----------------------------------------------------------------------------------------------------
+
+
+def parameters(inputs: ReportInputs) -> dict[str, Any] | None:
+    """The values that the repaired plant uses, each with its 95 % interval."""
+    if inputs.gap is None or not inputs.gap.effects:
+        return None
+    rows = [row for effect in inputs.gap.effects for row in _parameter_rows(effect, inputs.dataset)]
+    header = ("Effect", "Where", "Parameter", "Value", "95 % interval", Markup('<span class="quiet">± 20 %</span>'))
+    row_classes = {number: "first" for number, row in enumerate(rows) if row[0]}
+    figures = Table((*header, "Simulation before"), rows, (3, 4, 6), row_classes=row_classes)
+    toml = effects_toml([_as_known(effect) for effect in inputs.gap.effects])
+    return {"figures": figures, "toml": toml, "difference": inputs.gap.machine_diff, "after": inputs.gap.plant_after}
+
+
+def _as_known(effect: NamedEffect) -> KnownEffect:
+    parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in effect.parameters.items()}
+    return KnownEffect(effect.name, effect.target, parameters, cast(Literal["drive", "structure"] | None, effect.side))
+
+
+def _parameter_rows(effect: NamedEffect, dataset: Dataset) -> Iterator[tuple[object, ...]]:
+    machine = dataset.machine
+    nominal = next((k.parameters for k in machine.effects if (k.name, k.target) == (effect.name, effect.target)), {})
+    place = words.effect_title(effect.name, effect.target, machine), words.owner_name(effect.target)
+    for figure in parameters_of(
+        effect.name, effect.target, effect.parameters, machine, dataset.units, effect.interval95, nominal
+    ):
+        known = figure.name not in effect.undetermined
+        value = Markup("<b>{}</b>").format(figure.text if known else "not determined")
+        before = "not in it" if figure.before is None else figure.before_text
+        bar = _interval_bar(figure) if known else ""
+        yield (*place, figure.label, value, figure.interval, bar, Markup('<span class="quiet">{}</span>').format(before))
+        place = "", ""
+
+
+def _interval_bar(figure: ParameterFigure) -> Markup:
+    """The interval around the estimate on a scale of ± 20 %; none for vectors."""
+    value, ends = figure.value, figure.interval95
+    if isinstance(value, list | tuple) or value == 0.0 or ends is None or not math.isfinite(float(ends[0]) + float(ends[1])):
+        return Markup("")
+    left, right = (max(-1.0, min(1.0, (end - value) / (0.2 * abs(value)))) for end in ends)
+    x = [60 + 54 * end for end in (left, right)]
+    scale = '<line class="scale" x1="6" x2="114" y1="8" y2="8"/>'
+    known = f'<line class="range" x1="{x[0]:.1f}" x2="{x[1]:.1f}" y1="8" y2="8"/><circle cx="60" cy="8" r="4"/>'
+    return Markup(f'<svg class="interval" viewBox="0 0 120 16" aria-hidden="true">{scale}{known}</svg>')

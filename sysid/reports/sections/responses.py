@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,30 +11,34 @@ from markupsafe import Markup
 
 from sysid import display
 from sysid.datasets.quality.responses import AxisResponse, Direction, responses_of
+from sysid.figures import Table
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
     found = responses_of(inputs.dataset)
-    shown = [_axis(response) for response in found if math.isfinite(response.delay)]
-    return {"axes": shown, "unknown": [each.axis for each in found if not math.isfinite(each.delay)]} if shown else None
+    shown = [response for response in found if math.isfinite(response.delay)]
+    pictures = [(response.axis, picture) for response in shown if (picture := _picture(response))]
+    header = ("Axis", "Delay", "Command", "Motion begins at", "Speed at full")
+    unknown = [response.axis for response in found if not math.isfinite(response.delay)]
+    return {"figures": Table(header, response_rows(shown)), "pictures": pictures, "unknown": unknown} if shown else None
 
 
-def _axis(response: AxisResponse) -> dict[str, Any]:
-    sides = [("positive", response.positive), ("negative", response.negative)]
-    return {
-        "name": response.axis,
-        "delay": display.interval(*response.delay95, "s"),
-        "sides": [side_texts(name, side, response.unit) for name, side in sides if side is not None],
-        "picture": _picture(response),
-    }
+def response_rows(responses: Sequence[AxisResponse]) -> list[tuple[str, ...]]:
+    """Axis and delay, and for each direction of the command: its name, where motion begins, the speed at full command."""
+    rows: list[tuple[str, ...]] = []
+    for response in responses:
+        delay = display.interval(*response.delay95, "s") if math.isfinite(response.delay) else display.NOTHING
+        sides = (("positive", response.positive), ("negative", response.negative))
+        texts = [_side(name, side, response.unit) for name, side in sides if side is not None] or [("", "", "")]
+        rows += [(response.axis, delay, *texts[0]), *(("", "", *text) for text in texts[1:])]
+    return rows
 
 
-def side_texts(name: str, side: Direction, unit: str) -> dict[str, str]:
-    """One direction of the command: its ``name``, where motion ``begins``, the speed at ``full``."""
+def _side(name: str, side: Direction, unit: str) -> tuple[str, str, str]:
     full = display.quantity(side.full, f"{unit}/s") if math.isfinite(side.full) else display.NOTHING
-    return {"name": name, "begins": _begins(side), "full": full}
+    return name, _begins(side), full
 
 
 def _begins(side: Direction) -> str:
@@ -59,5 +64,5 @@ def _picture(response: AxisResponse) -> Markup:
     if len(bins) < 2:
         return Markup("")
     command, speed = np.array(sorted(bins)).T
-    factor, label = display.shown_unit(f"{response.unit}/s")
-    return Markup(chart(command, [ChartCurve(factor * speed, "measured", dots=True)], ("command", f"speed [{label}]")))
+    curve = ChartCurve(display.shown_unit(f"{response.unit}/s")[0] * speed, "measured", dots=True)
+    return Markup(chart(command, [curve], ("command", display.with_unit("speed", f"{response.unit}/s"))))

@@ -4,37 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup, escape
 
 from sysid import display
+from sysid.datasets.recording import Dataset
+from sysid.figures import ErrorFigure, Table, aligned, times
 from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, order_sentence, response_sentences
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
-from sysid.reports.sections.where import above_floor, over_name, sentence
-from sysid.reports.words import confidence, remainder_unit, shown_parameters
-from sysid.signals import point_signals
-
-
-@dataclass(frozen=True)
-class SignalGap:
-    """One line of the before/after table: a signal, or the position of a point (Euclidean norm of its coordinates)."""
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    noise_floor: float
-
-    @property
-    def closed(self) -> float:
-        closable = self.before - self.noise_floor
-        return (self.before - self.after) / closable if closable > 0.05 * self.noise_floor else math.nan
+from sysid.reports.result_figures import named_sentence, point_errors, residual_sentence
+from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
+from sysid.reports.words import confidence, remainder_unit
 
 
 def context(inputs: ReportInputs) -> dict[str, Any]:
@@ -46,7 +31,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             "tone": "open",
             "sentences": [],
             "cards": [],
-            "lines": [],
+            "figures": None,
             "picture": Markup(machine_picture(machine)),
             "legend": _legend(machine, ""),
             "next": [],
@@ -57,7 +42,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         }
     gap = inputs.gap
     only = bool(gap.settings.get("localise_only"))
-    lines = signal_gaps(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
+    lines = point_errors(gap.gap, inputs.dataset.units)
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
@@ -65,8 +50,8 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "advice": f"To name causes: sysid gap {inputs.dataset.reference}" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "sentences": _sentences(gap, lines),
-        "cards": _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, machine, inputs.dataset.units),
-        "lines": [_row(line) for line in lines],
+        "cards": _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset),
+        "figures": _figures(lines),
         "picture": Markup(machine_picture(machine, marks)),
         "legend": _legend(
             machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
@@ -113,42 +98,22 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
         size = f"{words.signal_name(item.signal)} has an error of {display.quantity(item.stage_rmse, unit)}, "
-        times = f"{display.ratio(item.stage_rmse / item.noise_floor)} the noise floor."
-        maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
-        details = [sentence(maps[0], item, unit)] if maps else []
-        title, text = words.owner_name(item.target).capitalize(), size + times
+        details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
+        title, text = (
+            words.owner_name(item.target).capitalize(),
+            f"{size}{times(item.stage_rmse, item.noise_floor)} the noise floor.",
+        )
         cards.append(_card(number, title, words.stage_name(item.stage), text[0].upper() + text[1:], details, sure=False))
     return cards
 
 
-def signal_gaps(
-    before: Mapping[str, float], after: Mapping[str, float], noise_floor: Mapping[str, float], units: Mapping[str, str]
-) -> list[SignalGap]:
-    """Signals in their order, with the coordinates of each point combined to one distance."""
-    lines: list[SignalGap] = []
-    for signal in before:
-        owner = signal.rpartition(".")[0]
-        if owner in ("ee", "tool"):
-            if signal == next(name for name in point_signals(owner) if name in before):
-                names = [name for name in point_signals(owner) if name in before]
-                values = [
-                    math.sqrt(sum(source.get(n, math.nan) ** 2 for n in names)) for source in (before, after, noise_floor)
-                ]
-                lines.append(SignalGap(f"{words.owner_name(owner)} position", "m", *values))
-            continue
-        numbers = [source.get(signal, math.nan) for source in (before, after, noise_floor)]
-        lines.append(SignalGap(words.signal_name(signal), units.get(signal, "1"), *numbers))
-    return lines
-
-
-def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict[str, Any]]:
     """One card per number on the drawing: named effects, ambiguous sets, unnamed errors."""
-    cards = [_effect(number, effect, gap, machine, units) for number, effect in enumerate(gap.effects, 1)]
+    machine, units = dataset.machine, dataset.units
+    cards = [_effect(number, effect, gap, dataset) for number, effect in enumerate(gap.effects, 1)]
     for tie in gap.ambiguous:
-        names = " or ".join(f"{words.effect_title(name, target, machine)} ({words.owner_name(target)})" for name, target in tie)
-        cards.append(
-            _card(len(cards) + 1, "Ambiguous", "", names + ".", ["These recordings cannot distinguish them."], sure=False)
-        )
+        text = f"{words.tie_text(tie, machine)}."
+        cards.append(_card(len(cards) + 1, "Ambiguous", "", text, ["These recordings cannot distinguish them."], sure=False))
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
         size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
@@ -160,28 +125,23 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
             if not item.depends_on.startswith("nothing")
             else "It depends on no measured signal."
         )
-        quiet = [known, *_residual_models(gap, item, machine, units)]
+        quiet = [known, *_residual_models(gap, item, dataset)]
         cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), text, quiet, sure=False))
     return cards
 
 
-def _residual_models(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
+def _residual_models(gap: GapResult, item: Unnamed, dataset: Dataset) -> list[str]:
     """Text about the residual network of an unnamed error."""
-    unit = remainder_unit(item.stage, item.target, machine, units)
-    return [
-        "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause. "
-        f"Held-out error of the stage: {display.quantity(c.before, unit, 2)} → {display.quantity(c.after, unit, 2)}."
-        for c in gap.carried
-        if c.accepted and (c.stage, c.target) == (item.stage, item.target)
-    ]
+    own = [found for found in gap.carried if found.accepted and (found.stage, found.target) == (item.stage, item.target)]
+    return [f"Described by a {residual_sentence(found, dataset)}" for found in own]
 
 
 def _card(number: int, title: str, target: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:
     return {"number": number, "title": title, "target": target, "sentence": sentence, "quiet": quiet, "sure": sure}
 
 
-def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, units: Mapping[str, str]) -> dict[str, Any]:
-    shown = shown_parameters(effect.name, effect.target, effect.given, machine, units)
+def _effect(number: int, effect: NamedEffect, gap: GapResult, dataset: Dataset) -> dict[str, Any]:
+    machine = dataset.machine
     where = place_text(part_of(effect.name, effect.target, machine, effect.parameters), effect.target)
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
@@ -190,7 +150,7 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine, 
     if effect.aliases:
         others = ", ".join(f"{words.effect_title(name, target, machine)} ({target})" for name, target in effect.aliases)
         quiet.append(f"Cannot be distinguished from: {others}.")
-    sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target), machine)
+    sentence = named_sentence(effect, gap, dataset)
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
     return _card(number, words.effect_title(effect.name, effect.target, machine), target, sentence, quiet, sure=True)
 
@@ -205,7 +165,7 @@ def _still_open(gap: GapResult) -> list[str]:
     return [*([text] if closed else []), *open_]
 
 
-def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:
+def _sentences(gap: GapResult, lines: list[ErrorFigure]) -> list[str]:
     """The gap of the tip position, or of the signal with the largest gap, as a sentence."""
     scored = [line for line in lines if math.isfinite(line.before) and line.noise_floor > 0.0]
     if not scored:
@@ -213,7 +173,7 @@ def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:
     worst = max(scored, key=lambda line: line.before / line.noise_floor)
     points = [line for line in scored if line.name == f"{words.owner_name('ee')} position"]
     main = points[0] if points and points[0].before > 1.5 * points[0].noise_floor else worst
-    before, after, floor = (display.quantity(value, main.unit) for value in (main.before, main.after, main.noise_floor))
+    before, after, floor = main.texts
     text = f"On held-out recordings, the simulated {main.name} has an error of {before} (RMS, from the commands alone)"
     if gap.effects:
         text += f"; with the repair {after}. The noise floor is {floor}."
@@ -224,15 +184,15 @@ def _sentences(gap: GapResult, lines: list[SignalGap]) -> list[str]:
     return [text]
 
 
-def _row(line: SignalGap) -> dict[str, Any]:
-    factor, unit = display.shown_unit(line.unit)
-    values = [factor * value for value in (line.before, line.after, line.noise_floor)]
-    decimals = display.decimals_for(values)
-    before, after, floor = (display.fixed(value, decimals) for value in values)
-    return {"name": line.name, "unit": unit, "before": before, "after": after, "noise_floor": floor, "closed": line.closed}
+def _figures(lines: Sequence[ErrorFigure]) -> Table:
+    rows = []
+    for line in lines:
+        texts, unit = aligned((line.before, line.after, line.noise_floor), line.unit)
+        rows.append((line.name, *texts, unit, display.percent(line.closed)))
+    return Table(("Signal", "Before", "After", "Noise floor", "Unit", "Closed"), rows, (1, 2, 3, 5))
 
 
-def dumbbells(lines: list[SignalGap], repaired: bool) -> str:
+def dumbbells(lines: list[ErrorFigure], repaired: bool) -> str:
     """Before and after as multiples of the noise floor on one logarithmic axis (inline SVG)."""
     scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not scored:

@@ -77,11 +77,11 @@ def largest_error_signals(gap: GapResult) -> list[str]:
 
 def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
     """Measured, before and after around a moment; errors instead if the curves could not be distinguished."""
-    factor, shown = display.shown_unit(unit)
+    factor, _ = display.shown_unit(unit)
     time = _column(trace.measured["time"])
     there = _around(time, moment.time, POINTS)
     values = {v: factor * _column(getattr(trace, v)[moment.signal])[there] for v in ("measured", "before", "after")}
-    measured, unit_text = values["measured"], f" [{shown}]" if shown else ""
+    measured = values["measured"]
     apart = np.nanmax(np.abs(values["before"] - measured)) > MIN_DIFFERENCE * np.ptp(measured[np.isfinite(measured)])
     shift, what = (0.0 * measured, label) if apart else (measured, f"{label} error")
     lines = [
@@ -90,19 +90,19 @@ def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired:
     ]
     if apart:
         lines.append(ChartCurve(measured, "measured dotted"))
-    return chart(time[there], lines, ("time [s]", what + unit_text), include_zero=not apart, size=WIDE)
+    return chart(time[there], lines, ("time [s]", display.with_unit(what, unit)), include_zero=not apart, size=WIDE)
 
 
 def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:
     """The error after the repair around its maximum, with the noise floor."""
-    factor, shown = display.shown_unit(unit)
+    factor, _ = display.shown_unit(unit)
     time = _column(trace.measured["time"])
     there = _around(time, moment.time, 2 * POINTS)
     error = factor * (_column(trace.after[moment.signal]) - _column(trace.measured[moment.signal]))[there]
     return chart(
         time[there],
         [ChartCurve(error, "after")],
-        ("time [s]", f"{label} error [{shown}]"),
+        ("time [s]", display.with_unit(f"{label} error", unit)),
         noise=2.0 * factor * noise,
         size=WIDE,
     )

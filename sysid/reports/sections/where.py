@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from sysid.gap.result import GapResult, Map, Share, StageGap
 from sysid.reports import words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
-from sysid.signals import point_signals
+from sysid.signals import POINTS, point_signals
 
 #: Number of maps of an output shown unfolded.
 SHOWN = 3
@@ -41,7 +41,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     return {
         "stages": [{"title": words.stage_name(stage), "about": words.STAGES.get(stage, ("", ""))[1]} for stage in stages],
         "rows": rows,
-        "ends": _ends(inputs.gap, inputs),
+        "ends": _ends(inputs.gap, inputs.dataset.units),
         "outputs": _outputs(inputs.gap, inputs),
         "repaired": any(item.after for item in inputs.gap.maps),
     }
@@ -75,36 +75,39 @@ def significant(shares: Sequence[Share], localised: Sequence[StageGap]) -> list[
     found = []
     for end in dict.fromkeys(share.end for share in shares):
         of_end = sorted((share for share in shares if share.end == end), key=lambda share: -share.share)
-        signals = point_signals(end) if end in ("ee", "tool") else (end,)
+        signals = point_signals(end) if end in POINTS else (end,)
         floor = math.sqrt(sum(floors.get(signal, 0.0) ** 2 for signal in signals))
         if of_end[0].rmse > MIN_RATIO * floor:
             found.append((end, of_end))
     return found
 
 
-def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
-    ends = []
-    for end, shares in reversed(significant(gap.shares, gap.localised)):  # the tool first
-        unit = inputs.dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
+def listed_shares(gap: GapResult, units: Mapping[str, str]) -> Iterator[tuple[str, str, list[Share], int]]:
+    """End of the chain (the tool first), its SI unit, its shares from :data:`MIN_SHARE` on, and the number of smaller ones."""
+    for end, shares in reversed(significant(gap.shares, gap.localised)):
         listed = [share for share in shares if abs(share.share) >= MIN_SHARE]
-        ends.append(
-            {
-                "what": f"{words.owner_name(end)} position" if end in ("ee", "tool") else words.signal_name(end),
-                "error": display.quantity(shares[0].rmse, unit),
-                "rows": [
-                    {
-                        "where": words.stage_name(share.stage),
-                        "owner": words.owner_name(share.target),
-                        "share": display.percent(share.share),
-                        "width": round(100 * min(1.0, max(0.0, share.share)), 1),
-                        "moved": display.quantity(share.moved, unit, 2),
-                    }
-                    for share in listed
-                ],
-                "rest": len(shares) - len(listed),
-            }
-        )
-    return ends
+        yield end, units.get(f"{end}.x" if end in POINTS else end, "m"), listed, len(shares) - len(listed)
+
+
+def _ends(gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
+    return [
+        {
+            "what": f"{words.owner_name(end)} position" if end in POINTS else words.signal_name(end),
+            "error": display.quantity(shares[0].rmse, unit),
+            "rows": [
+                {
+                    "where": words.stage_name(share.stage),
+                    "owner": words.owner_name(share.target),
+                    "share": display.percent(share.share),
+                    "width": round(100 * min(1.0, max(0.0, share.share)), 1),
+                    "moved": display.quantity(share.moved, unit, 2),
+                }
+                for share in shares
+            ],
+            "rest": rest,
+        }
+        for end, unit, shares, rest in listed_shares(gap, units)
+    ]
 
 
 # -- maps ----------------------------------------------------------------------------------------------------------------
@@ -116,10 +119,15 @@ def above_floor(gap: GapResult) -> list[StageGap]:
     return sorted(above, key=lambda item: -item.stage_rmse / item.noise_floor)
 
 
+def maps_of(gap: GapResult, item: StageGap) -> list[Map]:
+    """The maps of an output, those that explain most first."""
+    return [found for found in gap.maps if (found.stage, found.target, found.signal) == (item.stage, item.target, item.signal)]
+
+
 def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
     outputs = []
     for item in above_floor(gap):
-        maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
+        maps = maps_of(gap, item)
         if not maps:
             continue
         drawn = [_figure(m) for m in maps]
@@ -189,14 +197,9 @@ def _is_direction(item: Map) -> bool:
     return item.over.startswith("direction of ")
 
 
-def _axis_label(text: str, unit: str) -> tuple[float, str]:
-    factor, label = display.shown_unit(unit)
-    return factor, f"{text} [{label}]" if label else text
-
-
 def _figure(item: Map) -> dict[str, Any]:
-    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
-    factor, y_label = _axis_label(item.quantity, item.error_unit)
+    labels = display.with_unit(over_name(item.over), item.unit), display.with_unit(item.quantity, item.error_unit)
+    factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
     x = x_factor * np.array(item.at)
     lines = [ChartCurve(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
     if item.after:
@@ -204,20 +207,20 @@ def _figure(item: Map) -> dict[str, Any]:
     names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _is_direction(item) else []
     rows = display.fixed(float(sum(item.count)), 0)
     return {
-        "picture": Markup(chart(x, lines, (x_label, y_label), factor * item.noise_floor, names)),
+        "picture": Markup(chart(x, lines, labels, factor * item.noise_floor, names)),
         "caption": f"over {over_name(item.over)}: explains {display.percent(item.explains)} ({rows} samples)",
     }
 
 
 def _characteristic(item: Map) -> dict[str, Any]:
     """Speed over command, measured and simulated."""
-    factor, y_label = _axis_label("speed", item.error_unit)
-    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
+    labels = display.with_unit(over_name(item.over), item.unit), display.with_unit("speed", item.error_unit)
+    factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
     lines = [
         ChartCurve(factor * np.array(item.simulated), "before"),
         ChartCurve(factor * np.array(item.measured), "measured", dots=True),
     ]
     return {
-        "picture": Markup(chart(x_factor * np.array(item.at), lines, (x_label, y_label))),
+        "picture": Markup(chart(x_factor * np.array(item.at), lines, labels)),
         "caption": "speed over command: measured (dots), simulated (line)",
     }

@@ -15,8 +15,8 @@ from sample_crane import sample_dataset, sample_unnamed
 from unnamed_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
 
 from sysid.cli import main
+from sysid.cli.gap_tables import show_residual_models
 from sysid.cli.output import Printer
-from sysid.cli.tables import show_residual_models
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
@@ -117,9 +117,8 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
     assert "no physical cause" in text
     assert "no residual network: stick: a residual network did not help" in text
     page = build_report(ReportInputs(crane, replace(gap, carried=(item,))))
-    assert (
-        "Described by a bounded residual network (unnamed_residual), fitted to the recordings, without a physical cause" in page
-    )
+    assert "Described by a bounded residual network (unnamed_residual): command of boom, held-out error" in page
+    assert "It is fitted to the recordings and has no physical cause." in page
     assert "Described by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
 
 

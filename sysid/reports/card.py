@@ -7,24 +7,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any
 
-from sysid.display import interval, percent, quantity
-from sysid.effects import BY_NAME
-from sysid.effects.wording import title_of
+from sysid.display import NOTHING, interval, minute, percent, quantity
+from sysid.figures import Table, output_name, stored_parameters
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
 from sysid.networks.uncertainty import FALSE_FLAGS
-from sysid.quoting import markdown
 from sysid.registry import NETWORKS, ModelVersion
 from sysid.registry.decision import decision_row
-from sysid.registry.effect_changes import EffectChange, effect_interval, effect_value
-from sysid.validate import ErrorMap, OutputReport, ValidationReport
-from sysid.versions.diff import ModelDiff, PredictionChange
+from sysid.registry.effect_changes import CHANGES, change_cells
+from sysid.reports.result_figures import PREDICTIONS, largest_spikes, network_error, prediction_cells, spike_sentence
+from sysid.reports.words import effect_title
+from sysid.validate import ErrorMap, ValidationReport
+from sysid.versions.diff import ModelDiff
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.outputs import output_maps
-from sysid.versions.policy import ROWS
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,10 @@ class CardBlock:
     rows: tuple[tuple[str, ...], ...] = ()
     code: str = ""
     maps: tuple[tuple[str, str, ErrorMap], ...] = ()
+
+    @property
+    def table(self) -> Table:
+        return Table(self.header, self.rows)
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,7 @@ class Card:
         for block in self.blocks:
             parts += [f"## {block.title}", *block.text]
             if block.rows:
-                lines = [block.header, tuple("---" for _ in block.header), *block.rows]
-                parts.append("\n".join("| " + " | ".join(markdown(cell) for cell in line) + " |" for line in lines))
+                parts.append(block.table.markdown())
             if block.code:
                 parts.append(f"```python\n{block.code}\n```")
         return "\n\n".join(parts) + "\n"
@@ -68,19 +69,11 @@ MIN_REGION_ROWS = 20
 
 def figures(report: ValidationReport) -> CardBlock:
     rows = []
-    for entry in report.outputs:
-        unit, metrics = entry.unit, entry.metrics
-        best = best_simple(entry)
-        rows.append(
-            (
-                f"{entry.output} {ROWS[entry.rows]}",
-                quantity(metrics.rmse, unit),
-                quantity(metrics.p95, unit),
-                quantity(metrics.max, unit),
-                "–" if entry.noise_floor is None else quantity(entry.noise_floor, unit),
-                "–" if best is None else f"{best}: {quantity(entry.baselines[best].rmse, unit)}",
-            )
-        )
+    for entry in map(network_error, report.outputs):
+        best = entry.best_simple
+        floor = NOTHING if entry.noise_floor is None else quantity(entry.noise_floor, entry.unit)
+        simple = f"{best} {quantity(entry.baselines[best], entry.unit)}" if best else NOTHING
+        rows.append((output_name(entry), *entry.texts, floor, simple))
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
     text = f"On held-out rows of {report.dataset} ({', '.join(recordings)})."
     texts = (text, report.recommendation) if report.recommendation else (text,)
@@ -96,9 +89,9 @@ def baselines(report: ValidationReport) -> Iterator[CardBlock]:
         return
     rows = tuple(
         (
-            f"{entry.output} {ROWS[entry.rows]}",
+            output_name(entry),
             quantity(entry.metrics.rmse, entry.unit),
-            *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
+            *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else NOTHING for name in names),
         )
         for entry in report.outputs
     )
@@ -110,7 +103,7 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
     rows, maps = [], []
     for entry in report.outputs:
         for item in entry.maps[:MAPS_SHOWN]:
-            maps.append((f"{entry.output} {ROWS[entry.rows]}", entry.unit, item))
+            maps.append((output_name(entry), entry.unit, item))
         if entry.maps:
             first = entry.maps[0]
             a, b = first.worst
@@ -119,7 +112,7 @@ def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
                 for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
             )
             size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
-            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, percent(first.explains)))
+            rows.append((output_name(entry), ", ".join(ends), size, count, percent(first.explains)))
     if rows:
         header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
         yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
@@ -136,10 +129,10 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
         worst = min(crowded, key=lambda region: region.covered, default=None)
         rows.append(
             (
-                f"{entry.output} {ROWS[entry.rows]}",
+                output_name(entry),
                 f"± {quantity(found.half_width, entry.unit)}",
                 f"{100.0 * found.covered:.1f} %",
-                "–" if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
+                NOTHING if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
                 f"{100.0 * found.flagged:.1f} %",
             )
         )
@@ -151,10 +144,6 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
         )
         header = ("output", "half width, median", "coverage", "lowest coverage", "flagged")
         yield CardBlock("Uncertainty", (text,), header, tuple(rows))
-
-
-def best_simple(entry: OutputReport) -> str | None:
-    return min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
 
 
 #: Rectifier → text.
@@ -232,16 +221,14 @@ def network_limits(model: Model | None, report: ValidationReport | None) -> Iter
         yield "Beyond its ranges it extrapolates linearly."
     if report is not None:
         worse = [
-            f"{entry.output} {ROWS[entry.rows]} ({best})"
-            for entry in report.outputs
-            if (best := best_simple(entry)) is not None and entry.baselines[best].rmse < entry.metrics.rmse
+            f"{output_name(entry)} ({best})"
+            for entry in map(network_error, report.outputs)
+            if (best := entry.best_simple) and entry.baselines[best] < entry.rmse
         ]
         if worse:
             yield f"A simple model has a smaller error in: {', '.join(worse)}."
-        spikes = sorted(((e, s) for e in report.outputs for s in e.spikes), key=lambda pair: -pair[1].sigmas)
-        for entry, spike in spikes[:3]:
-            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause.replace('_', ' ')})"
-            yield f"Among its largest errors: {entry.output} {quantity(spike.error, entry.unit)} at {where}."
+        for entry, spike in largest_spikes(report)[:3]:
+            yield f"Among its largest errors: {spike_sentence(entry, spike)}."
     yield "The evaluation is of the machine at that time: `sysid validate` with newer recordings tests whether it still fits."
 
 
@@ -283,26 +270,11 @@ def changes(found: ModelDiff) -> CardBlock | None:
     title = f"Changed since {found.before}"
     if found.predictions:
         about = "Difference of the predictions over the range that both versions were fitted on."
-        header: tuple[str, ...] = ("output", "largest difference", "RMS", "largest at")
-        return CardBlock(title, (about,), header, tuple(map(_prediction, found.predictions)))
+        return CardBlock(title, (about,), PREDICTIONS, tuple(map(prediction_cells, found.predictions)))
     if found.kind == "plant":
-        header = ("effect", "on", "parameter", "before", "after", "95 % interval")
         same = () if found.effects else ("The effects are the same.",)
-        return CardBlock(title, same, header, tuple(map(_effect, found.effects)))
+        return CardBlock(title, same, CHANGES, tuple(change_cells(change, effect_title) for change in found.effects))
     return None
-
-
-def _prediction(entry: PredictionChange) -> tuple[str, ...]:
-    at = ", ".join(f"{signal} {value:.4g}" for signal, value in entry.at.items())
-    where = at if entry.points else "the fitted ranges do not overlap"
-    return entry.output, quantity(entry.largest, entry.unit), quantity(entry.rms, entry.unit), where
-
-
-def _effect(change: EffectChange) -> tuple[str, ...]:
-    title = title_of(BY_NAME[change.effect], change.target, None) if change.effect in BY_NAME else change.effect
-    before, after = (effect_value(value, change.unit) for value in (change.before, change.after))
-    ends = effect_interval(change.interval95, change.unit)
-    return title, change.target, change.parameter.replace("_", " "), before, after, ends
 
 
 #: Kinds that `sysid models export` writes: networks without history.
@@ -333,7 +305,6 @@ def card_of(
         policy: the policy in it; None for other kinds.
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
-    made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
     details = what_policy(version, policy) if policy is not None else what_network(model)
     blocks = [CardBlock("What it is", (DESCRIPTIONS.get(version.kind, version.kind), *details))]
     if report is not None:
@@ -357,7 +328,11 @@ def card_of(
         )
     blocks.append(CardBlock("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
     blocks.append(CardBlock("How to load it", tuple(_loading(version)), code=_code(version)))
-    return Card(version.reference, f"{version.kind}{aliases}, made {made}, content {version.digest[:12]}", tuple(blocks))
+    return Card(
+        version.reference,
+        f"{version.kind}{aliases}, made {minute(version.created_ms)} UTC, content {version.digest[:12]}",
+        tuple(blocks),
+    )
 
 
 def _lineage(found: ModelLineage) -> CardBlock:
@@ -376,11 +351,9 @@ def _lineage(found: ModelLineage) -> CardBlock:
 def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
     rows = []
     for effect in lineage.get("effects", ()):
-        name, target, units = str(effect.get("name")), str(effect.get("target")), effect.get("units", {})
-        parameters = effect.get("parameters", {}).items()
-        values = ", ".join(f"{key.replace('_', ' ')} {effect_value(value, units.get(key, ''))}" for key, value in parameters)
-        title = title_of(BY_NAME[name], target, None) if name in BY_NAME else name
-        rows.append((title, target, values, percent(effect.get("closed_share", math.nan))))
+        values = ", ".join(f"{figure.label} {figure.text}" for figure in stored_parameters(effect))
+        title, share = effect_title(str(effect.get("name"))), percent(effect.get("closed_share", math.nan))
+        rows.append((title, str(effect.get("target")), values, share))
     if not rows:
         return []
     return [CardBlock("Added effects", (), ("effect", "on", "parameters", "share of the gap closed"), tuple(rows))]

@@ -1,15 +1,41 @@
-"""``sysid datasets NAME --quality``: coverage, noise, flags and excitation of a dataset, before any fit."""
+"""Console output of a dataset version: recordings, samples, clocks; coverage, noise and excitation before any fit."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from sysid.cli.output import Printer, command, write_json
+from sysid.display import NOTHING, percent
 
 if TYPE_CHECKING:
     from sysid.datasets import Dataset
     from sysid.datasets.quality.evidence import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
+
+
+def show_dataset(out: Printer, dataset: Dataset) -> None:
+    """Recordings, samples, clocks and losses of a dataset version."""
+    from sysid.reports.dataset_texts import clock_text, length_text, sample_table
+
+    rows = [
+        (
+            recording.name,
+            recording.kind,
+            dataset.splits.get(recording.name, NOTHING),
+            length_text(recording.kind, len(recording), recording.rate_hz),
+            len(recording.signals),
+            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
+        )
+        for recording in dataset.recordings
+    ]
+    out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    out.show(sample_table(dataset))
+    for clock in dataset.clocks:
+        part = f" ({clock.reason.partition(';')[0]})" if clock.applied and clock.reason.startswith("piece ") else ""
+        out.line(f"clock {clock.stream} of {clock.recording}: {clock_text(clock)}{part}")
+    for source in dataset.sources:
+        for loss in source.losses:
+            out.line(f"loss in {source.path}: {loss}")
 
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
@@ -49,30 +75,9 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
 
 def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> None:
     """Commands and motion of each axis, coverage of the joint space, phases of rest, noise."""
-    from sysid.display import percent, quantity
+    from sysid.reports.dataset_texts import noise_table, rest_sentence, use_table
 
-    spans = {span.axis: span for span in evidence.spans}
-    rows = []
-    for name, use in evidence.axes.items():
-        span = spans.get(name)
-        rows.append(
-            (
-                name,
-                "–" if span is None else percent(span.covered_moving) if span.source == "limits" else "no limits",
-                f"{percent(use.covered(-1))} / {percent(use.covered(1))}",
-                f"{use.negative_s:.0f} / {use.positive_s:.0f}",
-                f"{use.small_negative_s:.1f} / {use.small_positive_s:.1f}",
-                use.command_changes,
-                use.reversals,
-                f"{use.slow_negative_s:.1f} / {use.slow_positive_s:.1f}",
-            )
-        )
-    if rows:
-        header = (
-            *("axis", "range in motion", "commands − / +", "s − / +", "small s − / +"),
-            *("changes", "reversals", "slow s − / +"),
-        )
-        out.table(header, rows, right=range(1, 8))
+    out.show(use_table(evidence, dataset))
     if evidence.maps:
         maps = sorted(evidence.maps, key=lambda item: item.covered_moving)
         listed = ", ".join(f"{m.first.axis}–{m.second.axis} {percent(m.covered_moving)}" for m in maps[:6])
@@ -84,21 +89,8 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         both = sorted(evidence.together_s.items(), key=lambda item: item[1])
         listed = ", ".join(f"{a}+{b} {seconds:.0f} s" for (a, b), seconds in both[:6])
         out.line(f"commanded together: {listed}{f' and {len(both) - 6} pairs longer' if len(both) > 6 else ''}")
-    phases = [phase for recording in evidence.recordings for phase in recording.rests]
-    if phases:
-        longest = max(phase.seconds for phase in phases)
-        out.line(
-            f"at rest: {len(phases)} phases, {sum(p.seconds for p in phases):.0f} s in all, the longest {longest:.1f} s, "
-            f"in {len(evidence.postures)} different posture{'s' if len(evidence.postures) != 1 else ''}"
-        )
-    else:
-        out.line("at rest: no phase of a second or more")
-    noise = []
-    for signal, level in evidence.noise.items():
-        unit = dataset.units.get(signal)
-        values = (level.sheet, level.moving, level.still, level.repeats)
-        noise.append((signal, *("–" if value is None else quantity(value, unit) for value in values)))
-    out.table(("noise", "data sheet", "its samples", "at rest", "same commands again"), noise, right=range(1, 5))
+    out.line(rest_sentence(evidence))
+    out.show(noise_table(evidence, dataset))
 
 
 def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:
