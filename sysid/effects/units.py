@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from sysid.effects.catalogue import BY_NAME
-from sysid.errors import SettingsError
 from sysid.machine import Machine
 
+_WORD = re.compile(r"[a-z]+")
 _NONE: Mapping[str, str] = {}
 
 
@@ -29,14 +30,16 @@ def _resolve(unit: str, target: str, machine: Machine, units: Mapping[str, str],
 
     Args:
         of_drive: the force of the drive decides between two units, else the load of the joint.
+
+    Raises:
+        SettingsError: a unit that depends on an axis, of a target that is none.
     """
     if unit == "signal":
         owner, _, _ = target.partition(".")
         return machine.expected_unit(target) or units.get(target) or _resolve("joint", owner, machine, units)
-    try:
-        axis = machine.axis(target)
-    except SettingsError:
+    if not set(_WORD.findall(unit)) & {"command", "drive", "joint", "or"}:
         return unit
+    axis = machine.axis(target)
     joint = machine.expected_unit(f"{target}.joint") or units.get(f"{target}.joint") or "rad"
     drive = "m" if axis.drives == "cylinder" else joint
     prismatic, _, revolute = unit.partition(" or ")
@@ -44,4 +47,5 @@ def _resolve(unit: str, target: str, machine: Machine, units: Mapping[str, str],
         unit = prismatic if (drive if of_drive else joint) == "m" else revolute
     force = "N" if drive == "m" else "N·m"
     command = {"velocity": "1", "position": drive, "servo": drive, "force": force}[axis.actuation]
-    return unit.replace("command", command).replace("drive", drive).replace("joint", joint)
+    named = {"command": command, "drive": drive, "joint": joint}
+    return _WORD.sub(lambda word: named.get(word[0], word[0]), unit)

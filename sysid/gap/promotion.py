@@ -25,6 +25,7 @@ from sysid.files import plain
 from sysid.gap.prepare.case import Case
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap, WorldGap
+from sysid.gap.written import with_units
 from sysid.registry import Check, ModelVersion, PromotionDecision, Registry
 from sysid.registry.decision import now_ms
 from sysid.release import __version__
@@ -60,7 +61,7 @@ def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, sett
                     "closed_share": e.gap_share,
                     "evidence": asdict(e.evidence) if e.evidence is not None else None,
                 }
-                for e in outcome.named
+                for e in with_units(outcome.named, case.dataset)
             ],
             "ties": outcome.ties,
             "unnamed_residual": [" of ".join(item.key) for item in outcome.repaired.residuals],

@@ -361,6 +361,7 @@ def _enter_lane(p, arrays, s, load, states, fresh, command, row, dt, nets, t):
         state[STATE.command_rate_limit + 1] = np.nan
         state[STATE.oil_compressibility + 2] = np.nan
         state[STATE.second_order_lag + 2] = np.nan
+        state[STATE.flexible_drive + 2] = np.nan
         state[STATE.temperature_drift] = math.exp(-row * dt / p[b + AT.temperature_drift + 1])
         state[STATE.temperature_drift + 1] = np.nan
         input_delay.retime(p, b + AT.input_delay, state, STATE.input_delay, dt)

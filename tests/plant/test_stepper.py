@@ -239,6 +239,31 @@ def test_lanes_of_different_plants_and_starts_know_nothing_of_each_other() -> No
     assert np.ptp(state.ee[::2, 0]) > 1e-3
 
 
+def test_a_lane_that_begins_in_a_recording_moves_with_its_own_spring() -> None:
+    """At rest all plants have one state, without what is computed once from the spring of the plant that ran there."""
+    source = recording()
+    still = source.table.assign(**{name: source.table[name].iloc[0] for name in source.signals})
+    still = still.assign(**{axis_signal(name, "command"): 0.0 for name in probe_machine().axis_names})
+    soft, stiff = (
+        probe_plant(
+            KnownEffect(
+                "flexible_drive", probe_machine().axis_names[2], {"frequency": f, "damping_ratio": 0.1, "inertia_ratio": 1.5}
+            )
+        )
+        for f in (3.0, 9.0)
+    )
+    mixed = Stepper(soft, RATE_HZ, 2, np.array([plant.vector() for plant in (soft, stiff)]))
+    alone = [Stepper(plant, RATE_HZ) for plant in (soft, stiff)]
+    begun = replace(source, table=still)
+    for stepper in (mixed, *alone):
+        stepper.begin(begun, 50)
+    for _ in range(40):
+        state = mixed.step([0.0, 0.0, 0.8, 0.0])
+        singles = [stepper.step([0.0, 0.0, 0.8, 0.0]).drive[0] for stepper in alone]
+        np.testing.assert_allclose(state.drive, singles, rtol=0.0, atol=1e-12)
+    assert abs(singles[0] - singles[1]).max() > 1e-6
+
+
 def test_some_lanes_are_reset_while_the_others_go_on() -> None:
     plant = nominal_plant(probe_machine()).with_effect(SWAY)
     stepper, reference = (Stepper(plant, RATE_HZ, 4) for _ in range(2))
