@@ -93,12 +93,7 @@ class Proposals:
         """Add the most promising candidates until the evidence falls clearly; returns the likeliest model."""
         best = model
         while len(model.candidates) < MAX_EFFECTS:
-            trials = list[ModelFit]()
-            for promise in self.promises(model)[:FORWARD]:
-                gained = max((f.evidence - model.evidence for f in trials), default=0.0)
-                if trials and not _may_gain(promise, gained):
-                    break
-                trials.append(self._added(model, promise))
+            trials = [self._added(model, promise) for promise in self.promises(model)[:FORWARD]]
             if not trials:
                 break
             model = max(trials, key=lambda f: f.evidence)
@@ -116,7 +111,8 @@ class Proposals:
                 smaller = self.without(best, candidate)
                 lost = best.evidence - smaller.evidence
                 for promise in self.promises(smaller)[:SWAPPED]:
-                    if _may_replace(promise.candidate, candidate) and _may_gain(promise, lost):
+                    # A candidate whose expected gain is far below the loss cannot replace the effect.
+                    if _may_replace(promise.candidate, candidate) and promise.gain > 0.3 * lost - MAX_LOSS:
                         self._added(smaller, promise)
                 self._with_simpler_forms(best, candidate)
             for promise in self.promises(best)[:SWAPPED]:
@@ -180,11 +176,6 @@ class Proposals:
             if simple if present is None else candidate.extends(present):
                 found.append(candidate)
         return found
-
-
-def _may_gain(promise: ExpectedGain, evidence: float) -> bool:
-    """Whether a candidate may gain so much evidence [nats]: not if its expected gain is far below that."""
-    return promise.gain > 0.3 * evidence - MAX_LOSS
 
 
 def _may_replace(new: Candidate, old: Candidate) -> bool:
