@@ -10,11 +10,14 @@ import ast
 import inspect
 import math
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+
+from sysid.errors import SettingsError
 
 #: Functions of NumPy → those of the standard library with numbers.
 _MATH: Mapping[Any, str] = {np.isnan: "isnan", np.floor: "floor"}
@@ -25,8 +28,26 @@ def kernel_name(kernel: Any) -> str:
     return f"{kernel.__module__.rpartition('.')[2]}_{kernel.__name__.lstrip('_')}"
 
 
+@contextmanager
+def following(kernel: Any, expected: str) -> Iterator[None]:
+    """Follow the source of a kernel.
+
+    Raises:
+        SettingsError: it contains what cannot be exported, as an effect of one's own may; ``expected``: what it may contain.
+    """
+    try:
+        yield
+    except NotImplementedError as error:
+        where = f"export of {kernel.__module__}.{kernel.__name__}"
+        raise SettingsError(where, str(error), expected, "Write the function with these, or leave its effect out.") from error
+
+
 def kernel_source(kernels: Iterable[Any]) -> str:
-    """The source of kernels and of those that they call, each before its callers; it needs ``math``."""
+    """The source of kernels and of those that they call, each before its callers; it needs ``math``.
+
+    Raises:
+        SettingsError: a kernel contains what plain Python with numbers and lists has not.
+    """
     texts: dict[str, str] = {}
     for kernel in kernels:
         _add(kernel, texts)
@@ -41,7 +62,8 @@ def _add(kernel: Any, texts: dict[str, str]) -> None:
     definition = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
     assert isinstance(definition, ast.FunctionDef)
     plain = _Plain(function.__globals__, definition)
-    definition = plain.visit(definition)
+    with following(function, "numbers, lists and functions of math, NumPy's isnan and floor"):
+        definition = plain.visit(definition)
     definition.name, definition.decorator_list = name, []
     for called in plain.called:
         _add(called, texts)

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, shipped, true_value
 
+from sysid.errors import SettingsError
 from sysid.export.isaaclab import posterior_columns, reachable
 from sysid.export.torchscript.assembly import load_script, parameter_columns, save_script, script_of
 from sysid.export.torchscript.graph import Graph
@@ -241,8 +242,18 @@ def counted(u: Any) -> Any:
     return math.ceil(u)
 
 
-@pytest.mark.parametrize("kernel", [halved, counted], ids=["a loop", "a number of sub-steps"])
-def test_what_differs_by_machine_and_is_no_choice_is_refused(kernel: Any) -> None:
+def turned(u: Any) -> Any:
+    return math.atan(u)
+
+
+def wrapped(u: Any) -> Any:
+    return u % 2.0
+
+
+@pytest.mark.parametrize("kernel", [halved, counted, turned, wrapped])
+def test_what_a_batch_cannot_compute_is_refused(kernel: Any) -> None:
     graph = Graph()
-    with pytest.raises(NotImplementedError):
+    with pytest.raises(SettingsError) as refused:
         Kernels(graph, {})(kernel, graph.input("commands", 0))
+    assert kernel.__name__ in refused.value.where
+    assert refused.value.remedy

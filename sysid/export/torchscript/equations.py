@@ -94,7 +94,7 @@ class Equations:
     def step(self, k: Kernels, s: Memory, load: Memory, swing: Memory) -> tuple[list[Value], ...]:
         """One step with the commands; the results of :meth:`place` after it."""
         demands, commands = k.memory([math.nan] * self.count), k.memory(self.inputs("commands"))
-        k(advance, k.memory(self.theta), self.arrays, s, load, demands, None, None, commands, self.dt, None, None)
+        k(advance, k.memory(self.theta), self.arrays, s, load, demands, None, commands, self.dt, None, None)
         return self.place(k, s, load, swing)
 
     def bend(self, k: Kernels, s: Memory, load: Memory, swing: Memory) -> tuple[list[Value], ...]:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from sysid.effects import CATALOGUE
+from sysid.export.kernel_source import following
 from sysid.export.torchscript.graph import SAFE, Graph, Node, Value, is_shortcut
 
 #: Operators and functions of a kernel → operations.
@@ -64,13 +65,20 @@ class Kernels:
         return self.memories[-1]
 
     def __call__(self, kernel: Any, *args: Any) -> Any:
-        """What a kernel returns; its memories are written."""
+        """What a kernel returns; its memories are written.
+
+        Raises:
+            SettingsError: it contains what the operations of a batch do not have.
+        """
         if kernel in self.special:
             return self.special[kernel](self, *args)
         definition, names = _source(kernel)
         local = dict(zip((arg.arg for arg in definition.args.args), args, strict=True))
         before = [memory.items[:] for memory in self.memories] if _absent(kernel, definition, args) else None
-        found = _Body(self, names, local).run(definition.body)
+        with following(
+            getattr(kernel, "py_func", kernel), "arithmetic, choices, loops whose length is the same for all machines"
+        ):
+            found = _Body(self, names, local).run(definition.body)
         if before is not None and found is not args[0]:  # at its neutral values there is no effect, and no memory of it
             for memory, items in zip(self.memories, before, strict=True):
                 memory.items = items
@@ -237,6 +245,8 @@ class _Body:
     def operation(self, op: ast.AST, *args: Value) -> Value:
         if type(op) in _WHOLE and not isinstance(args[0], (bool, Node)):
             return _WHOLE[type(op)](*args)
+        if type(op) not in _OPERATORS:
+            raise NotImplementedError(f"the operator {type(op).__name__}")
         return self.kernels.operation(_OPERATORS[type(op)], *args)
 
     def value(self, expression: ast.expr) -> Any:
@@ -303,6 +313,8 @@ class _Body:
             return self.kernels.operation(_FUNCTIONS[function], *args)
         if hasattr(function, "py_func"):
             return self.kernels(function, *args)
+        if any(isinstance(arg, Node) for arg in args):
+            raise NotImplementedError(f"the function {function.__name__}")
         return function(*args)
 
 
