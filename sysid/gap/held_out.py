@@ -22,7 +22,7 @@ from sysid.gap.disagreement import stage_rmse
 from sysid.gap.fit import fit_candidates
 from sysid.gap.prepare.case import Stage
 from sysid.gap.reasons import Reason
-from sysid.gap.thresholds import TENTH
+from sysid.gap.thresholds import TENTH, at_floor
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def is_excited(stage: Stage, without: Array, theta: Array) -> bool:
     error = held_out_error(stage, theta)
     moved = [np.diff(stage.problem.predict(np.array([without, theta]), r), axis=0)[0] for r in stage.split.held_out]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
-    return held_out_error(stage, stage.theta) > TENTH and size > equivalent_change(error)
+    return not at_floor(held_out_error(stage, stage.theta)) and size > equivalent_change(error)
 
 
 def held_out_error(stage: Stage, theta: Array) -> float:
