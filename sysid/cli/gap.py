@@ -125,7 +125,7 @@ def gap(
         from sysid.workspace import open_workspace
 
         workspace = open_workspace(location)
-        tested = open_simulator(simulator, dataset, assets) if simulator is not None else workspace.plant(dataset, plant)
+        tested = open_simulator(simulator, dataset, assets, out.line) if simulator is not None else workspace.plant(dataset, plant)
         folder = None if localise else workspace.gap_folder(dataset)
         result = find_gap(
             dataset,

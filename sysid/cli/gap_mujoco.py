@@ -35,10 +35,13 @@ def write_model(
     """
     from sysid.gap.adapters.mujoco.force_repair import write_force_model
     from sysid.gap.adapters.mujoco.repair import repaired_effects, write_repaired
+    from sysid.gap.adapters.mujoco.servo_repair import has_servos, write_servo_model
     from sysid.plant import Plant
     from sysid.plant.plant import effect_key
 
-    if isinstance(tested, Plant):
+    if isinstance(tested, Plant) and has_servos(tested.machine):
+        repaired = write_servo_model(model, tested, result, path, dataset, assets)
+    elif isinstance(tested, Plant):
         repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap, assets)
     else:
         repaired = write_repaired(tested, repaired_effects(tested, result.written), path, dataset, result.gap)
@@ -47,7 +50,8 @@ def write_model(
         out.line(f"    {change.effect.name} of {change.effect.target}: {change.where}")
     for item in repaired.beside:
         why = repaired.reasons.get(effect_key(item), "")
-        where = f"{repaired.side_path}, which MJCF cannot express" if repaired.side_path is not None else "not written"
+        kept = repaired.side_path is not None and not why
+        where = f"{repaired.side_path}, which MJCF cannot express" if kept else "not written"
         out.line(f"    {item.name} of {item.target}: {where}{f' ({why})' if why else ''}")
     if repaired.fitted:
         out.line(f"    fitted once more in MuJoCo, within their intervals: {repaired.fitted}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,17 @@ if TYPE_CHECKING:
 MUJOCO = "mujoco:"
 
 
-def open_simulator(place: str, dataset: Dataset, assets: tuple[Path, ...] = ()) -> Simulator | Plant:
-    """The simulator of a Python file or of an MJCF, for a dataset; of force-driven axes, the plant with the same forces.
+def open_simulator(
+    place: str, dataset: Dataset, assets: tuple[Path, ...] = (), tell: Callable[[str], object] = print
+) -> Simulator | Plant:
+    """The simulator of a Python file or of an MJCF, for a dataset.
+
+    Of an MJCF with force-driven axes, the plant with the same forces; of one with servos, the plant that moves as it does, and
+    where none does, the model itself.
 
     Args:
         assets: further folders below which an MJCF may open files.
+        tell: takes the reason for which a model of servos is run itself.
 
     Raises:
         SettingsError: neither ``FILE.py:NAME`` nor ``mujoco:FILE.xml``, or a model that does not fit the machine.
@@ -33,10 +40,16 @@ def open_simulator(place: str, dataset: Dataset, assets: tuple[Path, ...] = ()) 
         return load_simulator(place)
     from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model
     from sysid.gap.adapters.mujoco.repair import open_mujoco
+    from sysid.gap.adapters.mujoco.servo_repair import Differs, has_servos, open_servo_model
 
     path = Path(place.removeprefix(MUJOCO))
     if is_force_driven(dataset.machine):
         return open_force_model(path, dataset, assets)
+    if has_servos(dataset.machine):
+        found = open_servo_model(path, dataset, assets)
+        if not isinstance(found, Differs):
+            return found
+        tell(f"note: {path.name} is run itself, which takes several times as long, and effects inside its loops are not searched: {found.why}")
     return open_mujoco(path, dataset, assets)
 
 

@@ -78,7 +78,7 @@ def open_force_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) 
 
 
 def machine_of(path: Path, machine: Machine, assets: Sequence[Path] = ()) -> Machine:
-    """The machine that the model describes, with names, rate and sensor noise of ``machine``.
+    """The machine that the model describes, with names, rate, sensor noise and convention of ``machine``.
 
     Raises:
         SettingsError: other axes.
@@ -97,7 +97,7 @@ def machine_of(path: Path, machine: Machine, assets: Sequence[Path] = ()) -> Mac
     )
     text = machine_text(replace(draft, axes=axes), machine.name)
     own = machine_from_files({"machine.toml": text, f"{machine.name}.urdf": draft.urdf}, path.name)
-    return replace(own, rate_hz=machine.rate_hz, noise=machine.noise)
+    return replace(own, rate_hz=machine.rate_hz, noise=machine.noise, convention=machine.convention)
 
 
 def _check_forces(path: Path, model: Any, plant: Plant, dataset: Dataset) -> None:

@@ -3,7 +3,7 @@
 Input effects act before everything inside the model, in the order of the catalogue. An effect may move into the actuator if all
 that act after it on the same axis move too; a delay moves in any case, since it commutes with time-invariant effects.
 
-Friction loss is MuJoCo's dry friction; damping acts beside what the actuator brakes by itself.
+Friction loss is MuJoCo's dry friction; damping acts beside what an actuator without a controller brakes by itself.
 
 Adjusted inertial parameters are those of bodies, rotors and force constants of a whole arm. They hold together only, so that
 all of them are written or none. The body of a joint gets the mass, centre and inertia of all that moves with it; bodies fixed
@@ -134,10 +134,12 @@ def write_inside(
 
 
 def _damping(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    if "coefficient" not in item.parameters:
+    coefficient = _both_ways(item, "coefficient")
+    if coefficient is None:
         return None
-    own = drive.damping + float(model.actuator_damping[drive.actuator]) * gear_of(model, drive.actuator) ** 2
-    value = _value(item, "coefficient") - own
+    own = float(model.actuator_damping[drive.actuator]) * gear_of(model, drive.actuator) ** 2
+    own += drive.damping if drive.control == "force" else 0.0  # of a servo it is that of the controller
+    value = coefficient - own
     if value < 0.0:
         return None
     joint = spec.joints[drive.joint]
@@ -146,10 +148,11 @@ def _damping(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownE
 
 
 def _friction(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    if "force" not in item.parameters:
+    force = _both_ways(item, "force")
+    if force is None:
         return None
     joint = spec.joints[drive.joint]
-    joint.frictionloss = _value(item, "force")
+    joint.frictionloss = force
     return f'joint {joint.name}: frictionloss="{joint.frictionloss:.6g}"'
 
 
@@ -164,7 +167,7 @@ def _armature(spec: Any, model: Any, machine: Machine, drive: Drive, item: Known
     inertia = machine.axis(item.target).inertia
     if inertia is None:
         return None
-    value = _joint_armature(model, drive, _value(item, "ratio") * inertia)
+    value = joint_armature(model, drive, _value(item, "ratio") * inertia)
     if value < 0.0:
         return None
     joint = spec.joints[drive.joint]
@@ -225,7 +228,7 @@ def write_inertials(spec: Any, model: Any, plant: Plant, source: str) -> list[Ch
     drives, found = drives_of(model, plant.machine, source), arm_inertia(plant)
     bodies = _bodies(model, plant, found.bodies)
     scales = dict(zip(drives, found.scales, strict=True))
-    rotors = {axis: _joint_armature(model, drives[axis], own) for axis, own in zip(drives, found.armatures, strict=True)}
+    rotors = {axis: joint_armature(model, drives[axis], own) for axis, own in zip(drives, found.armatures, strict=True)}
     if bodies is None or any(value < 0.0 for value in rotors.values()):
         return None
     if any(scales[axis] != 1.0 and not _scalable(model, drive) for axis, drive in drives.items()):
@@ -326,10 +329,16 @@ def moved_bodies(model: Any, joint: int) -> Sequence[int]:
     return found
 
 
+def _both_ways(item: KnownEffect, key: str) -> float | None:
+    """A value that holds for both directions; None where they differ, which a joint of MuJoCo cannot express."""
+    values = {float(np.asarray(item.parameters[name])) for name in (key, "positive", "negative") if name in item.parameters}
+    return values.pop() if len(values) == 1 else None
+
+
 def _value(item: KnownEffect, key: str) -> float:
     return float(np.asarray(item.parameters[key]))
 
 
-def _joint_armature(model: Any, drive: Drive, armature: float) -> float:
+def joint_armature(model: Any, drive: Drive, armature: float) -> float:
     """What the joint has of an armature, beside the actuator."""
     return float(armature) - float(model.actuator_armature[drive.actuator]) * gear_of(model, drive.actuator) ** 2
