@@ -125,7 +125,10 @@ def gap(
         from sysid.workspace import open_workspace
 
         workspace = open_workspace(location)
-        tested = open_simulator(simulator, dataset, assets, out.line) if simulator is not None else workspace.plant(dataset, plant)
+        if simulator is not None:
+            tested = open_simulator(simulator, dataset, assets, out.line)
+        else:
+            tested = workspace.plant(dataset, plant)
         folder = None if localise else workspace.gap_folder(dataset)
         result = find_gap(
             dataset,

@@ -49,7 +49,7 @@ def open_simulator(
         found = open_servo_model(path, dataset, assets)
         if not isinstance(found, Differs):
             return found
-        tell(f"note: {path.name} is run itself, which takes several times as long, and effects inside its loops are not searched: {found.why}")
+        tell(f"note: {path.name} is run itself, which takes longer; effects inside its loops are not searched: {found.why}")
     return open_mujoco(path, dataset, assets)
 
 

@@ -132,7 +132,7 @@ def test_effects_in_the_loops_are_found_and_written_and_the_model_then_moves_as_
     text = arm_text(2, rubs=STIFF)
     path = saved(tmp_path, text)
     true = changed(text.replace('frictionloss="0.2400"', 'frictionloss="0.55"'), "a0", kp=25.0)
-    dataset = recorded(described(path), true)
+    dataset = recorded(described(path), true, 6.0)
     tested = open_simulator(f"mujoco:{path}", dataset)
     assert isinstance(tested, Plant)
     result = find_gap(dataset, tested)
@@ -166,8 +166,9 @@ def test_the_convention_of_the_recordings_is_not_that_of_the_comparison(tmp_path
 
 
 def test_other_joints_are_an_error(tmp_path: Path) -> None:
-    path = saved(tmp_path, arm_text(2))
-    other = saved(tmp_path / "other" if (tmp_path / "other").mkdir() else tmp_path / "other", arm_text(3))
+    path, elsewhere = saved(tmp_path, arm_text(2)), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    other = saved(elsewhere, arm_text(3))
     with pytest.raises(SettingsError, match="driven joints"):
         machine_of(other, described(path))
 

@@ -1,15 +1,15 @@
 """Servo arms of a MuJoCo model: controllers, friction and masses are parameters of the model itself.
 
-The plant that describes such a model moves as MuJoCo does, which is checked on the recordings. Its effects are searched on that
-plant, also those inside the loop, in a fraction of the time that runs of the model take, and are written into its actuators,
-joints and bodies. Effects of sensors and of the kinematics are in the file beside it. The written model is loaded again, and its
-gap on held-out recordings measured with MuJoCo. A model that moves otherwise (springs, contacts) is run itself.
+The plant that describes such a model moves as MuJoCo does, which is checked on the recordings. Effects, also those inside the
+loops, are searched on that plant, in a fraction of the time that runs of the model take, and written into its actuators, joints
+and bodies; those of sensors and of the kinematics into the file beside it. The written model is loaded again, and its gap on
+held-out recordings measured with MuJoCo. A model that moves otherwise (springs, contacts) is run itself.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import effect_named
 from sysid.gap.adapters.mujoco.force_repair import machine_of
-from sysid.gap.adapters.mujoco.native import LINEAR, Change, gear_of, joint_armature, write_inside
+from sysid.gap.adapters.mujoco.native import LINEAR, Change, joint_armature, write_inside
 from sysid.gap.adapters.mujoco.repair import (
     RepairedModel,
     check_gap,
@@ -32,7 +32,7 @@ from sysid.gap.adapters.mujoco.repair import (
     write_side_file,
     write_spec,
 )
-from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of, gear_of
 from sysid.gap.disagreement import run_rmse
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
@@ -50,8 +50,6 @@ Array = npt.NDArray[np.float64]
 
 #: Largest RMS difference between the motion of plant and model, as a share of the motion, where the sensor has less noise.
 ALIKE = 1e-3
-#: Effects of the controller that :func:`_write_controller` writes, and those of :func:`write_inside` at a servo.
-CONTROLLER = ("stiffness_error", "damping_error", "force_limit", "armature_error", "input_delay", "first_order_lag")
 #: Why an effect inside the loop is left out.
 NO_PLACE = "it acts inside the loop, and this model has no place for it; `sysid export --to mjcf` writes a model that has one"
 
@@ -151,7 +149,7 @@ def _as_taken(machine: Machine, recording: Recording) -> Recording:
 
 
 def _in_loop(item: KnownEffect) -> bool:
-    return item.name in CONTROLLER or item.side == "drive" or effect_named(item.name).stage in ("force", "links")
+    return item.name in PLACES or item.side == "drive" or effect_named(item.name).stage in ("force", "links")
 
 
 def write_servos(
@@ -165,13 +163,14 @@ def write_servos(
     drives, compiled = drives_of(model, plant.machine, source), compile_plant(plant)
     places, rest = dict[EffectKey, str](), list[KnownEffect]()
     for item in effects:
-        if item.name in CONTROLLER and item.target in drives:
-            i = compiled.axis_index(item.target)
-            law = tuple(float(x) for x in chain.servo_law.py_func(compiled.theta, compiled.arrays.axes, i))
-            place = _write_controller(spec, model, drives[item.target], law, item)
-            if place is not None:
-                places[effect_key(item)] = place
-                continue
+        place = None
+        if item.name in PLACES and item.target in drives:
+            i, drive = compiled.axis_index(item.target), drives[item.target]
+            kp, kv, low, high, armature = map(float, chain.servo_law.py_func(compiled.theta, compiled.arrays.axes, i))
+            place = PLACES[item.name](_Place(spec, model, drive, kp, kv, low, high, armature, item))
+        if place is not None:
+            places[effect_key(item)] = place
+            continue
         rest.append(item)
     written, left = write_inside(spec, model, plant.machine, rest, source)
     changes = {effect_key(change.effect): change for change in written}
@@ -179,31 +178,31 @@ def write_servos(
     return [changes[effect_key(item)] for item in effects if effect_key(item) in changes], left
 
 
-def _write_controller(spec: Any, model: Any, drive: Drive, law: tuple[float, ...], item: KnownEffect) -> str | None:
-    """The place of an effect of a controller; None where the model has none.
-
-    Args:
-        law: stiffness, damping, lowest and highest force and armature of the axis, in units of its joint.
-    """
-    actuator, joint, gear = spec.actuators[drive.actuator], spec.joints[drive.joint], gear_of(model, drive.actuator)
-    kp, kv, low, high, armature = law
-    return _PLACES[item.name](_Place(model, drive, actuator, joint, gear, kp, kv, (low, high), armature, item))
-
-
 @dataclass(frozen=True)
 class _Place:
-    """Where the effects of a controller go: elements of the model, and the values of the axis in units of its joint."""
+    """Where the effects of a controller go, and the values of the axis in units of its joint."""
 
+    spec: Any
     model: Any
     drive: Drive
-    actuator: Any
-    joint: Any
-    gear: float
     kp: float
     kv: float
-    forces: tuple[float, float]
+    low: float
+    high: float
     armature: float
     item: KnownEffect
+
+    @property
+    def actuator(self) -> Any:
+        return self.spec.actuators[self.drive.actuator]
+
+    @property
+    def joint(self) -> Any:
+        return self.spec.joints[self.drive.joint]
+
+    @property
+    def gear(self) -> float:
+        return gear_of(self.model, self.drive.actuator)
 
     @property
     def name(self) -> str:
@@ -217,22 +216,20 @@ def _gains(place: _Place) -> str | None:
     mujoco, actuator = mujoco_library(), place.actuator
     if int(place.model.actuator_gaintype[place.drive.actuator]) != int(mujoco.mjtGain.mjGAIN_FIXED):
         return None
-    ratio = place.kp / place.drive.stiffness
-    # Of the compiled model: in the file, a positive damping is a damping ratio, which depends on the stiffness.
-    gain = ratio * float(place.model.actuator_gainprm[place.drive.actuator, 0])
-    actuator.gainprm[0] = gain
+    # All three, from the compiled model: in a file, a damping ratio depends on the stiffness.
+    actuator.gainprm[0] = place.kp / place.drive.stiffness * float(place.model.actuator_gainprm[place.drive.actuator, 0])
     actuator.biasprm[1], actuator.biasprm[2] = -place.kp / place.gear**2, -place.kv / place.gear**2
     return f'{place.name}: kp="{place.kp / place.gear**2:.6g}" kv="{place.kv / place.gear**2:.6g}"'
 
 
 def _limit(place: _Place) -> str | None:
-    if not all(math.isfinite(end) for end in place.forces):
+    ends = place.low, place.high
+    if not all(map(math.isfinite, ends)):
         return None
-    limited = mujoco_library().mjtLimited.mjLIMITED_TRUE
-    low, high = sorted(end / place.gear for end in place.forces)
-    place.actuator.forcerange, place.actuator.forcelimited = [low, high], limited
+    low, high = sorted(end / place.gear for end in ends)
+    place.actuator.forcerange, place.actuator.forcelimited = [low, high], mujoco_library().mjtLimited.mjLIMITED_TRUE
     if place.model.jnt_actfrclimited[place.drive.joint]:
-        place.joint.actfrcrange = list(place.forces)
+        place.joint.actfrcrange = ends
     return f'{place.name}: forcerange="{low:.6g} {high:.6g}"'
 
 
@@ -262,7 +259,8 @@ def _lag(place: _Place) -> str | None:
     return f'{place.name}: dyntype="filterexact" dynprm="{time:.6g}"'
 
 
-_PLACES: Mapping[str, Any] = {
+#: Effect of a controller → writer of its place; None where the model has none.
+PLACES: Mapping[str, Callable[[_Place], str | None]] = {
     "stiffness_error": _gains,
     "damping_error": _gains,
     "force_limit": _limit,
