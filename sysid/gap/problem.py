@@ -30,6 +30,8 @@ Rows = npt.NDArray[np.int64]
 
 #: Stages whose output is a force: of an axis, or of the links of an arm.
 FORCES = ("force", "links")
+#: Stages from measured positions to measured positions: without dynamics between two samples, and without a start state.
+STATIC: tuple[Stage, ...] = ("joint", "end_effector")
 #: Length of the short runs from which a drive fit takes its starting values [s].
 SHORT_RUN = 5.0
 

@@ -14,13 +14,14 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import NearMiss
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Stage
+from sysid.gap.problem import STATIC
 from sysid.gap.reasons import Reason
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import as_little
 from sysid.machine import EffectKey
 
-#: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
-SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
+#: Effect of the sensor of a drive that the static stages behind the drive identify.
+SCALE = sensor_scale.EFFECT.name
 
 #: A scale with the result that names it.
 Found = tuple[StageResult, Candidate]
@@ -45,7 +46,7 @@ def with_sensor_scales(stages: Sequence[Stage], search: Search) -> tuple[Stage, 
 
 
 def _named_behind(stages: Sequence[Stage]) -> list[Found]:
-    behind = (stage.found for stage in stages if stage.problem.stage in BEHIND)
+    behind = (stage.found for stage in stages if stage.problem.stage in STATIC)
     return [(found, kept.candidate) for found in behind for kept in found.named if kept.candidate.effect.name == SCALE]
 
 
@@ -83,7 +84,7 @@ def _without(stage: Stage, search: Search, refuted: frozenset[EffectKey]) -> Sta
     """A stage that names a refuted scale, searched without it; the scale is a near miss."""
     before = stage.found
     lost = [kept.candidate for kept in before.named if kept.candidate.key in refuted]
-    if stage.problem.stage not in BEHIND or not lost or before.stage_fit is None:
+    if stage.problem.stage not in STATIC or not lost or before.stage_fit is None:
         return stage
     found, model = search(stage, refuted), before.stage_fit.decision.model
     result = found.found

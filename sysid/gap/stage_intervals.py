@@ -28,9 +28,9 @@ from sysid.gap.comparison import equivalent_half
 from sysid.gap.data import Data
 from sysid.gap.fit import place, spread_of
 from sysid.gap.intervals import known_of
-from sysid.gap.likelihood.rows import SPANS
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage
+from sysid.gap.problem import STATIC
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import TENTH, Z
@@ -82,7 +82,7 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
         squares = known_of(replace(seen, drifting=False), stage.theta, result.fit, case.noise, case.seed)
         presence = _hull(own, squares.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
-    margin = 1.0 if stage.problem.stage in SPANS else TENTH
+    margin = 1.0 if stage.problem.stage in STATIC else TENTH
     fit = known.fit if margin * after < before else result.fit
     return replace(stage, result=replace(result, fit=fit, limits=limits, presence=presence))
 

@@ -15,10 +15,10 @@ from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
-from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
+from sysid.gap.likelihood.rows import STATIC_SPAN, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, own_evidence, robust
-from sysid.gap.problem import Problem
+from sysid.gap.problem import STATIC, Problem
 from sysid.gap.proposals import Proposals
 from sysid.gap.servo.sag import fewest_sets, sags
 from sysid.machine import EffectKey
@@ -160,7 +160,8 @@ def search_stage(
     """
     full = recordings[0].rate_hz
     # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
-    span = 0.0 if any(c.effect.target == "stream" for c in candidates) else SPANS.get(problem.stage, 0.0)
+    clocks = any(c.effect.target == "stream" for c in candidates)
+    span = STATIC_SPAN if problem.stage in STATIC and not clocks else 0.0
     hidden = averaged_out(problem, recordings, theta, sigma, span)
     if span > 0.0:
         recordings = [averaged(problem.estimated(r), problem.stage) for r in recordings]

@@ -27,10 +27,10 @@ from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
 from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.prepare.clocks import open_offset
-from sysid.gap.problem import Problem
+from sysid.gap.problem import STATIC, Problem
 from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
-from sysid.gap.sensor_scales import BEHIND, SCALE
+from sysid.gap.sensor_scales import SCALE
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.thresholds import at_floor
@@ -99,7 +99,7 @@ def find_stage(
         result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
         model, rope = compile_plant(case.plant), _equivalence(case, candidates)
-        shared = [c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)]
+        shared = [c.label for c in candidates if problem.stage in STATIC and c.key in _scales_of_drives(case)]
 
         def search(some: Sequence[Candidate]) -> StageFit:
             seen_by = problem, stage.split.seen, stage.theta, stage.sigma

@@ -31,6 +31,7 @@ from sysid.gap.fit import GRID, Fit, place
 from sysid.gap.intervals.criterion import Criterion, Curvature, criterion_at, curvature_at
 from sysid.gap.intervals.input_noise import DRAWS, InputNoise, input_noise
 from sysid.gap.intervals.profile import profiled
+from sysid.gap.problem import STATIC
 from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
@@ -186,19 +187,19 @@ def _grid(criterion: Criterion, values: Array, places: list[int], reach: float) 
 
 #: Frames of a reference pose: a second of it.
 FRAMES = 100
-#: Stages between joints and bodies. Elsewhere a run starts at the measurement and includes its offset.
-AFFECTED = ("joint", "end_effector")
 
 
 def shared_offsets(criterion: Criterion, curvature: Curvature, values: Array, noise: Mapping[str, float]) -> Array:
     """Standard deviation (k,) of a fit at ``values`` (k,) caused by offsets of the signals.
+
+    At static stages alone: elsewhere a run starts at the measurement and includes its offset.
 
     Args:
         noise: standard deviation of every measured signal.
     """
     problem, recordings = criterion.data.problem, criterion.data.recordings
     squares = np.zeros(len(values))
-    if problem.stage not in AFFECTED:
+    if problem.stage not in STATIC:
         return squares
     made = criterion.predicted(values, recordings)
     gain = curvature.inverse @ (curvature.slopes * criterion.weights(curvature.errors)[:, None]).T

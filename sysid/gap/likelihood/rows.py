@@ -12,7 +12,7 @@ import pandas as pd
 from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.problem import Problem
+from sysid.gap.problem import STATIC, Problem
 from sysid.plant.stretches import held
 from sysid.signals import axis_signal
 
@@ -22,8 +22,8 @@ Array = npt.NDArray[np.float64]
 BIN = 0.04
 #: Length of the blocks of cross-validation [s]: long against the correlation time of a disturbance.
 BLOCK = 5.0
-#: Inputs and outputs of stages without dynamics between two samples are averaged over this time [s]; others keep their rate.
-SPANS: dict[Stage, float] = {"joint": 0.1, "end_effector": 0.1}
+#: Inputs and outputs of static stages are averaged over this time [s]; others keep their rate.
+STATIC_SPAN = 0.1
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def bin_means(values: Array, width: int) -> Array:
 
 def averaged(recording: Recording, stage: Stage) -> Recording:
     """The recording averaged over the span of the stage."""
-    width = round(SPANS.get(stage, 0.0) * recording.rate_hz)
+    width = round((STATIC_SPAN if stage in STATIC else 0.0) * recording.rate_hz)
     if recording.kind != "motion" or width < 2:
         return recording
     means = bin_means(recording.table.to_numpy(dtype=float)[None], width)[0]

@@ -12,8 +12,8 @@ from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows
 
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
-from sysid.gap.likelihood.rows import BIN, BLOCK, SPANS, StageRows, averaged, averaged_out, bin_means
-from sysid.gap.problem import drive_problem
+from sysid.gap.likelihood.rows import BIN, BLOCK, STATIC_SPAN, StageRows, averaged, averaged_out, bin_means
+from sysid.gap.problem import STATIC, drive_problem
 from sysid.plant import compile_plant
 
 
@@ -110,9 +110,9 @@ def ramp(count: int, kind: str = "motion") -> Recording:
     return Recording("run", pd.DataFrame({"time": time, "boom.joint": 2.0 * time}), 100.0, kind)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("stage", list(SPANS))
+@pytest.mark.parametrize("stage", STATIC)
 def test_stages_without_dynamics_are_averaged(stage: Stage) -> None:
-    width = round(SPANS[stage] * 100.0)
+    width = round(STATIC_SPAN * 100.0)
     found = averaged(ramp(103), stage)
     assert found.rate_hz == pytest.approx(100.0 / width)
     assert len(found) == 103 // width
