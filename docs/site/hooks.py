@@ -40,8 +40,8 @@ PACKAGES = {
     "sysid_rl.train": "train and track policies",
     "sysid_rl.run": "run a machine, supervised and recorded",
 }
-#: Pages that the search leaves out: how figures and decisions came about.
-UNSEARCHED = ("reports", "decisions/", "changelog")
+#: Pages that the search leaves out: how figures and decisions came about; what other pages say.
+UNSEARCHED = ("reports", "decisions/", "changelog", "effects/gallery")
 #: A link or picture: the target without spaces or title, an anchor apart.
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 #: A colour of a terminal.

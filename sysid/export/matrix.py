@@ -15,15 +15,16 @@ _MARKS = {"native": "native", "composed": "composed", "plugin": "plugin", "not_r
 
 
 def matrix() -> str:
-    """The table as Markdown: a column for each group of targets that represent every effect alike."""
-    groups: dict[tuple[str, ...], list[Target]] = {}
+    """The table as Markdown: one column for targets that represent every effect alike, one row for effects represented alike."""
+    columns: dict[tuple[str, ...], list[Target]] = {}
     for target in TARGETS:
-        groups.setdefault(tuple(_MARKS[target.support(effect).kind] for effect in CATALOGUE), []).append(target)
-    head = [", ".join(f"`{target.name}`" for target in group) for group in groups.values()]
-    rows = [f"| effect | {' | '.join(head)} |", "| --- |" + " --- |" * len(head)]
-    for effect, *cells in zip(CATALOGUE, *groups, strict=True):
-        rows.append(f"| [`{effect.name}`](../effects/{effect.name}.md) | {' | '.join(cells)} |")
-    return "\n".join([*rows, ""])
+        columns.setdefault(tuple(_MARKS[target.support(effect).kind] for effect in CATALOGUE), []).append(target)
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for effect, *cells in zip(CATALOGUE, *columns, strict=True):
+        rows.setdefault(tuple(cells), []).append(f"[`{effect.name}`](../effects/{effect.name}.md)")
+    head = [", ".join(f"`{target.name}`" for target in group) for group in columns.values()]
+    lines = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in rows.items()]
+    return "\n".join([f"| effects | {' | '.join(head)} |", "| --- |" + " --- |" * len(head), *lines, ""])
 
 
 def with_matrix(page: str) -> str:
