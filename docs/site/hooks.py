@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from check import faults
+from formula import mathml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -48,6 +49,8 @@ LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 ANSI = re.compile(r"\x1b\[[0-9;]*m")
 #: A role of a docstring in HTML.
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
+#: A block of formulas.
+FORMULA = re.compile(r"^```formula\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
 #: The first line of a block of code with more than its language, at any depth.
 FENCE = re.compile(r"^( *```+\w+) .*$", re.MULTILINE)
 #: A cell of a table: in its code too, a bar is written with a backslash.
@@ -74,10 +77,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Map the links of a page to the places in the site, and leave of a block of code its language.
+    """Map the links of a page to the places in the site, draw formulas, and leave of a block of code its language.
 
     What follows the language is for the tests that run the pages; the site takes such a block for text.
     """
+    markdown = FORMULA.sub(lambda match: mathml(match[1]), markdown)
     markdown = FENCE.sub(r"\1", markdown)
     if page.file.src_uri.startswith(UNSEARCHED):
         page.meta["search"] = {"exclude": True}

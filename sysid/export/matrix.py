@@ -15,7 +15,7 @@ _MARKS = {"native": "native", "composed": "composed", "plugin": "plugin", "not_r
 
 
 def matrix() -> str:
-    """The table as Markdown: one column for targets that represent every effect alike, one row for effects represented alike."""
+    """The table as Markdown: one column for targets that represent all effects alike, one row for effects represented alike."""
     columns: dict[tuple[str, ...], list[Target]] = {}
     for target in TARGETS:
         columns.setdefault(tuple(_MARKS[target.support(effect).kind] for effect in CATALOGUE), []).append(target)

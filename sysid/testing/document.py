@@ -105,7 +105,7 @@ def page(effect: Effect) -> str:
         f"# `{effect.name}`: {effect.title}\n",
         f"{about}\n",
         f"![with and without the effect]({effect.name}.svg)\n",
-        f"    {effect.equation}\n",
+        f"```formula\n{effect.equation}\n```\n",
         f"- **Stage**: {_STAGES[effect.stage]}",
         f"- **Target**: {_target(effect)}",
     ]

@@ -17,6 +17,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 faults = runpy.run_path(str(ROOT / "docs" / "site" / "check.py"))["faults"]
+mathml = runpy.run_path(str(ROOT / "docs" / "site" / "formula.py"))["mathml"]
 
 
 class Links(HTMLParser):
@@ -50,6 +51,26 @@ def test_what_is_rendered_has_no_fault() -> None:
     assert faults(html, markdown) == []
 
 
+@pytest.mark.parametrize(
+    ("text", "element"),
+    [
+        ("ẋ", "<mover><mi>x</mi><mo>˙</mo></mover>"),
+        ("T²", "<msup><mi>T</mi><mn>2</mn></msup>"),
+        ("10⁻⁶", "<msup><mn>10</mn><mn>−6</mn></msup>"),
+        ("ω₀", "<msub><mi>ω</mi><mn>0</mn></msub>"),
+        ("R_last", "<msub><mi>R</mi><mtext>last</mtext></msub>"),
+        (
+            "e^(−(a)/b)c",
+            "<msup><mi>e</mi><mrow><mo>−</mo><mo>(</mo><mi>a</mi><mo>)</mo><mo>/</mo><mi>b</mi></mrow></msup><mi>c</mi>",
+        ),
+        ("0.5<x", "<mn>0.5</mn><mo>&lt;</mo><mi>x</mi>"),
+        ("time_constant", "<mtext>time_constant</mtext>"),
+    ],
+)
+def test_a_formula_is_mathml(text: str, element: str) -> None:
+    assert mathml(text) == f'<div class="formula"><math display="block"><mrow>{element}</mrow></math></div>'
+
+
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning_and_without_dead_links(tmp_path: Path) -> None:
     if importlib.util.find_spec("mkdocs") is None:
@@ -69,6 +90,7 @@ def test_the_site_is_built_without_a_warning_and_without_dead_links(tmp_path: Pa
     assert "guide/servo.html" in found
     assert {place for place in found if place.startswith(("reports/", "decisions/"))} == set()
     pages = sorted(tmp_path.rglob("*.html"))
+    assert "<mi>T</mi>" in (tmp_path / "effects" / "first_order_lag.html").read_text("utf-8")
     wanted = {"reference/sysid.gap.html", "machines/autolog.html", "effects/gallery.html", "notebooks/first-look.html"}
     assert {"index.html", *wanted} <= {page.relative_to(tmp_path).as_posix() for page in pages}
     for page in pages:
