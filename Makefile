@@ -96,7 +96,7 @@ model-server:
 	$(MLFLOW)/bin/mlflow server --host 127.0.0.1 --port 5001 --workers 2 \
 	  --backend-store-uri sqlite:///$(abspath $(WORKSPACE))/model-server/server.db --artifacts-destination $(WORKSPACE)/model-server/artifacts
 
-# Every reader beside the library of its format on COUNT random files, the table of docs/formats.md; LeRobot in environments of its own, a
+# Every reader beside the library of its format on COUNT random files, the table of reports/formats/README.md; LeRobot in environments of its own, a
 # release for each layout, with the packages that its loader needs and not those of its robots and cameras.
 COUNT ?= 2000
 LEROBOT := $(VENV)-lerobot

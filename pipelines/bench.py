@@ -1,4 +1,4 @@
-"""Compares time and memory with other tools on the same logs: `make bench` writes reports/bench/result.json and docs/speed.md.
+"""Compares time and memory with other tools on the same logs: `make bench` writes reports/bench/.
 
 The figures are ratios of times measured alternately on one machine; above 1, sysid is better. The parts are in benchmarks/.
 `make bench PARTS="readers memory"` measures these parts and keeps the rows of the others.
@@ -25,7 +25,7 @@ from committed import markdown, provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
-PAGE = ROOT / "docs" / "speed.md"
+PAGE = ROOT / "reports" / "bench" / "README.md"
 PACKAGES = (
     "mcap-ros2-support",
     "rosbags",

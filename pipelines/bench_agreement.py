@@ -1,4 +1,4 @@
-"""The plant against the simulated test bench, effect by effect, with the remaining model error: docs/bench.md's table.
+"""The plant against the simulated test bench, effect by effect, with the remaining model error: reports/bench_agreement/.
 
     .venv/bin/python pipelines/bench_agreement.py
 
@@ -23,7 +23,8 @@ from committed import provenance, write_result, write_tables
 from sysid.effects import CATALOGUE
 
 PIPELINE = "pipelines/bench_agreement.py"
-PAGE, RESULT = ROOT / "docs" / "bench.md", ROOT / "reports" / "bench_agreement" / "result.json"
+REPORT = ROOT / "reports" / "bench_agreement"
+PAGE, RESULT = REPORT / "README.md", REPORT / "result.json"
 
 
 def main(chosen: Sequence[Row] = ROWS, result: Path = RESULT, page: Path | None = PAGE) -> list[Agreement]:

@@ -1,6 +1,6 @@
 """Networks and calibration on published measurements of arms and servos: held-out errors, compared with simple models.
 
-    .venv/bin/python pipelines/calibration_sets.py DATA          (writes reports/calibration_sets/ and docs/validation.md)
+    .venv/bin/python pipelines/calibration_sets.py DATA          (writes reports/calibration_sets/; tables: reports/networks/)
 
 ``DATA`` holds the folders ``tiago_mocap``, ``bam_xl330`` and ``sage_so101`` as downloaded (the READMEs of datasets/tiago, ur10,
 xl330 and so101 name the sources). Static poses of two arms: calibrated geometry, perceptrons and simple models, all evaluated
@@ -41,6 +41,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="folder with tiago_mocap, bam_xl330 and sage_so101")
     parser.add_argument("--folder", type=Path, default=ROOT / "reports" / "calibration_sets")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "validation.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "reports" / "networks" / "README.md")
     given = parser.parse_args()
     main(given.data, given.folder, given.page)

@@ -5,7 +5,7 @@
 A grid of durations, motions and faults, repeated with other noise: errors at mid-log and at its end, coverage of the 95 %
 intervals, recordings that are refused without need, and those that are not refused although they must be. The usual methods
 for an offset are compared on recordings of 300 s at 1 Hz. Writes ``reports/clock_study/result.json``, the tables of
-``docs/clocks.md`` and its picture.
+``reports/clock_study/README.md`` and its picture.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, RESULT = ROOT / "docs" / "clocks.md", ROOT / "reports" / "clock_study" / "result.json"
+REPORT = ROOT / "reports" / "clock_study"
+PAGE, RESULT = REPORT / "README.md", REPORT / "result.json"
 PICTURE = ROOT / "docs" / "images" / "clocks.svg"
 SEED = 20251121
 DURATIONS, MOTIONS = (30.0, 120.0, 300.0, 3600.0), (0.2, 0.5, 1.0, 2.0)

@@ -8,7 +8,7 @@ ingested, the gap is named, and controller and kinematics of the repaired plant 
 The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). What
 the work folder has of a machine is not run again (rounds.json, compared.json). With ``--excitation`` every round also makes
 the recordings that the gap workflow of the round before proposed, and no other controller is run. With ``--publish`` the result
-goes to reports/loop/ and the tables to docs/closing-the-gap.md and README.md; excitation has its own file and table.
+goes to reports/loop/ and the tables to reports/loop/README.md and README.md; excitation has its own file and table.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from simulated_bench.recipe import AXES
 from sysid.gap.experiment import Planning
 
 ROOT = Path(__file__).resolve().parents[1]
-REPORTS, PAGE = ROOT / "reports" / "loop", ROOT / "docs" / "closing-the-gap.md"
+REPORTS = ROOT / "reports" / "loop"
+PAGE = REPORTS / "README.md"
 PIPELINE = "pipelines/close_the_gap.py"
 SEEDS = (0, 1, 2, 3, 4)
 #: Plants for which a policy is trained too.

@@ -2,7 +2,7 @@
 
 Inverse kinematics follows the default helix through controllers with more and more parts: proportional, tuned by hand, then
 with the inverse of the valve, speed feed-forward, backlash compensation, an integral, and a look-ahead; and tuned from the
-plant before its repair. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
+plant before its repair. Writes `reports/control/result.json`, the table and the pictures of `reports/training/README.md`.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def main(workspace: Path, plant: str, before: str, forward: str) -> None:
         "rows": rows,
     }
     write_result(ROOT / "reports" / "control" / "result.json", result)
-    write_tables(ROOT / "docs" / "control.md", page(rows), "pipelines/control.py")
+    write_tables(ROOT / "reports" / "training" / "README.md", page(rows), "pipelines/control.py")
 
 
 def page(rows: Sequence[dict[str, Any]]) -> str:

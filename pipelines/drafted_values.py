@@ -2,7 +2,7 @@
 
     .venv/bin/python pipelines/drafted_values.py --seeds 2000:2100
 
-writes the tables of ``docs/drafted-values.md``. Every machine is drafted twice: as ``--yes`` does it, and with every question
+writes the tables of ``reports/drafted_values/``. Every machine is drafted twice: as ``--yes`` does it, and with every question
 answered as its owner would. A value is right as drafted; or it is asked: wrong as proposed, right after the answer; or its axis
 is left out with a reason; or it is wrong in silence.
 """
@@ -32,7 +32,7 @@ from sysid.machine import Axis as DraftedAxis
 from sysid.machine import load_machine
 from sysid.units import si_factor
 
-PAGE = Path(__file__).parents[1] / "docs" / "drafted-values.md"
+PAGE = Path(__file__).parents[1] / "reports" / "drafted_values" / "README.md"
 #: Largest error of a gain; of neutral, span and stroke as a share of the range; of the rate; of an inertia.
 GAIN, RANGE, RATE, INERTIA = 0.02, 0.01, 0.01, 0.1
 Array = npt.NDArray[np.float64]

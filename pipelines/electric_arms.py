@@ -1,7 +1,7 @@
 """The goals of electric arms, servos, drives and static poses: simulated machines with known hidden effects, scored.
 
     python pipelines/electric_arms.py [--rows arm,poses] [--seeds 0:1] [--workers N] [--work FOLDER] [--keep]
-    python pipelines/electric_arms.py --rows poses --seeds 120:129 --publish         (docs/arms.md and reports/electric_arms/)
+    python pipelines/electric_arms.py --rows poses --seeds 120:129 --publish         (reports/electric_arms/)
     python pipelines/electric_arms.py --measured WORKSPACE --data DATA               (measured machines beside their base)
 
 Every case is generated from its seed, written as logs with a machine description, and answered from these alone in a process
@@ -34,7 +34,7 @@ from arms.score import score_case
 from committed import provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "arms.md"
+PAGE = ROOT / "reports" / "electric_arms" / "README.md"
 REPORTS = ROOT / "reports" / "electric_arms"
 
 

@@ -3,7 +3,7 @@
     python pipelines/fleet_study.py --work WORK --machines 0:5     (and so on: the workspace keeps what is done)
     python pipelines/fleet_study.py --work WORK --publish
 
-Differences and drifts follow from the seed; the workflow has the logs alone. See docs/fleet-study.md.
+Differences and drifts follow from the seed; the workflow has the logs alone. See reports/fleet/README.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sysid.fleet.result import FleetMachine
 from sysid.workspace import open_workspace
 
 SEED = 20261126
-RESULT, PAGE = ROOT / "reports/fleet/result.json", ROOT / "docs/fleet-study.md"
+RESULT, PAGE = ROOT / "reports/fleet/result.json", ROOT / "reports/fleet/README.md"
 #: Accepted false alarms of a machine in 1000 hours.
 FALSE_ALARMS = 1.0
 GOALS = {"differing": 0.9, "minutes": 10.0, "false alarms in 1000 h": 1.0}

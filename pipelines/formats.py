@@ -2,7 +2,7 @@
 
     .venv/bin/python pipelines/formats.py ../shared/data
 
-writes the table of ``docs/formats.md``. Each file that has numbers becomes a version of a machine with one axis: the longest
+writes the table of ``reports/formats/``. Each file that has numbers becomes a version of a machine with one axis: the longest
 stream is its joint, or its tool where it is of motion capture; the choice of the number has no meaning. The files are in no
 package.
 """
@@ -24,7 +24,7 @@ from sysid.errors import SysidError
 from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary, inspect_file
 from sysid.logs.readers import is_log
 
-PAGE = Path(__file__).parents[1] / "docs" / "formats.md"
+PAGE = Path(__file__).parents[1] / "reports" / "formats" / "README.md"
 FOLDERS = ("mocap_files", "mcap_bags", "can_logs")
 MACHINE = """\
 schema = 1

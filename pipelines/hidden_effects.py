@@ -12,7 +12,7 @@ reports/hidden_effects/foreign.json.
 
 The cases follow from the seed. By default it is that of the commit (its first eight hex digits): a change of the search changes
 the cases, so that it cannot be tuned to them. Such a run needs a tree without changes. A whole tier of it, or with --answered
-the cases answered so far, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
+the cases answered so far, writes result.json and README.md of reports/hidden_effects/. With --seed N the
 result stays in the work folder. An interrupted run continues; with --resume, also on another computer, from the result file of
 the same seed and tier.
 

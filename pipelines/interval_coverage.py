@@ -6,7 +6,7 @@ Commands are those of the test bench's operator and programs, and the response i
 the true parameters are known exactly. Sensors add noise, and a disturbance acts on the flow: a random walk, as the drift model
 of the fit assumes it, or slower fluctuations that it does not assume; some sensor noise is coloured. No structure is searched:
 the right effects are fitted, with the nuisances of every fit. Every repeat has other commands, noise and disturbance. The
-intervals are compared with a plain block sandwich estimate. Writes the tables of ``docs/intervals.md`` and
+intervals are compared with a plain block sandwich estimate. Writes the tables of ``reports/interval_coverage/README.md`` and
 ``reports/interval_coverage/result.json``.
 """
 
@@ -42,7 +42,8 @@ from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, RESULT = ROOT / "docs" / "intervals.md", ROOT / "reports" / "interval_coverage" / "result.json"
+REPORT = ROOT / "reports" / "interval_coverage"
+PAGE, RESULT = REPORT / "README.md", REPORT / "result.json"
 SEED = 20250311
 PIPELINE = "pipelines/interval_coverage.py"
 RECORDINGS, SECONDS, SLIDE_SECONDS = 3, 40.0, 12.0

@@ -1,4 +1,4 @@
-"""Coverage of 95 % intervals under model error, on the simulated test bench; docs/intervals.md.
+"""Coverage of 95 % intervals under model error, on the simulated test bench; reports/interval_coverage/README.md.
 
     .venv/bin/python pipelines/interval_coverage_bench.py [--repeats 10]
 

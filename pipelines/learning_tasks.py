@@ -3,7 +3,7 @@
 .venv/bin/python pipelines/learning_tasks.py [--workspace DIR] [--moves N] [--seeds N] [--parts PART …]
 
 Makes what is not there yet: the versions of `make demo` by pipelines/first_look.py, and the policies of rl/autolog/tool.toml
-(two minutes of a core each). Writes reports/learning_tasks/result.json and the tables of docs/learning-tasks.md; with other
+(two minutes of a core each). Writes result.json and the tables of reports/learning_tasks/; with other
 numbers of moves or seeds than the published ones only into the workspace.
 """
 
@@ -36,7 +36,8 @@ from sysid_rl.train.versions import load_versions
 from task_runs import page, peer, pump, redundancy, sway
 
 ROOT = Path(__file__).resolve().parents[1]
-REPORT, PAGE = ROOT / "reports" / "learning_tasks", ROOT / "docs" / "learning-tasks.md"
+REPORT = ROOT / "reports" / "learning_tasks"
+PAGE = REPORT / "README.md"
 RECIPE = ROOT / "rl" / "autolog" / "tool.toml"
 PLANT, FORWARD = "autolog@2", "autolog-forward@1"
 #: Seeds of the trained policies.

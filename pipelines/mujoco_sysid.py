@@ -1,7 +1,7 @@
 """`sysid gap` on MuJoCo models beside mujoco.sysid: parameters, errors of held-out runs, time, and what each can say.
 
     python pipelines/mujoco_sysid.py --work FOLDER             # all cases
-    python pipelines/mujoco_sysid.py --work FOLDER --publish   # the table of docs/guide/mujoco.md, reports/mujoco_sysid
+    python pipelines/mujoco_sysid.py --work FOLDER --publish   # result and table of reports/mujoco_sysid
 
 A machine is a MuJoCo model with an error that the model under test lacks. mujoco.sysid fits parameters that its user chooses:
 once those that contain the error, and once others that a user may suspect instead. `sysid gap` gets the recordings alone. Both
@@ -375,7 +375,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--only", default="", help="part of the name of a case")
     parser.add_argument(
-        "--publish", action="store_true", help="write reports/mujoco_sysid/result.json and docs/guide/mujoco.md"
+        "--publish", action="store_true", help="write reports/mujoco_sysid/result.json and reports/mujoco_sysid/README.md"
     )
     args = parser.parse_args()
     rows = [row for case in (own_example(), *CASES) if args.only in case.name for row in solve(case, args.work)]
@@ -383,7 +383,7 @@ def main() -> None:
     if args.publish:
         head = provenance("python pipelines/mujoco_sysid.py --publish", None, ("mujoco-core",))
         write_result(ROOT / "reports/mujoco_sysid/result.json", {**head, "rows": rows})
-        write_tables(ROOT / "docs/guide/mujoco.md", tables(rows), "pipelines/mujoco_sysid.py")
+        write_tables(ROOT / "reports/mujoco_sysid/README.md", tables(rows), "pipelines/mujoco_sysid.py")
 
 
 if __name__ == "__main__":

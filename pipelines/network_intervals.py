@@ -1,6 +1,6 @@
 """Coverage of the intervals of networks, and their flag for queries outside the training domain.
 
-    .venv/bin/python pipelines/network_intervals.py       (writes reports/network_intervals/result.json and docs/validation.md)
+    .venv/bin/python pipelines/network_intervals.py       (writes reports/network_intervals/; tables: reports/networks/)
 
 Poses of the shipped crane, uniform over its joints' ranges, tips by its kinematics, noise as its description states. Every
 model is trained on 500 of them, a tenth of which for early stopping and the calibration of the intervals. It is evaluated on
@@ -184,7 +184,7 @@ def tables(models: Mapping[str, list[dict[str, Any]]]) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=ROOT / "reports" / "network_intervals")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "validation.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "reports" / "networks" / "README.md")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     given = parser.parse_args()
     main(given.folder, given.page, given.seeds)

@@ -6,7 +6,7 @@ Forward models: poses from the crane's own forward kinematics, uniform over the 
 ±45°, the middle 70 % of the others), joints and tip with the noise of motion capture; five seeds, 1000 other poses.
 Actuator networks: the shipped logs, evaluated in a recording that nothing has learned from and against the true linkage. Every
 part is kept in the workspace when it is done, and a run that was interrupted goes on where it was, within a training as well.
-Writes ``reports/networks/`` and the tables of ``docs/networks.md``.
+Writes ``reports/networks/`` and the tables of ``reports/networks/README.md``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from sysid.datasets import ingest
 from sysid.networks import Checkpoints
 
 ROOT = Path(__file__).resolve().parents[1]
-AUTOLOG, PAGE, FOLDER = ROOT / "datasets" / "autolog", ROOT / "docs" / "networks.md", ROOT / "reports" / "networks"
+AUTOLOG, FOLDER = ROOT / "datasets" / "autolog", ROOT / "reports" / "networks"
+PAGE = FOLDER / "README.md"
 PIPELINE = "pipelines/networks.py"
 
 

@@ -1,4 +1,4 @@
-"""Recurrent networks (actuators with history, command → motion) compared with simpler models: docs/networks.md.
+"""Recurrent networks (actuators with history, command → motion) compared with simpler models: reports/networks/README.md.
 
     .venv/bin/python pipelines/networks_along.py [--raw FOLDER_OF_MEASURED_DATA]
 
@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
 DATASETS = ROOT / "datasets"
 PIPELINE = "pipelines/networks_along.py"
-PAGE, RESULT = ROOT / "docs" / "networks.md", ROOT / "reports" / "networks_along" / "result.json"
+PAGE, RESULT = ROOT / "reports" / "networks" / "README.md", ROOT / "reports" / "networks_along" / "result.json"
 #: Full backlash between cylinder and boom or stick [m].
 PLAY = 1e-3
 #: Cylinder machines: recordings, their length [s], and the noise of the draw wires [m].
@@ -198,7 +198,7 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 
 
 def tables(result: Mapping[str, Any]) -> str:
-    """What docs/networks.md shows."""
+    """What reports/networks/README.md shows."""
     history, runs = [], []
     for machine, found in result["history"].items():
         for output, entry in found["outputs"].items():

@@ -5,7 +5,7 @@
 In each case the cylinder of the boom or of the stick has backlash between its rod, which a draw wire measures, and its joint.
 The noise of the wire is 1/2 to 1/20 of the backlash; all else is as the owner describes it, but for a fluctuation of the flow.
 The plant has the backlash at the joint, and the lever of the rod varies over its range: the true width is the best fit of the
-plant to the same motion without noise of the wire. ``--publish`` writes the tables of ``docs/intervals.md`` and
+plant to the same motion without noise of the wire. ``--publish`` writes the tables of ``reports/interval_coverage/`` and
 ``reports/noisy_backlash/result.json``.
 """
 
@@ -39,7 +39,7 @@ from sysid.gap.prepare.case import Stage, open_case, stage_candidates
 from sysid.plant import nominal_plant
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, RESULT = ROOT / "docs" / "intervals.md", ROOT / "reports" / "noisy_backlash" / "result.json"
+PAGE, RESULT = ROOT / "reports" / "interval_coverage" / "README.md", ROOT / "reports" / "noisy_backlash" / "result.json"
 AXES = ("boom", "stick")
 #: Width of the backlash at the rod [m], and in standard deviations of the noise of the wire.
 WIDTHS, RATIOS = (3e-4, 1.5e-3), (2.0, 20.0)

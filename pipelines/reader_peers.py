@@ -2,7 +2,7 @@
 
     .venv/bin/python pipelines/reader_peers.py --count 1000
 
-writes the table of ``docs/formats.md``. Each file is written by the library of its format (logs of autopilots and databases by
+writes the table of ``reports/formats/``. Each file is written by the library of its format (logs of autopilots and databases by
 their published descriptions) and read by both; every number and every stamp is compared. Where the reader has no value and the
 library has one, a rule of the reader has to say so. LeRobot needs older packages: ``make reader-peers`` installs the release of
 each layout in an environment of its own, where ``lerobot_sets.py`` writes and reads.
@@ -33,7 +33,7 @@ from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.lerobot import data_files, episode_name
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "formats.md"
+PAGE = ROOT / "reports" / "formats" / "README.md"
 Array = npt.NDArray[np.float64]
 #: Stamps agree to this [s]: libraries give them as floats in seconds.
 STAMP_S = 2e-6

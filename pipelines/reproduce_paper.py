@@ -5,7 +5,7 @@
 Manual operation, motion capture and 500 poses of the shipped crane are ingested; the paper's actuator and forward networks are
 fitted and validated; policy 1 (with action feedback) and policy 2 (without) are trained and follow the helix in simulation;
 policy 1 is deployed on the bench over its CAN bus, on which the gripper sways (parts in pipelines/paper/). An interrupted run
-continues. With ``--publish`` the result and the pictures go to reports/paper/ and the table to docs/paper.md.
+continues. With ``--publish`` the result and the pictures go to reports/paper/ and the table to reports/loop/README.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sysid.workspace import open_workspace
 
 ROOT = Path(__file__).resolve().parents[1]
 AUTOLOG = ROOT / "datasets" / "autolog"
-REPORT, PAGE = ROOT / "reports" / "paper", ROOT / "docs" / "paper.md"
+REPORT, PAGE = ROOT / "reports" / "paper", ROOT / "reports" / "loop" / "README.md"
 PIPELINE = "pipelines/reproduce_paper.py"
 
 

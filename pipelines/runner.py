@@ -2,9 +2,9 @@
 
 Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and with three busy
 processes; then every fault is injected while the machine moves, and the machine is commissioned with every fault of its
-wiring. The true motion is read from the bench's file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
-of two pages of the guide. `--keep-runs` measures the faults only and keeps the timed runs of the result, with the computer and
-date of their measurement.
+wiring. The true motion is read from the bench's file. Writes `reports/runner/result.json` and the tables of
+its README. `--keep-runs` measures the faults only and keeps the timed runs of the result, with the computer and date of their
+measurement.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from sysid_rl.run.checks.settings import BOUNDS
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
+REPORT = ROOT / "reports" / "runner"
 COMMAND = "python pipelines/runner.py"
 DATABASE = ROOT / "rl/autolog/machine.dbc"
 #: Recipe of the runner; the fence holds the path and the place where the machine is parked.
@@ -691,11 +692,11 @@ def main(options: argparse.Namespace) -> None:
         result["first_moves"] = list(moved.values())
         write_result(options.out, result)
     write_result(options.out, result)
-    if options.out == ROOT / "reports" / "runner" / "result.json":
+    if options.out == REPORT / "result.json":
         pipeline = COMMAND.partition(" ")[2]
-        write_tables(ROOT / "docs" / "can.md", runs_table(result), pipeline)
-        write_tables(ROOT / "docs" / "guide" / "runner.md", faults_table(result), pipeline)
-        write_tables(ROOT / "docs" / "guide" / "commissioning.md", commissioning_table(result), pipeline)
+        tables = {"runs": runs_table, "faults": faults_table, "commissioning": commissioning_table}
+        for name, table in tables.items():
+            write_tables(REPORT / "README.md", table(result), f"{pipeline}: {name}")
     every = (*result["faults"], *result.get("commissioning", ()), *result.get("first_moves", ()))
     wrong = [row["fault"] for row in every if not row["ok"]]
     print(f"{options.out}; not as they should be: {', '.join(wrong) or 'none'}")
@@ -759,7 +760,7 @@ def _options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--no-faults", dest="faults", action="store_false")
     parser.add_argument("--keep-runs", action="store_true", help="measure the faults alone; the runs stay as in --out")
     parser.add_argument("--only", nargs="+", default=[], help="of all faults these alone; the others stay as in --out")
-    parser.add_argument("--out", type=Path, default=ROOT / "reports" / "runner" / "result.json")
+    parser.add_argument("--out", type=Path, default=REPORT / "result.json")
     chosen = parser.parse_args(arguments)
     chosen.workspace = chosen.workspace.resolve()
     return chosen

@@ -4,7 +4,7 @@
 
 The logs are the motion recordings of the demo, repeated under other names. Every version is compared with that of one process,
 to the byte. The growth with the number of recordings is measured on two processes, and what 100 machines would cost follows on
-paper (scaling/estimate.py). ``--publish`` writes ``reports/scale/result.json`` and the tables of ``docs/scale.md``.
+paper (scaling/estimate.py). ``--publish`` writes ``reports/scale/result.json`` and the tables of ``reports/bench/README.md``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sysid.execution.cluster import ClusterExecutor
 from sysid.execution.loopback import HOST, commands, running
 
 DEMO = ROOT / "datasets/autolog"
-RESULT, PAGE = ROOT / "reports/scale/result.json", ROOT / "docs/scale.md"
+RESULT, PAGE = ROOT / "reports/scale/result.json", ROOT / "reports/bench/README.md"
 #: Empty tasks for the overhead of one, and the time to wait for workers [s].
 EMPTY, START_S = 200, 300.0
 #: Recordings of the gap.

@@ -4,7 +4,7 @@
 
 Needs the versions of `make demo`. An interrupted run continues, on another computer from the committed result. ``full`` takes
 about six hours of a core; with ``--minutes`` no training begins after that time, and the results so far are written. Result,
-tables and reward curves go to reports/training/, the tables also into docs/ddpg.md. ``small`` tests that everything runs, with
+tables and reward curves go to reports/training/. ``small`` tests that everything runs, with
 its files in the workspace.
 """
 
@@ -33,7 +33,8 @@ from trained.peer import peer
 from trained.policies import baselines, kept, one
 from trained.runs import ROOT, Run, runs
 
-REPORT, PAGE = ROOT / "reports" / "training", ROOT / "docs" / "ddpg.md"
+REPORT = ROOT / "reports" / "training"
+PAGE = REPORT / "README.md"
 #: Share of the episodes and seeds by part.
 TIERS: dict[str, tuple[float, dict[str, int]]] = {
     "small": (0.02, {"policies": 1, "whole": 1, "driven": 1, "choices": 1, "candidates": 1, "peer": 1}),

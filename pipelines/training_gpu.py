@@ -3,7 +3,7 @@
 python pipelines/training_gpu.py --workspace DIR [--minutes N] [--work DIR] [--publish]
 
 Needs a CUDA build of torch; SBX is compared where it is installed (`pip install sbx-rl 'jax[cuda13]'`). Without ``--publish``
-the result is only printed and kept in the work folder; with it, it goes to reports/training_gpu/ and docs/ddpg.md.
+the result is only printed and kept in the work folder; with it, it goes to reports/training_gpu/, tables to reports/training/.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from sysid_rl.train.versions import load_versions
 from trained.page import mm
 
 ROOT = Path(__file__).resolve().parents[1]
-RECIPES, REPORT, PAGE = ROOT / "rl" / "autolog", ROOT / "reports" / "training_gpu", ROOT / "docs" / "ddpg.md"
+RECIPES, REPORT, PAGE = ROOT / "rl" / "autolog", ROOT / "reports" / "training_gpu", ROOT / "reports" / "training" / "README.md"
 #: Batch, hidden layers, updates of one measurement.
 CASES = ((1024, (400, 300), 200), (256, (256, 256), 400), (4096, (512, 512), 50))
 REPEATS = 5

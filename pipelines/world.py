@@ -1,4 +1,4 @@
-"""Compiled plant against PyBullet world, effect by effect, on the shipped crane: writes the tables of docs/world.md.
+"""Compiled plant against PyBullet world, effect by effect, on the shipped crane: writes the tables of reports/bench_agreement/.
 
     .venv/bin/python pipelines/world.py
 
@@ -26,7 +26,7 @@ from sysid.plant.stepper import Stepper
 from sysid.world import Log, World
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, PICTURE = ROOT / "docs" / "world.md", ROOT / "docs" / "images" / "world.png"
+PAGE, PICTURE = ROOT / "reports" / "bench_agreement" / "README.md", ROOT / "docs" / "images" / "world.png"
 RECORDING = "manual-06"
 #: Height of the ground, without contact: the compiled plant has no ground.
 NO_GROUND = -3.0

@@ -2,7 +2,7 @@
 
 The Markdown files are written to be read in the repository. Here those outside of ``docs/`` become pages, links between them
 are mapped, other files that they name are copied, the reference is made from the docstrings of the public packages, and
-notebooks become pages of their texts and code.
+notebooks become pages of their texts, code and outputs. A page with Markdown that was not rendered ends the build.
 """
 
 from __future__ import annotations
@@ -11,8 +11,12 @@ import json
 import posixpath
 import re
 from pathlib import Path
+from typing import Any
 
+from check import faults
+from formula import mathml
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -37,12 +41,20 @@ PACKAGES = {
     "sysid_rl.train": "train and track policies",
     "sysid_rl.run": "run a machine, supervised and recorded",
 }
+#: Pages that the search leaves out: how figures and decisions came about; what other pages say.
+UNSEARCHED = ("reports", "decisions/", "changelog", "effects/gallery")
 #: A link or picture: the target without spaces or title, an anchor apart.
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
+#: A colour of a terminal.
+ANSI = re.compile(r"\x1b\[[0-9;]*m")
 #: A role of a docstring in HTML.
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
-#: The first line of a block of code with more than its language.
-FENCE = re.compile(r"^(```\w+) .*$", re.MULTILINE)
+#: A block of formulas.
+FORMULA = re.compile(r"^```formula\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
+#: The first line of a block of code with more than its language, at any depth.
+FENCE = re.compile(r"^( *```+\w+) .*$", re.MULTILINE)
+#: A cell of a table: in its code too, a bar is written with a backslash.
+CELL = re.compile(r"<td.*?</td>", re.DOTALL)
 #: Blocks and spans of code, in which brackets are no links.
 CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
@@ -65,11 +77,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Map the links of a page to the places in the site, and leave of a block of code its language.
+    """Map the links of a page to the places in the site, draw formulas, and leave of a block of code its language.
 
     What follows the language is for the tests that run the pages; the site takes such a block for text.
     """
+    markdown = FORMULA.sub(lambda match: mathml(match[1]), markdown)
     markdown = FENCE.sub(r"\1", markdown)
+    if page.file.src_uri.startswith(UNSEARCHED):
+        page.meta["search"] = {"exclude": True}
     source = next((path for path, name in pages().items() if name == page.file.src_uri), "")
     if not source:
         return markdown
@@ -80,8 +95,17 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Roles of docstrings (``:class:`~sysid.gap.GapResult```) as plain code."""
-    return ROLE.sub(r"\1", html) if page.file.src_uri.startswith("reference/") else html
+    """Roles of docstrings (``:class:`~sysid.gap.GapResult```) as plain code; bars of tables as GitHub shows them.
+
+    Raises:
+        PluginError: Markdown of the page was not rendered.
+    """
+    if page.file.src_uri.startswith("reference/"):
+        return ROLE.sub(r"\1", html)
+    html = CELL.sub(lambda match: match[0].replace(r"\|", "|"), html)
+    if found := faults(html, page.markdown or ""):
+        raise PluginError(f"{page.file.src_uri}: " + "; ".join(found))
+    return html
 
 
 def mapped(target: str, source: str, page: str) -> str:
@@ -117,12 +141,25 @@ def pages() -> dict[str, str]:
 
 
 def notebook_page(path: Path) -> str:
-    """The cells of a notebook as Markdown; outputs are not stored with it."""
+    """The cells of a notebook and their stored outputs as Markdown."""
     parts = []
     for cell in json.loads(path.read_text("utf-8"))["cells"]:
         text = "".join(cell["source"])
         parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        parts += [output_block(output) for output in cell.get("outputs", ())]
     return "\n\n".join([*parts, f"[Download this notebook]({path.name})", ""])
+
+
+def output_block(output: dict[str, Any]) -> str:
+    """One output of a cell: its richest form that needs no script."""
+    data = {kind: "".join(text) for kind, text in output.get("data", {}).items() if isinstance(text, str | list)}
+    for kind in ("image/svg+xml", "text/html"):
+        if kind in data and "<script" not in data[kind]:
+            return "<div>\n" + re.sub(r"\n\s*\n", "\n", data[kind]) + "\n</div>"
+    if "image/png" in data:
+        return f'<img alt="output of the cell above" src="data:image/png;base64,{data["image/png"].replace(chr(10), "")}">'
+    text = "".join(output.get("text", ())) or data.get("text/plain", "") or "\n".join(output.get("traceback", ()))
+    return f"```text\n{ANSI.sub('', text).rstrip()}\n```" if text.strip() else ""
 
 
 def linked() -> set[str]:

@@ -1,4 +1,4 @@
-"""The generated part of docs/bench.md."""
+"""The generated part of reports/bench_agreement/README.md."""
 
 from __future__ import annotations
 

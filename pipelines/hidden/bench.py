@@ -12,7 +12,7 @@ from hidden.foreign import cases as foreign_cases
 from hidden.foreign import make as foreign_make
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "hidden-effects.md"
+PAGE = ROOT / "reports" / "hidden_effects" / "README.md"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The tables of ``docs/networks.md``."""
+"""The tables of ``reports/networks/README.md``."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def tables(result: Mapping[str, Any]) -> str:
             _variants(result["variants"]),
             "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
             _by_inputs(result["variants"]),
-            "![Learning curves of the forward models](../reports/networks/forward.svg)",
+            "![Learning curves of the forward models](forward.svg)",
             f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of {len(SEEDS)} seeds: in held-out motion against"
             " the measurement, and over the whole stroke against the crane's true linkage [mrad, mm].",
             _actuators(result["actuators"]),
-            "![Learning curves of the actuator networks](../reports/networks/actuators.svg)",
+            "![Learning curves of the actuator networks](actuators.svg)",
             "Forward models of the shipped logs, seed 0, against the measurement [mm]; held out: the last 50 of 500"
             " poses, and recording `manual-06`.",
             _shipped(result["shipped"]),

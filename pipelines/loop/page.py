@@ -1,4 +1,4 @@
-"""Tables of docs/closing-the-gap.md from the result; the goals are in :mod:`loop.goals`."""
+"""Tables of reports/loop/README.md from the result; the goals are in :mod:`loop.goals`."""
 
 from __future__ import annotations
 

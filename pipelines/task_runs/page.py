@@ -1,4 +1,4 @@
-"""The tables of docs/learning-tasks.md."""
+"""The tables of reports/learning_tasks/README.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``docs/export.md`` from the code: effects × targets. ``python -m sysid.export.matrix docs/export.md``."""
+"""Effects × targets in ``docs/guide/export.md``, from the code: ``python -m sysid.export.matrix docs/guide/export.md``."""
 
 from __future__ import annotations
 
@@ -7,40 +7,32 @@ from pathlib import Path
 
 from sysid.effects import CATALOGUE
 from sysid.export.export import TARGETS
-from sysid.export.page import KINDS
 from sysid.export.target import Target
 
-_NOTICE = "<!-- Written by python -m sysid.export.matrix docs/export.md: change the code instead. -->\n"
-_INTRODUCTION = """# Export targets
-
-This page lists how each target of [`sysid export`](guide/export.md) represents each [effect](effects/README.md):
-
-| word | meaning |
-| --- | --- |
-| native | the format has it |
-| composed | of several elements of the format |
-| by plugin | by the drive model that ships with the export: `drive_model.py`, which needs NumPy alone, or TorchScript |
-| not representable | the export lacks it; the replay shows what that costs |
-"""
+BEGIN = "<!-- Written by python -m sysid.export.matrix docs/guide/export.md: change the code instead. -->\n"
+END = "<!-- end -->\n"
+_MARKS = {"native": "native", "composed": "composed", "plugin": "plugin", "not_representable": "–"}
 
 
-def matrix_page() -> str:
-    """The page as Markdown."""
-    names = [target.name for target in TARGETS]
-    rows = [f"| effect | {' | '.join(f'`{name}`' for name in names)} |", "| --- |" + " --- |" * len(names)]
-    for effect in CATALOGUE:
-        cells = [KINDS[target.support(effect).kind] for target in TARGETS]
-        rows.append(f"| [`{effect.name}`](effects/{effect.name}.md) | {' | '.join(cells)} |")
-    return "\n".join([_NOTICE, _INTRODUCTION, *rows, "", *(line for target in TARGETS for line in _details(target))])
+def matrix() -> str:
+    """The table as Markdown: one column for targets that represent all effects alike, one row for effects represented alike."""
+    columns: dict[tuple[str, ...], list[Target]] = {}
+    for target in TARGETS:
+        columns.setdefault(tuple(_MARKS[target.support(effect).kind] for effect in CATALOGUE), []).append(target)
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for effect, *cells in zip(CATALOGUE, *columns, strict=True):
+        rows.setdefault(tuple(cells), []).append(f"[`{effect.name}`](../effects/{effect.name}.md)")
+    head = [", ".join(f"`{target.name}`" for target in group) for group in columns.values()]
+    lines = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in rows.items()]
+    return "\n".join([f"| effects | {' | '.join(head)} |", "| --- |" + " --- |" * len(head), *lines, ""])
 
 
-def _details(target: Target) -> list[str]:
-    rows = ["| effect | | how |", "| --- | --- | --- |"]
-    for effect in CATALOGUE:
-        support = target.support(effect)
-        rows.append(f"| `{effect.name}` | {KINDS[support.kind]} | {support.how} |")
-    return [f"## `{target.name}`: {target.title}\n", *rows, ""]
+def with_matrix(page: str) -> str:
+    """``page`` with the table between its marks."""
+    before, _, rest = page.partition(BEGIN)
+    return before + BEGIN + matrix() + END + rest.partition(END)[2]
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(matrix_page(), "utf-8")
+    path = Path(sys.argv[1])
+    path.write_text(with_matrix(path.read_text("utf-8")), "utf-8")

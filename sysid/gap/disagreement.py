@@ -2,7 +2,7 @@
 
 In the PyBullet world, the held-out commands move rigid bodies, before and after the repair. Driven joints follow the compiled
 chain; tip and tool come from the bodies, as in training. The gripper is a point mass, as in the equation of ``gripper_sway``
-(difference to a rigid one: ``docs/world.md``), and the ground lies deep, since a compiled plant has none.
+(difference to a rigid one: ``reports/bench_agreement/README.md``), and the ground lies deep, since a compiled plant has none.
 """
 
 from __future__ import annotations

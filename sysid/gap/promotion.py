@@ -34,7 +34,7 @@ from sysid.release import __version__
 STANDARD_DEVIATIONS = 3.0
 #: The held-out gap of a stage with a named effect has to fall below this multiple of its value before.
 MAX_RATIO = 0.98
-#: Allowed difference between the world and the compiled plant: coordinates of tip and tool [m] (``docs/world.md``).
+#: Allowed difference between the world and the compiled plant: coordinates of tip and tool [m] (``reports/bench_agreement/``).
 WORLD_TOLERANCE = {"ee": 1e-6, "tool": 1e-3}
 
 #: Packages that the results of the workflow depend on.

@@ -49,10 +49,7 @@ def write_documents(folder: Path) -> None:
 
 
 def _index() -> str:
-    rows = [
-        f"| [`{e.name}`]({e.name}.md) | {_target(e)} | {_parameters(e)} | `{_cell(e.equation)}` | {e.excited_by} |"
-        for e in CATALOGUE
-    ]
+    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | {_parameters(e)} | {e.excited_by} |" for e in CATALOGUE]
     return "\n".join(
         [
             _NOTICE,
@@ -60,9 +57,10 @@ def _index() -> str:
             "This page lists the named effects by which a machine can differ from its nominal plant, in the order in which",
             "the plant applies them. `sysid.testing.check_effect` verifies every effect: absent at its neutral value, causal,",
             'repeatable, finite for any input, without memory of earlier runs. A source "machine facts" refers to',
-            "[magnitudes of real effects](../machine-facts.md). The [gallery](gallery.md) shows the picture of each.\n",
-            "| effect | target | parameters | equation | shows in |",
-            "| --- | --- | --- | --- | --- |",
+            "[magnitudes of real effects](../machine-facts.md). The page of an effect has its equation, the",
+            "[gallery](gallery.md) its picture.\n",
+            "| effect | target | parameters | shows in |",
+            "| --- | --- | --- | --- |",
             *rows,
             "",
         ]
@@ -91,11 +89,6 @@ def _card(effect: Effect) -> str:
     return f"- {picture}\n\n    **[{effect.title}]({page})** (`{effect.name}`). {_about(effect)}\n"
 
 
-def _cell(text: str) -> str:
-    """Text for a cell of a Markdown table: a bar would end the cell, in code too."""
-    return text.replace("|", "\\|")
-
-
 def page(effect: Effect) -> str:
     neutral = {slot.name: slot.neutral for slot in effect.slots}
     rows = []
@@ -112,7 +105,7 @@ def page(effect: Effect) -> str:
         f"# `{effect.name}`: {effect.title}\n",
         f"{about}\n",
         f"![with and without the effect]({effect.name}.svg)\n",
-        f"    {effect.equation}\n",
+        f"```formula\n{effect.equation}\n```\n",
         f"- **Stage**: {_STAGES[effect.stage]}",
         f"- **Target**: {_target(effect)}",
     ]

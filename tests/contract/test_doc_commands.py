@@ -15,7 +15,9 @@ import pytest
 from sysid.cli.app import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "datasets").rglob("*.md")])
+PAGES = sorted(
+    [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "datasets").rglob("*.md"), *(ROOT / "reports").rglob("*.md")]
+)
 _FENCE = re.compile(r"^```(?:sh|console)?[^\S\n]*(?:slow)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 

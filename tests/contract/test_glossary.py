@@ -9,7 +9,9 @@ import pytest
 from glossary_links import GLOSSARY, TERMS, linked, unlinked
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "datasets").rglob("*.md")])
+PAGES = sorted(
+    [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "datasets").rglob("*.md"), *(ROOT / "reports").rglob("*.md")]
+)
 ROW = re.compile(r'^\| <a id="([a-z-]+)"></a>(.+?) \| (.+?) \| (.+?) \| (.+?) \|$', re.MULTILINE)
 
 

@@ -1,4 +1,4 @@
-"""Real files of motion capture and bags: what is read of each. All files: docs/formats.md, tests/pipelines/test_formats.py."""
+"""Real files of motion capture and bags: what is read of each. All files: reports/formats/, tests/pipelines/test_formats.py."""
 
 from __future__ import annotations
 

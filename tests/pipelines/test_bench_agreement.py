@@ -44,7 +44,7 @@ def test_every_effect_has_a_machine_that_shows_it(module: ModuleType, committed:
 
 
 def test_every_effect_explains_its_feature_on_some_machine(committed: list[dict[str, Any]]) -> None:
-    """What is left of the error, where it suits best; see docs/bench.md for the weak ones."""
+    """What is left of the error, where it suits best; see reports/bench_agreement/README.md for the weak ones."""
     best = {row["effect"]: min(r["share"] for r in committed if r["effect"] == row["effect"]) for row in committed}
     weak = {name: share for name, share in best.items() if share > 0.25}
     assert set(weak) <= {"oil_compressibility"}

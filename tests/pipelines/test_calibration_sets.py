@@ -30,7 +30,7 @@ def measured() -> Path:
 
 def test_the_committed_figures_are_those_of_the_page(parts: tuple[ModuleType, ModuleType]) -> None:
     result = json.loads((ROOT / "reports/calibration_sets/result.json").read_text())
-    page = (ROOT / "docs/validation.md").read_text()
+    page = (ROOT / "reports/networks/README.md").read_text()
     assert parts[0].tables(result["arms"]) in page
     assert parts[1].table(result["servos"]) in page
 

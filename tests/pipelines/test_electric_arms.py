@@ -332,7 +332,7 @@ def test_the_page_has_the_goals_of_the_committed_results(arms: dict[str, ModuleT
     ]
     changes = arms["measured"].compared(parts[2]["figures"], parts[1]["figures"])
     table = arms["goals"].goal_table(parts[0]["cases"], parts[1], changes)
-    assert table in (root / "docs/arms.md").read_text("utf-8")
+    assert table in (root / "reports/electric_arms/README.md").read_text("utf-8")
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""``docs/formats.md``: every real file is in its tables, with what is in it and what became of it."""
+"""``reports/formats/README.md``: every real file is in its tables, with what is in it and what became of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from sysid.logs.inspection import inspect_file
 from sysid.logs.readers import NO_LOGS, is_log
 
-PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
+PAGE = Path(__file__).parents[2] / "reports" / "formats" / "README.md"
 FOLDERS = ("mocap_files", "mcap_bags", "can_logs")
 
 

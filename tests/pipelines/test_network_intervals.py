@@ -21,7 +21,7 @@ def counted(pipeline: Callable[[str], ModuleType]) -> tuple[ModuleType, dict[str
 
 def test_the_page_shows_the_committed_figures(counted: tuple[ModuleType, dict]) -> None:  # type: ignore[type-arg]
     module, models = counted
-    assert module.tables(models) in (ROOT / "docs/validation.md").read_text()
+    assert module.tables(models) in (ROOT / "reports/networks/README.md").read_text()
 
 
 def test_intervals_hold_as_often_as_they_say_on_poses_like_those_learned_from(counted: tuple[ModuleType, dict]) -> None:  # type: ignore[type-arg]

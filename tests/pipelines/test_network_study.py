@@ -95,7 +95,7 @@ def test_what_was_reached(study: dict[str, ModuleType], result: dict[str, Any]) 
 
 
 def test_the_page_and_the_pictures_are_those_of_the_result(study: dict[str, ModuleType], result: dict[str, Any]) -> None:
-    assert study["page"].tables(result) in (ROOT / "docs" / "networks.md").read_text("utf-8")
+    assert study["page"].tables(result) in (ROOT / "reports" / "networks" / "README.md").read_text("utf-8")
     for name, text in study["pictures"].pictures(result).items():
         assert (RESULT.parent / name).read_text("utf-8") == text
         drawn = ElementTree.fromstring(text)

@@ -12,7 +12,7 @@ from examples import examples
 
 from sysid.extras import installed
 
-PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
+PAGE = Path(__file__).parents[2] / "reports" / "formats" / "README.md"
 #: Format → modules that it needs.
 NEEDS = {
     "C3D": ("ezc3d",),

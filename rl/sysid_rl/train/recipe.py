@@ -1,4 +1,4 @@
-"""The recipe of a training. The defaults are the paper's, with the choices that it leaves open listed in ``docs/ddpg.md``."""
+"""The recipe of a training. Defaults: the paper's; choices that it leaves open: ``docs/guide/training.md``."""
 
 from __future__ import annotations
 

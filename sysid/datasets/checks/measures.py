@@ -1,6 +1,6 @@
 """What is expected of the figures of an axis: for each its usual range, the limits beyond which it is named, and its words.
 
-The usual ranges come from the machines in ``datasets/``, the measured data in docs/measured-data.md and the simulated test
+The usual ranges come from the machines in ``datasets/``, the measured data in reports/measured_data/ and the simulated test
 bench with hidden effects: over all of these the response of valve axes is 0.65 to 1.1 of ``gain``, that of servos 0.53 to 1.0
 of the command, and no signal leaves its stroke or limits by more than 1 % of their width. The limits are far wider: a gain
 that is off by a factor of two is an effect to be identified, not a mistake in a unit.
