@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli.gap_tables import next_steps, plain_reason, show_gap
+from sysid.cli.gap_tables import plain_reason, show_gap
 from sysid.cli.output import WIDTH, Printer
 from sysid.datasets import Dataset
 from sysid.gap import GapResult
@@ -20,6 +20,7 @@ from sysid.gap.written import axis_delays, written_effects
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
 from sysid.reports.archive import load_gap, save_gap
+from sysid.reports.next_steps import next_steps
 
 AXES = "".join(
     f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\ngain = 1.0\nlimits = [-1.0, 1.0]\n'
