@@ -6,6 +6,8 @@ Needs Chromium (Debian's package ``chromium``). The script of axe-core is option
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 import shutil
@@ -94,14 +96,36 @@ def test_two_rows_are_compared(site: Path, page: Page) -> None:
     page.get_by_role("link", name="Compare them").click()
     assert page.locator("#head-a").inner_text() == "plant autolog@1"
     assert page.locator("#head-b").inner_text() == "plant autolog@2"
+    assert page.locator("#all").get_attribute("open") is None, "all properties are folded"
+    page.locator("#result").click()
     differing = page.locator("#compared tbody tr", has_text="Backlash, slew: width")
     assert differing.locator("td").nth(1).inner_text() == "–"
-    assert float(differing.locator("td").nth(2).inner_text()) == pytest.approx(0.01052)
+    assert float(differing.locator("td").nth(2).inner_text()) == pytest.approx(0.01052, rel=0.01)
     assert page.locator("#compared tbody tr", has_text="machine.toml").count() == 0
     page.get_by_label("differences only").uncheck()
     assert page.locator("#compared tbody tr", has_text="plant.json").count() == 1
     page.reload()
     assert page.locator("#head-b").inner_text() == "plant autolog@2", "the choice is part of the address"
+
+
+def test_the_newest_two_plants_are_compared_as_pictures(site: Path, page: Page) -> None:
+    page.goto((site / "compare.html").as_uri())
+    assert [page.locator(f"#head-{side}").inner_text() for side in "ab"] == ["plant autolog@1", "plant autolog@2"]
+    row = page.locator("#errors li", has_text="tool position")
+    stored = json.loads((site.parent / "results/autolog@1/gap/result.json").read_text())["gap"]
+    distances = [math.hypot(*(stored[when][f"tool.{axis}"] for axis in "xyz")) for when in ("before", "after")]
+    texts = [float(value) for value in re.findall(r"[\d.]+", row.locator("small").inner_text())]
+    assert texts == pytest.approx([1e3 * value for value in distances], rel=6e-3)
+    places = [float(str(row.locator(f"i.{look}").get_attribute("style")).split()[1][:-2]) for look in ("before", "after")]
+    decades = math.log10(distances[0] / distances[1])
+    assert places[0] - places[1] > 20.0 * decades, "three decades to the left, on a logarithmic scale"
+    assert page.locator("figure.trace:visible path.before").count() == 1
+    width = page.locator("#parameters li", has_text="Backlash, slew: width")
+    assert width.locator("i.after").count() == 1
+    assert width.locator("i.before").count() == 0, "the nominal plant has none"
+    page.locator("#b").select_option("dataset:autolog@1")
+    assert page.locator("figure.trace:visible").count() == 0
+    assert page.locator("#errors").is_hidden()
 
 
 def test_the_lineage_is_walked_by_clicks_and_by_keys(site: Path, page: Page) -> None:
@@ -174,7 +198,7 @@ def test_a_reader_who_wants_no_motion_gets_a_still_picture(browser: Browser, sit
 
 #: Right edges of figures that reach beyond the window, and texts of pictures that are cut at it.
 CUT = """() => [...document.querySelectorAll("figure, svg.chart, svg.machine, .dumbbells, .heat td, .answer")]
-  .filter((e) => e.checkVisibility() && e.getBoundingClientRect().width > 0)
+  .filter((e) => !(e.matches("svg") && e.closest(".scroll")) && e.checkVisibility() && e.getBoundingClientRect().width > 0)
   .filter((e) => e.getBoundingClientRect().right > innerWidth + 0.5
     || (e.matches("figure") && e.scrollWidth > e.clientWidth + 1))
   .map((e) => e.outerHTML.slice(0, 120))"""
