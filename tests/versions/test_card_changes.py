@@ -47,7 +47,9 @@ def test_the_card_of_a_plant_has_errors_and_each_value_once_with_its_unit(tmp_pa
     assert rows["tool position"] == ("50.0 mm", "5.00 mm", "2.50 mm")
     assert rows["slew joint"][0] == "0.573°", "in the unit of the dataset"
     assert "manual-04" in card["Error"].text[0]
-    assert card["Added effects"].rows == (("Backlash", "slew", "width", "0.602°", "0.596 to 0.607°", "90\N{NARROW NO-BREAK SPACE}%"),)
+    assert card["Added effects"].rows == (
+        ("Backlash", "slew", "width", "0.602°", "0.596 to 0.607°", "90\N{NARROW NO-BREAK SPACE}%"),
+    )
     changed = {(row[0], row[2]): row[3:5] for row in card["Changed since autolog@2"].rows}
     assert changed["Backlash", "width"][1] == "0.602°"
     assert changed["Swinging tool", "length"][1] == "none", "what is no longer in it"
