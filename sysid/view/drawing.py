@@ -135,7 +135,7 @@ def saved(stream: Any, path: Path, layout: Any) -> Iterator[None]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half, _written_to(stream, half):
-        sdk().send_blueprint(layout, make_active=False, make_default=True, recording=stream)
+        sdk().send_blueprint(layout, make_active=True, make_default=True, recording=stream)
         yield
 
 
