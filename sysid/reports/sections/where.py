@@ -62,7 +62,7 @@ def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, 
     error, floor, signal = max(scored, key=lambda found: found[0] / found[1])
     unit, name = inputs.dataset.units.get(signal, "1"), words.signal_name(signal)
     if items[0].target in POINTS:
-        error, floor = (math.hypot(*(found[k] for found in scored)) for k in (0, 1))
+        error, floor = (math.hypot(*values) for values in ([e for e, _, _ in scored], [f for _, f, _ in scored]))
         name = f"{words.owner_name(items[0].target)} position"
     times = error / floor
     return {
