@@ -6,10 +6,12 @@ It loads the datasets, models and results for the functions of :mod:`sysid.versi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.datasets import Dataset
+from sysid.datasets.versions.index import VersionIndex
 from sysid.display import quantity
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.parse import parse_json
@@ -122,9 +124,19 @@ class ModelVersions:
         version = self.workspace.models.find(reference)
         network = self.workspace.network(version.reference) if version.kind in NETWORKS else None
         policy = self.workspace.policy(version.reference) if version.kind == "policy" else None
-        card = card_of(version, self.lineage(version.reference), network, self._report(version), policy)
+        units = self._units(str(version.lineage.get("dataset", ""))) if version.kind == "plant" else {}
+        card = card_of(version, self.lineage(version.reference), network, self._report(version), policy, units)
         changed = self._changed(version)
         return card if changed is None else replace(card, blocks=(card.blocks[0], changed, *card.blocks[1:]))
+
+    def _units(self, dataset: str) -> Mapping[str, str]:
+        """Signal → SI unit; none where the dataset version is not stored any more."""
+        name, _, number = dataset.rpartition("@")
+        try:
+            units: Mapping[str, str] = VersionIndex(self.workspace.location).read_manifest(name, int(number))["units"]
+        except (StoreError, ValueError):
+            return {}
+        return units
 
     def _changed(self, version: ModelVersion) -> CardBlock | None:
         """What it changes against the version before; None without one that can be read."""

@@ -28,9 +28,9 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
     lines = flag_lines(flags)
     if not lines:
         return
-    out.line(f"flagged (values are unchanged unless stated): {kinds_of(lines)}")
+    out.entry(f"flagged (values are unchanged unless stated): {kinds_of(lines)}")
     for line in lines[:MAX_FLAGS]:
-        out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
+        out.entry(f"{line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}", "  ")
     if len(lines) > MAX_FLAGS:
         out.line(f"  … and {len(lines) - MAX_FLAGS} more (the report and --json have them all)")
 
@@ -49,13 +49,13 @@ def show_findings(out: Printer, findings: Sequence[Finding]) -> None:
     notices = len(findings) - severe
     counts = [f"{severe} severe"] * bool(severe) + [f"{notices} notice{'s' if notices > 1 else ''}"] * bool(notices)
     out.line()
-    out.line(f"Implausible: {', '.join(counts)} ({PAGE})")
+    out.entry(f"Implausible: {', '.join(counts)} ({PAGE})")
     for finding in findings:
         out.line(f"{'SEVERE' if finding.severity == 'severe' else 'notice'}  {', '.join(finding.keys)}")
         for line in finding.lines:
             out.line(f"  {line}")
     if severe:
-        out.line("Severe findings stop `sysid gap`. Correct the recipe or machine.toml, and ingest again.")
+        out.entry("Severe findings stop `sysid gap`. Correct the recipe or machine.toml, and ingest again.")
     out.line()
 
 
@@ -72,16 +72,16 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
     need = unmet_need(dataset)
     if need is not None:
         if needs:
-            out.line(f"note: {need.text}")
+            out.entry(f"note: {need.text}")
         return {"needs": asdict(need), "lacks": []}
     lacks = role_lacks(dataset)
     for lack in lacks[:MAX_LACKS]:
-        out.line(f"note: {lack.text}")
+        out.entry(f"note: {lack.text}")
     if len(lacks) > MAX_LACKS:
-        out.line(f"note: {len(lacks) - MAX_LACKS} more of this kind")
+        out.entry(f"note: {len(lacks) - MAX_LACKS} more of this kind")
     if lacks:
         suggest = command("datasets", "split", dataset.reference, "--suggest", workspace=location)
-        out.line(f"Roles and what to record: {suggest}")
+        out.entry(f"Roles and what to record: {suggest}")
     return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
 
 
@@ -100,4 +100,4 @@ def checked(out: Printer, dataset: Dataset, accept: Sequence[str]) -> None:
     refuse_severe(left, (), dataset.reference)
     for finding in findings:
         word = "accepted" if finding.severity == "severe" else "notice"
-        out.line(f"{word}: {', '.join(finding.keys)}: {finding.lines[0]}")
+        out.entry(f"{word}: {', '.join(finding.keys)}: {finding.lines[0]}")

@@ -84,12 +84,12 @@ def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> 
         more = f" and {len(maps) - 6} more above" if len(maps) > 6 else ""
         posed = min(m.covered for m in maps)
         poses = f" (with the poses {percent(posed)} or more)" if posed > maps[0].covered_moving else ""
-        out.line(f"joint space, share of cells visited in motion: {listed}{more}{poses}")
+        out.entry(f"joint space, share of cells visited in motion: {listed}{more}{poses}")
     if evidence.together_s:
         both = sorted(evidence.together_s.items(), key=lambda item: item[1])
         listed = ", ".join(f"{a}+{b} {seconds:.0f} s" for (a, b), seconds in both[:6])
-        out.line(f"commanded together: {listed}{f' and {len(both) - 6} pairs longer' if len(both) > 6 else ''}")
-    out.line(rest_sentence(evidence))
+        out.entry(f"commanded together: {listed}{f' and {len(both) - 6} pairs longer' if len(both) > 6 else ''}")
+    out.entry(rest_sentence(evidence))
     out.show(noise_table(evidence, dataset))
 
 
@@ -99,25 +99,25 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
     from sysid.reports.words import effect_title
 
     for note in found.notes:
-        out.line(f"note: {note}")
+        out.entry(f"note: {note}")
     ready, lacking, hidden = (found.of(status) for status in ("ready", "lacking", "hidden"))
     some = ", ".join(found.counted) or "no recording of motion"
     counted = f"counted in {some if len(found.counted) < 8 else f'{len(found.counted)} recordings'}"
     out.line()
-    out.line(
+    out.entry(
         f"Excitation of the effects: {len(ready)} ready, {len(lacking)} not enough, {len(hidden)} cannot be shown ({counted})"
     )
     if lacking:
         rows = [(effect_title(v.name, v.target, dataset.machine), place(v), amount(v), v.unit) for v in lacking]
         out.table(("not enough", "where", "have of need", "of what"), rows, right=(2,))
         for request in found.requests:
-            out.line(f"  → {request_text(request, dataset.machine)}")
+            out.entry(request_text(request, dataset.machine), "  → ")
         out.line()
     if ready:
         firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
         lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
         out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
     for reason, groups in by_reason(hidden, dataset.machine):
-        out.line(f"cannot be shown: {reason}")
+        out.entry(f"cannot be shown: {reason}")
         for group in groups:
-            out.line(f"  {group.title}: {group.places}")
+            out.entry(f"{group.title}: {group.places}", "  ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import shlex
 import shutil
@@ -43,9 +44,10 @@ class Printer:
     def __init__(self, json_file: str | None = None) -> None:
         from rich.console import Console
 
-        # A pipe has no width: 160 columns, so that references and paths are not wrapped.
+        # A pipe has no width but that of COLUMNS: else 160 columns, so that references and paths are not wrapped.
         stream = sys.stderr if json_file == "-" else sys.stdout
-        self.console = Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
+        known = stream.isatty() or os.environ.get("COLUMNS", "").isdigit()
+        self.console = Console(file=stream, highlight=False, width=None if known else 160)
 
     def line(self, text: str = "") -> None:
         """One line; line breaks in it are escaped, so that a name cannot forge a line."""
@@ -63,43 +65,93 @@ class Printer:
             self.line(found.empty)
 
     def entry(self, text: str, bullet: str = "") -> None:
-        """A sentence, wrapped to :data:`WIDTH` columns."""
-        for line in textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet)):
+        """A sentence, wrapped to :data:`WIDTH` columns between its words."""
+        for line in textwrap.wrap(
+            text,
+            WIDTH,
+            initial_indent=bullet,
+            subsequent_indent=" " * len(bullet),
+            break_long_words=False,
+            break_on_hyphens=False,
+        ):
             self.line(line.rstrip())
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
-        """Columns with ``header``; ``right`` numbers the columns that are aligned right."""
-        from rich import box
-        from rich.cells import cell_len
-        from rich.table import Table
+        """Columns with ``header``; ``right`` numbers the columns that are aligned right.
+
+        Cells are wrapped between words; where that is not enough for the width, every row is a list of its cells.
+        """
         from rich.text import Text
 
         cells = [[visible(cell, MAX_CELL) for cell in row] for row in rows]
-        widths = [max(map(cell_len, column)) for column in zip(header, *cells, strict=True)]
-        if sum(widths) + 3 * len(widths) - 1 <= self.console.width:  # a tenth of the time of a table that has to be folded
-            lines = [_aligned(row, widths, right) for row in (header, *cells)]
-            blank, rule = " " * (sum(widths) + 3 * len(widths) - 1), "─" * (sum(widths) + 3 * len(widths) - 3)
-            for head in (Text(blank), Text(lines[0], "bold"), Text(f" {rule} ")):
-                self.console.print(head, soft_wrap=True)
-            self.console.file.write("\n".join((*lines[1:], blank, "")))
+        fits = ((gap, _widths([header, *cells], self.console.width, gap)) for gap in (3, 2, 1))
+        gap, widths = next(((gap, found) for gap, found in fits if found is not None), (0, None))
+        if widths is None:
+            for row in cells:
+                self.line()
+                for number, (name, cell) in enumerate(zip(header, row, strict=True)):
+                    label, indent = (f"{name}: " if name else ""), "  " if number else " "
+                    found = textwrap.wrap(
+                        f"{label}{cell}", self.console.width, break_long_words=False, break_on_hyphens=False,
+                        initial_indent=indent, subsequent_indent=f"{indent}  ",
+                    )  # fmt: skip
+                    self.console.file.write("".join(f"{line}\n" for line in found if cell))
+            self.line()
             return
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
-        for number, name in enumerate(header):
-            table.add_column(Text(name), justify="right" if number in right else "left", overflow="fold")
-        for row in cells:
-            table.add_row(*map(Text, row))
-        self.console.print(table)
+        wide = sum(widths) + gap * (len(widths) - 1)
+        head = "\n".join(_aligned(header, widths, right, gap))
+        for text in (Text(" " * (wide + 2)), Text(head, "bold"), Text(f" {'─' * wide} ")):
+            self.console.print(text, soft_wrap=True)
+        lines = (line for row in cells for line in _aligned(row, widths, right, gap))
+        self.console.file.write("\n".join((*lines, " " * (wide + 2), "")))
 
 
-def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int]) -> str:
-    """The cells of a row side by side, padded to widths in columns of the terminal."""
+def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | None:
+    """Widths of columns that take at most ``width`` together with gaps between them.
+
+    No column is narrower than its longest word; None where that is too wide.
+    """
     from rich.cells import cell_len
 
-    parts = []
-    for number, (cell, width) in enumerate(zip(row, widths, strict=True)):
-        space = " " * (width - cell_len(cell))
-        parts.append(f"{space}{cell}" if number in right else f"{cell}{space}")
-    return f" {'   '.join(parts)} "
+    columns = list(zip(*rows, strict=True))
+    found, room = [max(map(cell_len, column)) for column in columns], width - gap * (len(columns) - 1) - 2
+    if sum(found) <= room:  # always so for a table of many rows, whose words are not counted
+        return found
+    least = [max(cell_len(word) for cell in column for word in cell.split(" ")) for column in columns]
+    while sum(found) > room:
+        wide = [number for number in range(len(found)) if found[number] > least[number]]
+        if not wide:
+            return None
+        found[max(wide, key=lambda number: found[number])] -= 1
+    return found
+
+
+def _wrapped(cell: str, width: int) -> list[str]:
+    """The lines of a cell: words up to a width in columns of the terminal."""
+    from rich.cells import cell_len
+
+    if cell_len(cell) <= width:
+        return [cell]
+    lines = [""]
+    for word in cell.split(" "):
+        longer = f"{lines[-1]} {word}" if lines[-1] else word
+        if cell_len(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int], gap: int) -> Iterator[str]:
+    """The lines of the cells side by side, padded to widths in columns of the terminal."""
+    from rich.cells import cell_len
+
+    for line in itertools.zip_longest(*map(_wrapped, row, widths), fillvalue=""):
+        parts = []
+        for number, (cell, width) in enumerate(zip(line, widths, strict=True)):
+            space = " " * (width - cell_len(cell))
+            parts.append(f"{space}{cell}" if number in right else f"{cell}{space}")
+        yield f" {(' ' * gap).join(parts)} "
 
 
 def rerun_command(path: Path) -> str:

@@ -10,15 +10,24 @@ from dataclasses import dataclass
 from typing import Any
 
 from sysid.display import NOTHING, interval, minute, percent, quantity
-from sysid.figures import Table, output_name, stored_parameters
+from sysid.figures import ErrorFigure, Table, output_name, stored_parameters
+from sysid.gap.result import Gap
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
 from sysid.networks.uncertainty import FALSE_FLAGS
 from sysid.registry import NETWORKS, ModelVersion
 from sysid.registry.decision import decision_row
 from sysid.registry.effect_changes import CHANGES, change_cells
-from sysid.reports.result_figures import PREDICTIONS, largest_spikes, network_error, prediction_cells, spike_sentence
+from sysid.reports.result_figures import (
+    PREDICTIONS,
+    largest_spikes,
+    network_error,
+    point_errors,
+    prediction_cells,
+    spike_sentence,
+)
 from sysid.reports.words import effect_title
+from sysid.signals import POINTS, point_signals
 from sysid.validate import ErrorMap, ValidationReport
 from sysid.versions.diff import ModelDiff
 from sysid.versions.lineage import ModelLineage
@@ -272,8 +281,11 @@ def changes(found: ModelDiff) -> CardBlock | None:
         about = "Difference of the predictions over the range that both versions were fitted on."
         return CardBlock(title, (about,), PREDICTIONS, tuple(map(prediction_cells, found.predictions)))
     if found.kind == "plant":
-        same = () if found.effects else ("The effects are the same.",)
-        return CardBlock(title, same, CHANGES, tuple(change_cells(change, effect_title) for change in found.effects))
+        changed = [change for change in found.effects if change.before is not None or change.after is None]
+        if found.effects and not changed:  # all are new, and are listed with their values
+            return None
+        same = () if changed else ("The effects are the same.",)
+        return CardBlock(title, same, CHANGES, tuple(change_cells(change, effect_title) for change in changed))
     return None
 
 
@@ -296,10 +308,12 @@ def card_of(
     model: Model | None = None,
     report: ValidationReport | None = None,
     policy: PolicyNetwork | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Card:
     """The card of a version.
 
     Args:
+        units: signal → SI unit in its dataset, for the errors of a plant.
         model: the network in it; None for plants and policies.
         report: its evaluation on the held-out rows of its own dataset; None if that is not available.
         policy: the policy in it; None for other kinds.
@@ -315,7 +329,7 @@ def card_of(
         text = (f"As stored with it, in SI units; {what if policy else 'its dataset is not available'}.",)
         blocks.append(CardBlock("Figures", text, ("figure", "value"), rows))
     if version.kind == "plant":
-        blocks += _effects(version.lineage)
+        blocks += [*_errors(version.lineage, units or {}), *_effects(version.lineage)]
     if model is not None:
         blocks.append(network_ranges(model))
     if policy is not None:
@@ -349,14 +363,42 @@ def _lineage(found: ModelLineage) -> CardBlock:
 
 
 def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
+    """One row for each parameter of the added effects, with its interval."""
     rows = []
     for effect in lineage.get("effects", ()):
-        values = ", ".join(f"{figure.label} {figure.text}" for figure in stored_parameters(effect))
-        title, share = effect_title(str(effect.get("name"))), percent(effect.get("closed_share", math.nan))
-        rows.append((title, str(effect.get("target")), values, share))
+        place = effect_title(str(effect.get("name"))), str(effect.get("target"))
+        share = percent(effect.get("closed_share", math.nan))
+        for figure in stored_parameters(effect) or [None]:
+            values = (figure.label, figure.text, figure.interval) if figure is not None else ("", "", "")
+            rows.append((*place, *values, share))
+            place, share = ("", ""), ""
     if not rows:
         return []
-    return [CardBlock("Added effects", (), ("effect", "on", "parameters", "share of the gap closed"), tuple(rows))]
+    header = ("effect", "on", "parameter", "value", "95 % interval", "share of the gap closed")
+    return [CardBlock("Added effects", (), header, tuple(rows))]
+
+
+def plant_errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> list[ErrorFigure]:
+    """Held-out errors that the lineage of a repaired plant states: of points, and of signals whose unit is known."""
+    stored = (lineage.get("proof") or {}).get("gap")
+    if not stored:
+        return []
+    known = {key: {name: value for name, value in own.items() if value is not None} for key, own in stored.items()}
+    names = {name: unit for name, unit in units.items() if name in known["before"]}
+    names |= {name: "m" for point in POINTS for name in point_signals(point)}
+    gap = Gap(*({name: v for name, v in known[key].items() if name in names} for key in ("before", "after", "noise_floor")))
+    return point_errors(gap, names)
+
+
+def _errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[CardBlock]:
+    """The held-out error before and after the repair."""
+    rows = tuple((figure.name, *figure.texts, percent(figure.closed)) for figure in plant_errors(lineage, units))
+    held_out = (lineage.get("recordings") or {}).get("held_out", ())
+    if rows:
+        text = f"RMS over the held-out recordings of {lineage.get('dataset')} ({', '.join(held_out)}), from the commands alone."
+        yield CardBlock(
+            "Error", (text,), ("", f"before: {lineage.get('plant')}", "this version", "noise floor", "closed"), rows
+        )
 
 
 def _loading(version: ModelVersion) -> Iterator[str]:

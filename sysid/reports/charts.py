@@ -175,6 +175,54 @@ def heat_map(
     return svg_element("chart", *WIDE, f"error over {labels[0]} and {labels[1]}", parts)
 
 
+#: Colours of a path in space, and its views: x, y, z → right, down.
+SHADES = 8
+_ISOMETRIC = np.array([[0.866, 0.5], [-0.866, 0.5], [0.0, -1.0]])
+
+
+def space_path(points: Array, values: Array, most: float, unit: str) -> str:
+    """A path in space, from obliquely above, coloured by a value along it.
+
+    Args:
+        points: (n, 3) [m]; rows with NaN are gaps.
+        values: (n,), from zero to ``most``, which is the end of the colour scale, in ``unit``.
+    """
+    flat, there = points @ _ISOMETRIC, np.isfinite(points).all(axis=1) & np.isfinite(values)
+    if not there.any():
+        return ""
+    low, high = flat[there].min(axis=0), flat[there].max(axis=0)
+    width, height = WIDE[0] - KEY - 2 * TOP, WIDE[1] - BOTTOM - TOP
+    scale = min(width / max(high[0] - low[0], 1e-9), height / max(high[1] - low[1], 1e-9))
+    page = np.array([TOP + 0.5 * width, TOP + 0.5 * height]) + scale * (flat - 0.5 * (low + high))
+    levels = np.minimum((SHADES * values[there] / max(most, 1e-300)).astype(int), SHADES - 1)
+    rows = np.flatnonzero(there)
+    parts = []
+    for run in np.split(np.arange(len(rows)), np.flatnonzero((np.diff(levels) != 0) | (np.diff(rows) != 1)) + 1):
+        ends = [
+            *rows[run],
+            *([rows[run[-1]] + 1] if run[-1] + 1 < len(rows) and rows[run[-1] + 1] == rows[run[-1]] + 1 else []),
+        ]
+        line = " L".join(f"{x:.1f},{y:.1f}" for x, y in page[ends])
+        parts.append(f'<path d="M{line}" style="{_warmth(levels[run[0]])}"/>')
+    x, y = page[rows[int(np.argmax(values[there]))]]
+    parts.append(f'<circle class="worst" cx="{x:.1f}" cy="{y:.1f}" r="5"/>')
+    bar = ticks(0.0, 0.4 * width / scale, 1)[-1]
+    foot = WIDE[1] - 14.0
+    parts.append(f'<path class="measured" d="M{TOP},{foot} h{scale * bar:.1f}"/>')
+    parts.append(f'<text class="tick" x="{TOP}" y="{foot - 6}">{display.quantity(bar, "m", 2)}</text>')
+    left, step = WIDE[0] - KEY + 14.0, height / SHADES
+    for level in range(SHADES):
+        at = TOP + height - (level + 0.5) * step
+        parts.append(f'<path d="M{left},{at:.1f} h12" style="{_warmth(level)};stroke-width:{step:.1f}"/>')
+    for at, text in ((TOP + height, "0"), (TOP + 10.0, display.number(most, 2)), (TOP + 0.5 * height, unit)):
+        parts.append(f'<text class="tick" x="{left + 17}" y="{at:.1f}">{escape(text)}</text>')
+    return svg_element("chart", *WIDE, f"path in space, largest error {display.number(most, 3)} {unit}", parts)
+
+
+def _warmth(level: int) -> str:
+    return f"stroke:color-mix(in oklab, var(--hot) {100 * level // (SHADES - 1)}%, var(--after))"
+
+
 def _shade(share: float) -> str:
     return f'fill-opacity="{0.06 + 0.94 * share:.2f}"'
 

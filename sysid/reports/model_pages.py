@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,13 +10,13 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from sysid import display
-from sysid.figures import Table, output_of, output_unit, stored_errors
+from sysid.figures import Table, stored_errors, stored_parameters
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.decision import decision_row
-from sysid.reports.card import Card
+from sysid.reports.card import Card, plant_errors
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import SiteBar, page
-from sysid.reports.words import signal_name
+from sysid.reports.words import effect_title, signal_name
 from sysid.validate import ErrorMap
 
 STYLES = ("page.css", "models.css")
@@ -121,28 +122,42 @@ def _figures(version: ModelVersion) -> Table:
 
 
 def _charts(versions: Sequence[ModelVersion]) -> list[str]:
-    """RMSE over the versions, one chart per unit and kind of rows; none for a single version."""
-    keys = dict.fromkeys(key for version in versions for key in version.metrics if key.endswith(".rmse"))
+    """RMSE and parameters of effects over the versions, one chart per unit and kind; none for a single version."""
     if len(versions) < 2:
         return []
-    groups: dict[tuple[str, str], list[str]] = {}
-    for key in keys:
-        signal, rows = output_of(key.removesuffix(".rmse"))
-        groups.setdefault((output_unit(signal), rows), []).append(key)
-    found = []
+    curves: dict[tuple[str, str, str], dict[str, list[float]]] = {}
+
+    def put(group: tuple[str, str, str], name: str, at: int, value: float) -> None:
+        curves.setdefault(group, {}).setdefault(name, [math.nan] * len(versions))[at] = value
+
+    for at, version in enumerate(versions):
+        for error in stored_errors(version.metrics):
+            put(("RMSE", error.unit, error.rows), f"{signal_name(error.output)}, {error.rows}", at, error.rmse)
+        for figure in plant_errors(version.lineage, {}):
+            put(("held-out error", figure.unit, ""), figure.name, at, figure.after)
+            for before, other in enumerate(versions):
+                if other.reference == version.lineage.get("plant") and not plant_errors(other.lineage, {}):
+                    put(("held-out error", figure.unit, ""), figure.name, before, figure.before)
+        for effect in version.lineage.get("effects", ()):
+            title = f"{effect_title(effect['name'])}, {effect['target']}"
+            for parameter in stored_parameters(effect):
+                if isinstance(parameter.value, float | int):
+                    put((title, parameter.unit, parameter.name), parameter.label, at, float(parameter.value))
+    return [
+        _chart(versions, group, own) for group, own in curves.items() if any(np.isfinite(v).sum() > 1 for v in own.values())
+    ]
+
+
+def _chart(versions: Sequence[ModelVersion], group: tuple[str, str, str], curves: Mapping[str, Sequence[float]]) -> str:
+    """Curves of one quantity over the versions, with a legend."""
+    what, unit, _ = group
+    factor, _ = display.shown_unit(unit)
+    styled = list(zip(curves.items(), LINE_CLASSES, strict=False))
+    lines = [ChartCurve(factor * np.array(values), look, dots=True) for (_, values), look in styled]
+    legend = "".join(f'<span class="line {look}"></span>{escape(name)}' for (name, _), look in styled)
     numbers, names = np.arange(len(versions), dtype=np.float64), [f"@{version.version}" for version in versions]
-    for (unit, _), own in groups.items():
-        factor, _ = display.shown_unit(unit)
-        lines = [
-            ChartCurve(np.array([factor * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
-            for key, look in zip(own, LINE_CLASSES, strict=False)
-        ]
-        legend = "".join(
-            f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LINE_CLASSES, strict=False)
-        )
-        drawn = chart(numbers, lines, ("version", display.with_unit("RMSE", unit)), names=names, size=WIDE)
-        found.append(f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>")
-    return found
+    drawn = chart(numbers, lines, ("version", display.with_unit(what, unit)), names=names, size=WIDE)
+    return f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>"
 
 
 def _map(output: str, unit: str, item: ErrorMap) -> str:
@@ -152,11 +167,6 @@ def _map(output: str, unit: str, item: ErrorMap) -> str:
     across, up = (display.with_unit(signal_name(name), own) for name, own in zip(item.over, item.units, strict=True))
     drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (a, b), (across, up), label)
     return f"<figure>{drawn}<figcaption>{escape(output)}</figcaption></figure>"
-
-
-def _title(key: str) -> str:
-    signal, rows = output_of(key.removesuffix(".rmse"))
-    return f"{signal_name(signal)}, {rows}"
 
 
 def _inline(text: str) -> Markup:

@@ -117,20 +117,17 @@
     for (const { isIntersecting, target } of entries) if (isIntersecting) drawOnce(target);
   }, { rootMargin: "600px" });
   for (const element of drawings.keys()) seen.observe(element);
-  // On paper folded sections are shown: they are unfolded now, so that their figures are drawn at their size.
-  const paper = 860;  // [px], of a sheet of A4 with the margins of a browser, at the zoom of the style sheet
-  let unfolded = [];
+  // On paper are the sections that are unfolded; their figures are drawn at its size.
+  const paper = 900;  // [px], of a sheet of A4 with the margins of a browser, at the zoom of the style sheet
+  const printed = () => [...drawings.keys()].filter((element) => !element.closest("details:not([open])"));
   addEventListener("beforeprint", () => {
-    unfolded = [...document.querySelectorAll("details:not([open])")];
-    for (const folded of unfolded) folded.open = true;
-    for (const element of drawings.keys()) {
+    for (const element of printed()) {
       drawOnce(element);
-      Plotly.relayout(element, { autosize: false, width: Math.min(paper, element.clientWidth) });
+      Plotly.relayout(element, { autosize: false, width: Math.min(paper, element.clientWidth), height: Math.min(400, element.clientHeight) });
     }
   });
   addEventListener("afterprint", () => {
-    for (const folded of unfolded) folded.open = false;
-    for (const element of drawings.keys()) Plotly.relayout(element, { autosize: true, width: null });
+    for (const element of printed()) Plotly.relayout(element, { autosize: true, width: null, height: null });
   });
   // The link to the section in view.
   const links = new Map([...document.querySelectorAll("nav a")].map((link) => [link.hash.slice(1), link]));

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,22 +15,34 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from sysid.datasets.versions.index import VersionIndex
-from sysid.errors import StorageError, SysidError
+from sysid.datasets.versions.manifest import Manifest
+from sysid.errors import StorageError, StoreError, SysidError
 from sysid.files import json_text
+from sysid.machine import machine_from_files
 from sysid.model_versions import ModelVersions
 from sysid.parse import parse_json
 from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion
 from sysid.release import __version__
+from sysid.reports.archive import load_gap
 from sysid.reports.model_pages import card_page, models_page
 from sysid.reports.pages import FOLDER as REPORTS
 from sysid.reports.pages import SiteBar, write_page
 from sysid.reports.report import build_report, plot_library
 from sysid.root import Root
-from sysid.site.inventory import inventory, manifest_of, read_flight
+from sysid.site.inventory import inventory, read_flight
 from sysid.site.item import Item
 from sysid.site.lineage import around, drawing, lineage_graph
-from sysid.site.pages import compare_page, dataset_page, flight_page, index_page, lineage_page
+from sysid.site.pages import (
+    PlantTraces,
+    compare_page,
+    dataset_page,
+    flight_page,
+    index_page,
+    lineage_page,
+    plant_traces,
+    result_summary,
+)
 from sysid.workspace import Workspace
 
 #: File of the site that states from what each page was made.
@@ -114,8 +127,38 @@ def _pages(workspace: Workspace, items: Sequence[Item], models: Sequence[ModelVe
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
     yield "models.html", everything, lambda: models_page(models, name, cards=cards, bar=SiteBar())
     yield "lineage.html", everything, lambda: lineage_page(items, name)
-    yield "compare.html", everything, lambda: compare_page(items, name)
-    yield "index.html", everything, lambda: index_page(items, name, created)
+    yield "compare.html", everything, lambda: compare_page(items, name, list(_traces(workspace, items)))
+    yield "index.html", everything, lambda: index_page(items, name, created, _newest_result(workspace, items))
+
+
+def _traces(workspace: Workspace, items: Sequence[Item]) -> Iterator[PlantTraces]:
+    """A picture for each gap result with two stored plants; a result that cannot be read has its own message."""
+    keys = {item.key for item in items}
+    for item in items:
+        if item.kind != "gap" or not {f"plant:{error.reference}" for error in item.errors} <= keys:
+            continue
+        with contextlib.suppress(StoreError):
+            gap = load_gap(workspace.root.path(f"results/{item.reference}/gap"))
+            found = plant_traces(gap, _manifest(workspace, item)["units"]) if gap is not None else None
+            if found is not None:
+                yield found
+
+
+def _newest_result(workspace: Workspace, items: Sequence[Item]) -> Markup | None:
+    """Verdict, drawing and errors of the newest gap result that can be read; None without one."""
+    for item in items:
+        if item.kind == "gap":
+            with contextlib.suppress(StoreError):
+                manifest, gap = _manifest(workspace, item), load_gap(workspace.root.path(f"results/{item.reference}/gap"))
+                if gap is not None:
+                    machine = machine_from_files(manifest["machine"], item.reference)
+                    return result_summary(item, gap, machine, manifest["units"])
+    return None
+
+
+def _manifest(workspace: Workspace, item: Item) -> Manifest:
+    name, _, version = item.reference.rpartition("@")
+    return VersionIndex(workspace.location).read_manifest(name, int(version))
 
 
 def site_bar(item: Item, others: Sequence[Item]) -> SiteBar:
@@ -133,8 +176,9 @@ def _maker(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: Si
         command = f"sysid gap {item.reference} --add"
 
         def dataset() -> str:
-            manifest = manifest_of(VersionIndex(workspace.location), item)
-            return dataset_page(item, manifest, bar, drawn, f"../{gap.href}" if gap is not None else "", command)
+            report = f"../{gap.href}" if gap is not None else ""
+            recordings = workspace.dataset(item.reference).recordings
+            return dataset_page(item, _manifest(workspace, item), recordings, bar, drawn, report, command)
 
         return dataset
     if item.kind == "gap":

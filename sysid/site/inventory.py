@@ -12,9 +12,10 @@ from typing import Any
 
 from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest, clock_from
-from sysid.display import NOTHING, fixed, minute, quantity, size_text
+from sysid.display import NOTHING, fixed, minute, number, quantity, size_text
 from sysid.errors import SettingsError, StoreError
-from sysid.figures import stored_errors, stored_parameters
+from sysid.figures import ParameterFigure, stored_errors, stored_parameters
+from sysid.gap.result import Gap
 from sysid.gap.statement import headline
 from sysid.names import dotted
 from sysid.parse import parse_json
@@ -22,9 +23,10 @@ from sysid.registry import DamagedModel, ModelVersion
 from sysid.registry.lineage import sources
 from sysid.reports.archive import RESULT
 from sysid.reports.dataset_texts import ROLES, clock_text, length_text, role_text
+from sysid.reports.result_figures import point_errors
 from sysid.reports.words import effect_title, signal_name
 from sysid.root import Root
-from sysid.site.item import Fact, Item
+from sysid.site.item import Fact, HeldOutError, Item
 from sysid.workspace import Workspace
 
 #: Group of the facts that give each signal's SI unit.
@@ -136,8 +138,19 @@ def _gap(values: dict[str, Any], reference: str, content: bytes, changed: float,
         summary=f"{found}: {', '.join(effects)}" if effects else found,
         parents=tuple([f"dataset:{reference}"] + ([f"plant:{before}"] if "@" in before else [])),
         facts=tuple(_gap_facts(values, units)),
+        errors=tuple(_gap_errors(values, reference, units)),
         created_plant=after if after != before else "",
     )
+
+
+def _gap_errors(values: dict[str, Any], reference: str, units: Mapping[str, str]) -> Iterator[HeldOutError]:
+    """Held-out errors of the plant before and of the one after, points as distances."""
+    known = {key: {name: v for name, v in own.items() if v is not None} for key, own in values["gap"].items()}
+    where = f"{reference}: {', '.join(values.get('held_out_recordings', ()))}"
+    for figure in point_errors(Gap(known["before"], known["after"], known["noise_floor"]), units):
+        for plant, value in ((values["plant"]["before"], figure.before), (values["plant"]["after"], figure.after)):
+            floor = figure.noise_floor if figure.noise_floor > 0.0 else None
+            yield HeldOutError(plant, where, figure.name, figure.unit, value, floor)
 
 
 def _gap_facts(values: dict[str, Any], units: Mapping[str, str]) -> Iterator[Fact]:
@@ -155,14 +168,18 @@ def _gap_facts(values: dict[str, Any], units: Mapping[str, str]) -> Iterator[Fac
 
 
 def _parameters(effect: Mapping[str, Any]) -> Iterator[Fact]:
-    for figure in stored_parameters(effect):
-        place = f"{effect_title(effect['name'])}, {effect['target']}: {figure.label}"
+    for place, figure in _figures(effect):
         ends = figure.interval
         yield Fact("Effects", place, figure.text if ends == NOTHING else f"{figure.text} ({ends})")
 
 
+def _figures(effect: Mapping[str, Any]) -> Iterator[tuple[str, ParameterFigure]]:
+    for figure in stored_parameters(effect):
+        yield f"{effect_title(effect['name'])}, {effect['target']}: {figure.label}", figure
+
+
 #: Lineage entries that are shown otherwise, or are digests of what another entry names.
-_LEFT_OUT = ("dataset_digest", "effects")
+_LEFT_OUT = ("dataset_digest", "effects", "proof")
 
 
 def model_items(found: Sequence[ModelVersion | DamagedModel]) -> Iterator[Item]:
@@ -188,7 +205,15 @@ def _model(version: ModelVersion, kinds: Mapping[str, str]) -> Item:
         aliases=version.aliases,
         parents=tuple(dict.fromkeys(parents)),
         facts=tuple(_model_facts(version)),
+        errors=tuple(_stored_errors(version)),
+        parameters=tuple(pair for effect in version.lineage.get("effects", ()) for pair in _figures(effect)),
     )
+
+
+def _stored_errors(version: ModelVersion) -> Iterator[HeldOutError]:
+    where = str(version.lineage.get("dataset", ""))
+    for error in stored_errors(version.metrics):
+        yield HeldOutError(version.reference, where, f"{signal_name(error.output)}, {error.rows}", error.unit, error.rmse)
 
 
 def _summary(version: ModelVersion) -> str:
@@ -211,7 +236,8 @@ def _model_facts(version: ModelVersion) -> Iterator[Fact]:
     for effect in version.lineage.get("effects", ()):
         yield from _parameters(effect)
     for name, value in dotted({key: value for key, value in version.lineage.items() if key not in _LEFT_OUT}):
-        text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+        values = value if isinstance(value, list | tuple) else [value]
+        text = ", ".join(number(v, 4) if isinstance(v, float) else str(v) for v in values)
         yield Fact("Lineage and recipe", name, text)
     for name, digest in sorted(version.sha256.items()):
         yield Fact("Files, sha256", name, digest[:12])
@@ -319,7 +345,12 @@ def inventory(workspace: Workspace, survey: Sequence[ModelVersion | DamagedModel
     units = {item.reference: {f.name: f.text for f in item.facts if f.group == SIGNALS} for item in datasets}
     found = [*datasets, *gap_items(workspace.root, units), *models, *flights]
     items = {item.key: item for item in found if item.kind != "damaged"}
-    for gap in [item for item in items.values() if item.created_plant]:
+    for gap in [item for item in items.values() if item.kind == "gap"]:
+        for reference in dict.fromkeys(error.reference for error in gap.errors):
+            plant = items.get(f"plant:{reference}")
+            if plant is not None:
+                own = tuple(error for error in gap.errors if error.reference == reference)
+                items[plant.key] = replace(plant, errors=plant.errors + own)
         plant = items.get(f"plant:{gap.created_plant}")
         if plant is not None:
             items[plant.key] = replace(plant, parents=(*plant.parents, gap.key))
@@ -327,15 +358,3 @@ def inventory(workspace: Workspace, survey: Sequence[ModelVersion | DamagedModel
     return tuple(sorted(whole, key=lambda item: item.created, reverse=True)) + tuple(
         item for item in found if item.kind == "damaged"
     )
-
-
-def manifest_of(index: VersionIndex, item: Item) -> Manifest:
-    """The manifest of a dataset version.
-
-    Raises:
-        StoreError: it was removed meanwhile.
-    """
-    if item.kind != "dataset":
-        raise StoreError(item.key, "is not a dataset version", "one")
-    name, _, version = item.reference.rpartition("@")
-    return index.read_manifest(name, int(version))

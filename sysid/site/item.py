@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 from urllib.parse import quote
 
+from sysid.figures import ParameterFigure
+
 Kind = Literal["logs", "dataset", "actuator", "history", "motion", "forward", "plant", "policy", "gap", "flight", "damaged"]
 
 #: Kind → folder of its pages, and its word on the pages.
@@ -35,6 +37,24 @@ class Fact:
 
 
 @dataclass(frozen=True)
+class HeldOutError:
+    """Held-out error of a model version, for the comparison.
+
+    Args:
+        reference: of the version.
+        where: the recordings that it is of; errors of others are not compared with it.
+        value, noise_floor: RMSE [unit]; None where the floor is not known.
+    """
+
+    reference: str
+    where: str
+    name: str
+    unit: str
+    value: float
+    noise_floor: float | None = None
+
+
+@dataclass(frozen=True)
 class Item:
     """One thing in a workspace.
 
@@ -48,6 +68,8 @@ class Item:
         aliases: names that refer to a model version (``champion``).
         parents: :attr:`key` of the items that it was made from.
         facts: its properties, groups together.
+        errors: held-out errors of it; of a gap result those of both plants.
+        parameters: effect and parameter in words → its figure.
         created_plant: reference of the plant that a gap result added; empty without one.
         damage: why it cannot be read; it has no page then.
     """
@@ -60,6 +82,8 @@ class Item:
     aliases: tuple[str, ...] = ()
     parents: tuple[str, ...] = ()
     facts: tuple[Fact, ...] = ()
+    errors: tuple[HeldOutError, ...] = ()
+    parameters: tuple[tuple[str, ParameterFigure], ...] = ()
     created_plant: str = ""
     damage: str = ""
 

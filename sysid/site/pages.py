@@ -9,31 +9,50 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from sysid.datasets.recording import Recording
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.display import NOTHING, fixed, number, percent, quantity
 from sysid.errors import StoreError
-from sysid.figures import Table
+from sysid.figures import ParameterFigure, Table
+from sysid.gap.result import GapResult
+from sysid.machine import Machine
 from sysid.registry import CHAMPION
+from sysid.reports import words
 from sysid.reports.charts import WIDE, ChartCurve, chart, embed
 from sysid.reports.dataset_texts import clock_summary, clock_table, file_table, flag_lines, flag_table, kinds_of, role_text
-from sysid.reports.pages import SiteBar, page
+from sysid.reports.pages import SiteBar, filled, page
+from sysid.reports.picture import machine_picture, marks_of
+from sysid.reports.result_figures import point_errors
+from sysid.reports.sections.summary import main_errors
+from sysid.reports.sections.traces import largest_error_signals, moment_chart, worst_moment
 from sysid.site.inventory import ended
-from sysid.site.item import WORDS, Item
+from sysid.site.item import WORDS, HeldOutError, Item
 from sysid.site.lineage import around, drawing, lineage_graph
+from sysid.site.sparklines import MOST_RECORDINGS, sparklines
 
 STYLES = ("page.css", "site.css")
 
 
-def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, report: str, command: str) -> str:
+def dataset_page(
+    item: Item,
+    manifest: Manifest,
+    recordings: Sequence[Recording],
+    bar: SiteBar,
+    lineage: Markup,
+    report: str,
+    command: str,
+) -> str:
     """The page as HTML text.
 
     Args:
+        recordings: of the version, for the curves.
         report: relative URL of the report on its gap result; empty without one.
         command: that computes one.
     """
@@ -51,6 +70,8 @@ def dataset_page(item: Item, manifest: Manifest, bar: SiteBar, lineage: Markup, 
         report=report,
         command=command,
         recordings=_recordings(manifest, Counter(flag["recording"] for flag in flags)),
+        curves=sparklines(recordings, manifest),
+        more=max(0, len(recordings) - MOST_RECORDINGS),
         signals=_signals(manifest),
         clocks=clock_table(clocks),
         clock_summary=clock_summary(clocks),
@@ -201,18 +222,43 @@ def _events(events: Sequence[Mapping[str, Any]]) -> Table:
     return Table(("time [s]", "what", "", "reaction", "cycles"), rows, (0, 4), row_classes=row_classes)
 
 
+@dataclass(frozen=True)
+class PlantTraces:
+    """Keys of two plants, and a picture of a held-out recording with both, with its caption."""
+
+    before: str
+    after: str
+    picture: Markup
+    caption: str
+
+
+def plant_traces(gap: GapResult, units: Mapping[str, str]) -> PlantTraces | None:
+    """The signal with the largest error around its worst moment; None without traces."""
+    for signal in largest_error_signals(gap):
+        moment = worst_moment(gap.traces, signal, "before")
+        if moment is None:
+            continue
+        trace = next(trace for trace in gap.traces if trace.recording == moment.recording)
+        unit, label = units.get(signal, "1"), words.signal_name(signal)
+        drawn = Markup(moment_chart(trace, moment, unit, label, repaired=True))
+        text = f"{label}, held-out {moment.recording}: largest error {quantity(moment.before, unit, 2)}"
+        return PlantTraces(f"plant:{gap.plant_before}", f"plant:{gap.plant_after}", drawn, text)
+    return None
+
+
 FOLDER = Path(__file__).parent
 WORKSPACE_STYLES = ("page.css", "models.css", "site.css")
 #: Most boxes of the drawing on the overview.
 MOST = 40
 
 
-def index_page(items: Sequence[Item], workspace: str, created: str) -> str:
-    """The overview: what is in use, the lineage, and a table of everything with search, sorting and a choice of two."""
+def index_page(items: Sequence[Item], workspace: str, created: str, newest: Markup | None = None) -> str:
+    """The overview: the newest gap result (:func:`result_summary`), what is in use, the lineage, and a table of everything with
+    search, sorting and a choice of two."""
     whole = [item for item in items if item.kind not in ("damaged", "logs")]
     by_key = {item.key: item for item in items if item.kind != "damaged"}
     graph = lineage_graph(by_key.values())
-    newest = set(graph) if len(graph) <= MOST else set().union(*(around(graph, item.key) for item in in_use(items)[:5]))
+    drawn = set(graph) if len(graph) <= MOST else set().union(*(around(graph, item.key) for item in in_use(items)[:5]))
     counts = Counter[str](item.kind for item in whole)
     return page(
         "index.html",
@@ -223,13 +269,30 @@ def index_page(items: Sequence[Item], workspace: str, created: str) -> str:
         kind="Workspace",
         facts=f"{len(whole)} items · {created}",
         in_use=[_use(item) for item in in_use(items)],
-        drawing=drawing(graph.subgraph(newest), by_key),
-        more=len(newest) < len(graph),
+        drawing=drawing(graph.subgraph(drawn), by_key),
+        more=len(drawn) < len(graph),
+        newest=newest,
         count=len(graph),
         kinds=[(kind, WORDS[kind], counts[kind]) for kind in WORDS if counts[kind]],
         rows=[_row(item) for item in whole],
         damaged=[f"{item.reference}: {item.damage}" for item in items if item.kind == "damaged"],
         **_script("site.js"),
+    )
+
+
+def result_summary(item: Item, gap: GapResult, machine: Machine, units: Mapping[str, str]) -> Markup:
+    """Verdict, drawing and main errors of a gap result, with a link to its report."""
+    return filled(
+        "result.html",
+        FOLDER,
+        href=item.href,
+        reference=item.reference,
+        headline=gap.headline,
+        picture=Markup(machine_picture(machine, marks_of(gap, machine))),
+        effects=[words.effect_place(effect.name, effect.target, machine) for effect in gap.effects],
+        errors=main_errors(point_errors(gap.gap, units)),
+        repaired=gap.repaired,
+        held_out=gap.held_out_recordings,
     )
 
 
@@ -242,8 +305,12 @@ def lineage_page(items: Sequence[Item], workspace: str) -> str:
     )
 
 
-def compare_page(items: Sequence[Item], workspace: str) -> str:
-    """Two items side by side; the choice is made on the page."""
+def compare_page(items: Sequence[Item], workspace: str, traces: Sequence[PlantTraces] = ()) -> str:
+    """Two items side by side; the choice is made on the page, at first the newest two plants.
+
+    Args:
+        traces: pictures of two plants on one recording.
+    """
     whole = [item for item in items if item.kind not in ("damaged", "logs")]
     groups = [(word, [item for item in whole if item.kind == kind]) for kind, word in WORDS.items()]
     data = {
@@ -251,6 +318,8 @@ def compare_page(items: Sequence[Item], workspace: str) -> str:
             "title": f"{item.word} {item.reference}",
             "href": item.href,
             "facts": [("Content", "content", item.digest[:12]), *((fact.group, fact.name, fact.text) for fact in item.facts)],
+            "errors": [(e.where, e.name, e.value, e.noise_floor, quantity(e.value, e.unit)) for e in _own_errors(item)],
+            "parameters": [(place, *_compared(figure)) for place, figure in item.parameters],
         }
         for item in whole
     }
@@ -263,9 +332,32 @@ def compare_page(items: Sequence[Item], workspace: str) -> str:
         kind="Workspace",
         facts=workspace,
         groups=[(word, own) for word, own in groups if own],
+        first=first_pair(whole),
+        traces=traces,
         data=embed("items", data),
         **_script("compare.js"),
     )
+
+
+def _own_errors(item: Item) -> Iterator[HeldOutError]:
+    return (error for error in item.errors if error.reference == item.reference and math.isfinite(error.value))
+
+
+def _compared(figure: ParameterFigure) -> tuple[float | None, tuple[float, float] | None, str, str]:
+    """Value and ends of its interval [SI] where they are numbers, and their texts."""
+    value = float(figure.value) if isinstance(figure.value, float | int) else None
+    ends = figure.interval95
+    known = value is not None and ends is not None and all(isinstance(end, float | int) for end in ends)
+    return value, (ends if known else None), figure.text, figure.interval
+
+
+def first_pair(items: Sequence[Item]) -> tuple[str, str]:
+    """Keys of the newest two plants, the older first; without two, of the newest two items of one kind, else of two items."""
+    plants = [item for item in items if item.kind == "plant"]
+    kinds = [plants, *([other for other in items if other.kind == item.kind] for item in items), list(items)]
+    pair = next((own[:2] for own in kinds if len(own) > 1), list(items[:1]) * 2)
+    pair.sort(key=lambda item: item.created)
+    return (pair[0].key, pair[1].key) if pair else ("", "")
 
 
 def in_use(items: Sequence[Item]) -> list[Item]:

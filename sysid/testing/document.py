@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +74,8 @@ def _gallery() -> str:
     lines = [
         _NOTICE,
         "# Gallery of effects\n",
-        "This page shows what each named effect changes: a signal of a machine without the effect (grey) and with it (blue).",
+        "This page shows what each named effect changes: a signal of a machine without the effect (grey) and with it (blue),",
+        "or the change of the signal where both would coincide.",
         "Each picture links to the page with equation, parameters and similar effects; all are in [one table](README.md).",
     ]
     for stage, title in _STAGES.items():
@@ -193,14 +196,19 @@ def _drive_picture(effect: Effect, place: EffectPlace, form: Form, values: Value
     recording = with_inputs(probe_recording(7.0), place.inputs, scale * np.tile(u[:, None], len(place.inputs)))
     run = plant_run(effect, place)
     driven = "slew" if effect.target == "machine" else place.target
-    velocity = effect.stage != "force" and driven in probe_machine().axis_names
-    gain = probe_machine().axis(driven).gain if velocity else 1.0
-    speeds = [np.append(np.diff(run(v, recording)[:, 0]), np.nan) * RATE_HZ / gain for v in (None, values)]
-    label = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
-    lines = [PictureCurve("without", time, speeds[0], GREY), PictureCurve("with", time, speeds[1], BLUE)]
-    if effect.stage == "force":
+    axis = probe_machine().axis(driven) if driven in probe_machine().axis_names else None
+    follows = axis is not None and axis.actuation in ("position", "servo")  # its command is a position
+    outputs = [run(v, recording)[:, 0] for v in (None, values)]
+    gain = axis.gain if axis is not None and effect.stage != "force" else 1.0
+    if not follows:
+        outputs = [np.append(np.diff(output), np.nan) * RATE_HZ / gain for output in outputs]
+    speed = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
+    lines = [PictureCurve("without", time, outputs[0], GREY), PictureCurve("with", time, outputs[1], BLUE)]
+    if follows:
+        lines.insert(0, PictureCurve("command", time, recording.values(place.inputs[0]), ORANGE, dashed=True))
+    elif effect.stage == "force":
         lines.insert(0, PictureCurve("force / 4 N", time, u, ORANGE, dashed=True))
-    return svg(title, "time [s]", label, lines)
+    return svg(title, "time [s]", "position [rad]" if follows else speed, lines)
 
 
 def _joint_picture(effect: Effect, values: Values, title: str) -> str:
@@ -209,7 +217,7 @@ def _joint_picture(effect: Effect, values: Values, title: str) -> str:
     time = np.arange(700) / RATE_HZ
     cylinder = 0.055 + 0.012 * np.sin(1.8 * time) + 0.006 * np.sin(4.1 * time)
     recording = with_inputs(probe_recording(7.0), place.inputs, cylinder[:, None])
-    return svg(title, "time [s]", "joint [rad]", _first_outputs(effect, place, values, recording))
+    return _over_time(title, "joint [rad]", _first_outputs(effect, place, values, recording))
 
 
 def _links_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
@@ -242,7 +250,20 @@ def _tool_picture(effect: Effect, place: EffectPlace, values: Values, title: str
     ee = np.column_stack([0.2 * (10 * s**3 - 15 * s**4 + 6 * s**5), np.zeros(900), np.ones(900)])
     table = {"time": time, **{name: ee[:, k] for k, name in enumerate(point_signals("ee"))}}
     recording = Recording("push", pd.DataFrame(table), RATE_HZ)
-    return svg(title, "time [s]", "x of the tool [m]", _first_outputs(effect, place, values, recording))
+    return _over_time(title, "x of the tool [m]", _first_outputs(effect, place, values, recording))
+
+
+#: Curves that differ by less than this share of their range coincide in the picture.
+COINCIDE = 0.05
+
+
+def _over_time(title: str, label: str, lines: Sequence[PictureCurve]) -> str:
+    """Both curves, or their difference where they would coincide."""
+    one, other = lines
+    change = other.y - one.y
+    if np.nanmax(np.abs(change)) < COINCIDE * np.ptp(one.y):
+        label, lines = f"change of the {label}", (replace(one, y=0.0 * one.y), replace(other, y=change))
+    return svg(title, "time [s]", label, lines)
 
 
 def _first_outputs(effect: Effect, place: EffectPlace, values: Values, recording: Recording) -> list[PictureCurve]:

@@ -135,7 +135,7 @@ def saved(stream: Any, path: Path, layout: Any) -> Iterator[None]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half, _written_to(stream, half):
-        sdk().send_blueprint(layout, make_active=False, make_default=True, recording=stream)
+        sdk().send_blueprint(layout, make_active=True, make_default=True, recording=stream)
         yield
 
 
@@ -270,8 +270,16 @@ def _moved(places: Array) -> Callable[[slice], Any]:
     return lambda rows: sdk().Points3D.columns(positions=places[rows])
 
 
-def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
-    """Boom tip and tool as points, whose last seconds are the trail, and the line between them."""
+#: Distance of names in space above each other [m].
+NAME_M = 0.12
+
+
+def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style, number: int = 0) -> None:
+    """Boom tip and tool as points, whose last seconds are the trail, and the line between them.
+
+    Args:
+        number: of the version; the name of each is above that of the one before, where all are at the same place.
+    """
     rr = sdk()
     time = table["time"].to_numpy(dtype=np.float64)
     found: dict[str, Array] = {}
@@ -285,14 +293,15 @@ def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, st
         radius = 0.008 if point == "tool" else 0.005
         look = rr.Points3D.from_fields(colors=[style.colour], radii=[radius])
         rr.log(f"{root}/{point}", look, static=True, recording=stream)
-        at, moved = time[known], _moved(values[known])
-        send_columns(stream, f"{root}/{point}", at, moved)
+        at = time[known]
+        send_columns(stream, f"{root}/{point}", at, _moved(values[known]))
         if point == list(found)[-1]:  # the legend in space; the point itself would leave a trail of labels
             name = rr.Points3D.from_fields(
                 colors=[style.colour], radii=[0.001], labels=[root.rpartition("/")[2]], show_labels=True
             )
             rr.log(f"{root}/legend", name, static=True, recording=stream)
-            send_columns(stream, f"{root}/legend", at, moved)
+            above = np.array([0.0, 0.0, NAME_M * (number + 1)])
+            send_columns(stream, f"{root}/legend", at, _moved(values[known] + above))
     if set(found) == {"ee", "tool"}:
         known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
         strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)

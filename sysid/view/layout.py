@@ -16,8 +16,9 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording
 from sysid.display import shown_unit, with_unit
 from sysid.gap.result import Map
+from sysid.machine import Machine
 from sysid.pictures import ticks
-from sysid.signals import split_signal
+from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
 
@@ -126,11 +127,13 @@ def blueprint(
     timeline: str,
     maps: Sequence[Map] = (),
     findings: bool = False,
+    moment: float | None = None,
 ) -> Any:
     """Rerun blueprint for one recording and its simulations, with maps of the gap in separate tabs.
 
     Args:
         findings: the recording holds the findings as text, and a line at each worst moment.
+        moment: time of the largest error [s], which is played at first; None without one.
     """
     import rerun.blueprint as rrb
 
@@ -154,11 +157,12 @@ def blueprint(
     left: list[Any] = [rrb.TextDocumentView(origin=ENTITY, name="findings")] if findings else []
     if dataset.machine.kinematics() is not None:
         points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
-        left = [machine_view(points, timeline), *left]
+        left = [machine_view(points, timeline, camera(dataset.machine, tables["measured"])), *left]
     if not left:
-        return screen(right, timeline)
+        return screen(right, timeline, moment)
     shares = [2, 1] if len(left) > 1 else None
-    return screen(rrb.Horizontal(rrb.Vertical(*left, row_shares=shares), right, column_shares=[1.1, 1]), timeline)
+    views = rrb.Horizontal(rrb.Vertical(*left, row_shares=shares), right, column_shares=[1.1, 1])
+    return screen(views, timeline, moment)
 
 
 def _views(signal: str, tables: Mapping[str, pd.DataFrame]) -> list[Any]:
@@ -171,28 +175,71 @@ def _views(signal: str, tables: Mapping[str, pd.DataFrame]) -> list[Any]:
     return views
 
 
-def screen(views: Any, timeline: str) -> Any:
-    """A blueprint of ``views`` with all panels collapsed."""
-    import rerun.blueprint as rrb
+#: Time around the largest error that is played at first [s].
+BEFORE_S, AFTER_S = 4.0, 1.0
 
+
+def screen(views: Any, timeline: str, moment: float | None = None) -> Any:
+    """A blueprint of ``views`` with all panels collapsed, which plays the seconds around ``moment`` [s]."""
+    import rerun.blueprint as rrb
+    from rerun.encodings import AbsoluteTimeRange
+
+    panel = rrb.TimePanel(timeline=timeline, state="collapsed")
+    if moment is not None:
+        ends = (int(1e9 * max(0.0, moment - BEFORE_S)), int(1e9 * (moment + AFTER_S)))
+        panel.time_selection = AbsoluteTimeRange(*ends)
+        panel.loop_mode, panel.play_state = "selection", "playing"
     return rrb.Blueprint(
-        views,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(timeline=timeline, state="collapsed"),
-        auto_views=False,
+        views, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), panel, auto_views=False
     )
 
 
-def machine_view(points: Sequence[str], timeline: str) -> Any:
-    """The machine in space; ``points`` leave a trail of :data:`TRAIL_S`."""
+def machine_view(points: Sequence[str], timeline: str, eye: Any = None) -> Any:
+    """The machine in space; ``points`` leave a trail of :data:`TRAIL_S`, ``eye`` is from :func:`camera`."""
     import rerun as rr
     import rerun.blueprint as rrb
 
     now = rr.TimeRangeBoundary.cursor_relative(seconds=0.0)
     then = rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S)
     trail = rrb.VisibleTimeRanges([rr.VisibleTimeRange(timeline, start=then, end=now)])
-    return rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail))
+    return rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail), eye_controls=eye)
+
+
+#: Share of the rows that the camera leaves out at either end of each coordinate, and its height over the arm.
+OUTSIDE, ELEVATION = 0.02, 0.35
+
+
+def camera(machine: Machine, table: pd.DataFrame) -> Any:
+    """An eye across the middle direction of the arm, at a distance that shows joints, tip and tool of a recording.
+
+    None where neither all joints nor the tip are known.
+    """
+    import rerun.blueprint as rrb
+
+    points = arm_points(machine, table)
+    if not len(points):
+        return None
+    low, high = (np.quantile(points, share, axis=0) for share in (OUTSIDE, 1.0 - OUTSIDE))
+    target, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    outward = target[:2] / max(float(np.hypot(*target[:2])), 1e-9)
+    aside = np.array([outward[1], -outward[0], ELEVATION]) if outward.any() else np.array([1.0, -1.0, ELEVATION])
+    position = target + 2.2 * max(radius, 0.1) * aside / float(np.linalg.norm(aside))
+    return rrb.EyeControls3D(kind="Orbital", position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
+
+
+def arm_points(machine: Machine, table: pd.DataFrame) -> Array:
+    """Origins of the links that the axes move, tip and tool in some rows of a recording, (n, 3) [m]."""
+    kinematics, found = machine.kinematics(), list[Array]()
+    rows = table.iloc[:: max(1, len(table) // 200)]
+    joints = [axis_signal(axis.name, "joint") for axis in machine.axes]
+    if kinematics is not None and set(joints) <= set(rows.columns):
+        poses = kinematics.link_poses(rows[joints].to_numpy(dtype=np.float64))
+        found += [poses[joint.child][:, :3, 3] for joint in kinematics.chain]
+    for point in ("ee", "tool"):
+        if set(point_signals(point)) <= set(rows.columns):
+            found.append(rows[list(point_signals(point))].to_numpy(dtype=np.float64))
+    points = np.concatenate([np.zeros((0, 3)), *found])
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list[str]) -> int:

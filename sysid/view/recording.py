@@ -62,16 +62,17 @@ def write_rerun(
     identity = f"{dataset.reference}/{recording}/{dataset.digest[:16]}"
     maps = gap.maps if gap is not None else ()
     moments = worst_moments(tables)
-    layout = blueprint(dataset, source, tables, TIMELINE, maps, findings=gap is not None)
+    worst = largest_moment(moments, tables)
+    layout = blueprint(dataset, source, tables, TIMELINE, maps, findings=gap is not None, moment=worst)
     with rerun_file(path, identity, layout, f"{dataset.reference} {recording}") as stream:
         styles = dict(zip(tables, styles_of(tables), strict=True))
         kinematics = dataset.machine.kinematics()
         if kinematics is not None:
             rr = sdk()
             rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
-            for name, table in tables.items():
+            for number, (name, table) in enumerate(tables.items()):
                 log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
-                log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
+                log_points(stream, f"machine/{name}", dataset.machine, table, styles[name], number)
         _log_signals(stream, dataset, source, tables, styles)
         _log_errors(stream, dataset, tables, styles, moments)
         if gap is not None:
@@ -104,6 +105,16 @@ def worst_moments(tables: Mapping[str, pd.DataFrame]) -> list[WorstMoment]:
             if worst is not None:
                 found.append(WorstMoment(signal, version, float(measured["time"].iloc[worst[0]]), worst[1]))
     return found
+
+
+def largest_moment(moments: Sequence[WorstMoment], tables: Mapping[str, pd.DataFrame]) -> float | None:
+    """Time of the largest error of the first simulation [s]: of the tool, else of the tip, else of the motion of the signal."""
+    own = [moment for moment in moments if moment.version == (moments[0].version if moments else "")]
+    points = [[m for m in own if m.signal in point_signals(point)] for point in ("tool", "ee")]
+    motion = {m.signal: max(float(tables["measured"][m.signal].std()), 1e-9) for m in own}
+    chosen = next((group for group in points if group), own)
+    scale = dict.fromkeys(motion, 1.0) if chosen is not own else motion
+    return max(chosen, key=lambda m: abs(m.error) / scale[m.signal]).time if chosen else None
 
 
 def findings_text(gap: GapResult, dataset: Dataset) -> str:
@@ -204,10 +215,10 @@ def write_tracks(
         rr.log("machine/path", rr.LineStrips3D([target], colors=[_PATH], radii=0.0015), static=True, recording=stream)
         styles = [STYLES["measured"], *styles_of(rows)]
         kinematics = machine.kinematics()
-        for style, (policy, table) in zip(styles, rows.items(), strict=False):
+        for number, (style, (policy, table)) in enumerate(zip(styles, rows.items(), strict=False)):
             if kinematics is not None:
                 log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
-            log_points(stream, f"machine/{policy}", machine, table, style)
+            log_points(stream, f"machine/{policy}", machine, table, style, number)
             error = shown_unit("m")[0] * (table[list(point_signals(point))].to_numpy(dtype=np.float64) - target)
             commands = [axis_signal(axis, "command") for axis in machine.axis_names]
             curves = {f"error/{axis}/{policy}": (error[:, k], with_unit(policy, "m")) for k, axis in enumerate("xyz")}

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli.gap_tables import next_steps, plain_reason, show_gap
+from sysid.cli.gap_tables import plain_reason, show_gap
 from sysid.cli.output import WIDTH, Printer
 from sysid.datasets import Dataset
 from sysid.gap import GapResult
@@ -20,6 +20,7 @@ from sysid.gap.written import axis_delays, written_effects
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
 from sysid.reports.archive import load_gap, save_gap
+from sysid.reports.next_steps import next_steps
 
 AXES = "".join(
     f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\ngain = 1.0\nlimits = [-1.0, 1.0]\n'
@@ -142,3 +143,43 @@ def test_the_archive_keeps_them(tmp_path: Path) -> None:
     assert (again.delays, [w.kind for w in again.written]) == (found.delays, [w.kind for w in found.written])
     assert again.written[0] == found.written[0]
     assert again.near_misses == found.near_misses
+
+
+def lines_of(capsys: pytest.CaptureFixture[str], columns: int, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    header = ("name", "made from", "share")
+    Printer().table(header, [("autolog-actuator@1", "three recordings of a crane", "12.5"), ("b", "", "7")], (2,))
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("columns", [200, 44, 40, 20])
+def test_a_table_in_a_pipe_takes_the_width_of_columns_and_breaks_no_word(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, columns: int
+) -> None:
+    lines = lines_of(capsys, columns, monkeypatch)
+    assert max(map(len, lines)) <= max(columns, len("   autolog-actuator@1"))
+    words = " ".join(lines).split()
+    for word in ("autolog-actuator@1", "three", "recordings", "crane", "12.5", "7"):
+        assert word in words
+
+
+def test_a_table_that_is_too_wide_lists_its_cells_with_their_titles(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [line.strip() for line in lines_of(capsys, 28, monkeypatch)]
+    assert lines[lines.index("name: autolog-actuator@1") + 1 :][:3] == [
+        "made from: three",
+        "recordings of a crane",
+        "share: 12.5",
+    ]
+    assert lines[lines.index("name: b") + 1] == "share: 7", "an empty cell has no line"
+
+
+def test_columns_are_wrapped_before_the_gaps_are_lost(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = lines_of(capsys, 44, monkeypatch)
+    row = next(line for line in lines if "autolog-actuator@1" in line)
+    assert row.rstrip().endswith("12.5")
+    assert "three" in row
+    assert lines[lines.index(row) + 1].split()[-1] in ("a", "crane", "of", "recordings")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sysid.figures import ErrorFigure
 from sysid.pictures import ticks
-from sysid.reports.charts import ChartCurve, chart, heat_map
+from sysid.reports.charts import ChartCurve, chart, heat_map, space_path
 from sysid.reports.picture_parts import Canvas
 from sysid.reports.sections.summary import dumbbells
 
@@ -40,9 +40,18 @@ def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
 @pytest.mark.parametrize("after", [0.0, 1e-6, 2e-3])
 def test_errors_below_the_noise_have_a_place(after: float) -> None:
     text = dumbbells([ErrorFigure("a.joint", "rad", after, after, 1e-3)], repaired=True)
-    places = [float(x) for x in re.findall(r'cx="([^"]*)"', text)]
+    places = [float(x) for x in re.findall(r'class="(?:before|after)" style="left:([^%]*)%', text)]
     assert len(places) == 2
-    assert all(190.0 <= x <= 710.0 for x in places)
+    assert all(0.0 <= x <= 100.0 for x in places)
+
+
+def test_a_path_in_space_changes_colour_with_the_error_and_keeps_its_gaps() -> None:
+    points = np.column_stack([np.arange(6.0), np.zeros(6), np.zeros(6)])
+    points[2] = np.nan
+    text = space_path(points, np.array([0.0, 0.1, 1.0, 1.0, 1.0, 0.0]), 1.0, "mm")
+    pieces = re.findall(r'<path d="M([^"]*)" style="stroke:color-mix\(in oklab, var\(--hot\) (\d+)%', text)[:3]
+    assert [len(piece.split(" L")) for piece, _ in pieces] == [2, 3, 1], "0-1, gap, 3-4 and on to 5, 5"
+    assert [share for _, share in pieces] == ["0", "100", "0"]
 
 
 def test_labels_cannot_carry_markup() -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 from sample_workspace import sample_workspace
 
+from sysid.figures import ErrorFigure
 from sysid.site import Built, build_site, inventory
 from sysid.site.item import Item
+from sysid.site.sparklines import sparklines
 from sysid.workspace import Workspace, open_workspace
 
 
@@ -129,3 +134,50 @@ def test_names_and_texts_of_others_are_escaped(tmp_path: Path) -> None:
 def test_an_item_without_pages_has_no_link() -> None:
     assert Item("damaged", "a@1", damage="x").href == ""
     assert replace(Item("logs", "a@1"), kind="dataset").href == "datasets/a%401.html"
+
+
+def test_the_first_page_has_the_newest_result_with_its_figures(place: Workspace, built: Built) -> None:
+    text = built.index.read_text("utf-8")
+    own = text[text.index('<section id="newest">') : text.index('<section id="use">')]
+    gap = place.gap(place.dataset("autolog@1"))
+    assert gap is not None
+    assert gap.headline in own
+    assert own.count('<text class="badge"') == 3
+    before, after = (math.hypot(*(part[f"tool.{k}"] for k in "xyz")) for part in (gap.gap.before, gap.gap.after))
+    tool = ErrorFigure("", "m", before, after, 0.0)
+    assert f'<b class="before">{tool.texts[0]}</b> → <b class="after">{tool.texts[1]}</b>' in own
+
+
+def test_each_signal_is_a_curve_with_flags_and_roles(place: Workspace) -> None:
+    dataset = place.dataset("autolog@1")
+    manifest: dict[str, Any] = {
+        "units": dataset.units,
+        "splits": {"manual-01": "held_out"},
+        "quality": {
+            "flags": [
+                {
+                    "recording": "manual-01",
+                    "signal": "boom.joint",
+                    "kind": "dropout",
+                    "from_s": 3.0,
+                    "to_s": 6.0,
+                    "text": "none",
+                }
+            ]
+        },
+    }
+    table = sparklines(dataset.recordings, manifest)  # type: ignore[arg-type]
+    names = [recording.name for recording in dataset.recordings]
+    assert "manual-01<br><small>held out" in str(table.header[1 + names.index("manual-01")])
+    row = next(row for row in table.rows if str(row[0]).startswith("boom.joint"))
+    cell = str(row[1 + names.index("manual-01")])
+    recording = dataset.recordings[names.index("manual-01")]
+    seconds = (len(recording.table) - 1) / recording.rate_hz
+    x, width = map(float, re.findall(r'class="flagged" x="([\d.]+)" width="([\d.]+)"', cell)[0])
+    assert (x, width) == pytest.approx((96.0 * 3.0 / seconds, 96.0 * 3.0 / seconds), abs=0.1)
+    assert "dropout: none" in cell
+    assert 'class="flagged"' not in str(row[1 + names.index("manual-02")])
+    heights = [float(y) for y in re.findall(r",([\d.]+)", cell)]
+    values = np.concatenate([own.values("boom.joint") for own in dataset.recordings if "boom.joint" in own.signals])
+    shares = (recording.values("boom.joint") - np.nanmin(values)) / np.ptp(values[np.isfinite(values)])
+    assert min(heights) == pytest.approx(2.0 + 22.0 * (1.0 - np.nanmax(shares)), abs=1.5), "one scale for all recordings"

@@ -10,13 +10,16 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 from sample_crane import sample_gap, sample_traces
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
 from sysid.machine import Kinematics, machine_from_files
 from sysid.view import write_rerun
-from sysid.view.drawing import link_entity, link_shapes
+from sysid.view.drawing import NAME_M, link_entity, link_shapes
+from sysid.view.layout import arm_points, camera, screen
+from sysid.view.recording import largest_moment, worst_moments
 
 
 class Written:
@@ -172,6 +175,38 @@ def test_the_findings_are_text_with_values_and_units(written: Written) -> None:
     assert "| boom.cylinder |" in text
 
 
-def test_every_version_is_named_in_space(written: Written) -> None:
+def test_every_version_is_named_in_space_above_the_one_before(written: Written) -> None:
+    heights = []
     for version in ("measured", "before", "after"):
         assert drawn(written, f"/machine/{version}/legend", "labels") == [version]
+        _, names = written.column(f"/machine/{version}/legend", "positions")
+        _, points = written.column(f"/machine/{version}/tool", "positions")
+        heights.append(names[0][0][2] - points[0][0][2])
+    np.testing.assert_allclose(heights, [NAME_M, 2.0 * NAME_M, 3.0 * NAME_M], atol=1e-5)
+
+
+def test_the_camera_looks_at_the_arm_and_sees_all_of_it(crane: Dataset) -> None:
+    table = crane.recording("manual-04").table
+    eye = camera(crane.machine, table)
+    target, position = (np.array(batch.as_arrow_array().to_pylist()[0]) for batch in (eye.look_target, eye.position))
+    points = arm_points(crane.machine, table)
+    tool = table[["tool.x", "tool.y", "tool.z"]].to_numpy()
+    assert np.linalg.norm(points - tool[np.isfinite(tool).all(axis=1)][0], axis=1).min() < 0.05, "the tool is one of them"
+    towards = (target - position) / np.linalg.norm(target - position)
+    rays = points - position
+    angles = np.degrees(np.arccos((rays @ towards) / np.linalg.norm(rays, axis=1)))
+    assert np.quantile(angles, 0.98) < 32.0, "within the view"
+    assert np.quantile(angles, 0.98) > 12.0, "and no small part of it"
+    assert position[2] > target[2]
+
+
+def test_the_seconds_around_the_largest_error_of_the_tool_are_played(crane: Dataset) -> None:
+    traces = sample_traces(crane)
+    tables = {"measured": traces.measured, "before": traces.before, "after": traces.after}
+    largest = max((moment for moment in worst_moments(tables) if moment.version == "before" and "tool" in moment.signal),
+                  key=lambda moment: abs(moment.error))  # fmt: skip
+    assert largest_moment(worst_moments(tables), tables) == largest.time
+    panel = screen(rrb.TextLogView(), "time", largest.time).time_panel
+    assert panel.time_selection.min.value == int(1e9 * max(0.0, largest.time - 4.0))
+    assert panel.time_selection.max.value == int(1e9 * (largest.time + 1.0))
+    assert (panel.loop_mode, panel.play_state) == ("selection", "playing")

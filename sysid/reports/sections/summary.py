@@ -16,8 +16,9 @@ from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, or
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.next_steps import next_steps
 from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
-from sysid.reports.result_figures import named_sentence, point_errors, residual_sentence
+from sysid.reports.result_figures import effect_figures, named_sentence, point_errors, residual_sentence
 from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
 from sysid.reports.words import confidence, remainder_unit
 
@@ -27,15 +28,16 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     if inputs.gap is None:
         return {
             "headline": "Simulation and machine have not been compared yet.",
-            "advice": f"Run: sysid gap {inputs.dataset.reference}",
+            "advice": "",
             "tone": "open",
-            "sentences": [],
-            "cards": [],
-            "figures": None,
             "picture": Markup(machine_picture(machine)),
             "legend": _legend(machine, ""),
-            "next": [],
+            "brief": [],
+            "errors": [],
+            "next": [("Compare", Markup("<code>sysid gap {}</code>").format(inputs.dataset.reference))],
+            "cards": [],
             "sure": [],
+            "figures": None,
             "chart": "",
             "held_out": [],
             "repaired": False,
@@ -45,21 +47,19 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     lines = point_errors(gap.gap, inputs.dataset.units)
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
+    cards = _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset)
     return {
         "headline": words.localised([_place(item) for item in found]) if found else gap.headline,
-        "advice": f"To name causes: sysid gap {inputs.dataset.reference}" if only else words.ADVICE.get(gap.verdict, ""),
+        "advice": "" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
-        "sentences": _sentences(gap, lines),
-        "cards": _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset),
-        "figures": _figures(lines),
         "picture": Markup(machine_picture(machine, marks)),
         "legend": _legend(
             machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
         ),
-        "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
-        "held_out": gap.held_out_recordings,
-        "repaired": gap.repaired,
-        "next": [] if only else list(gap.next_experiment),
+        "brief": cards,
+        "errors": main_errors(lines),
+        "next": _next(inputs, gap, only),
+        "cards": [] if only else cards,
         "sure": [
             *_still_open(gap),
             *(note for note in gap.notes if note == left_out_sentence(machine.left_out)),
@@ -67,7 +67,40 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             *missing_sentences(gap.missing),
             *response_sentences(gap.responses, bool(gap.written)),
         ],
+        "figures": _figures(lines),
+        "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
+        "held_out": gap.held_out_recordings,
+        "repaired": gap.repaired,
     }
+
+
+def main_errors(lines: Sequence[ErrorFigure]) -> list[ErrorFigure]:
+    """The errors of the first screen: tool and tip; without a measured point the two largest, in noise floors."""
+    measured = [line for line in lines if math.isfinite(line.before)]
+    names = [f"{words.owner_name(point)} position" for point in ("tool", "ee")]
+    points = [line for name in names for line in measured if line.name == name]
+    return points or sorted(measured, key=lambda line: -line.before / max(line.noise_floor, 1e-300))[:2]
+
+
+def _next(inputs: ReportInputs, gap: GapResult, only: bool) -> list[tuple[str, Markup]]:
+    """What to do with the result, and what to record: (word, text)."""
+    code, more = Markup("<code>{}</code>"), Markup(' <a href="#{}">{}</a>')
+    name, found = inputs.dataset.name, list[tuple[str, Markup]]()
+    if only:
+        return [("Name causes", code.format(f"sysid gap {inputs.dataset.reference}"))]
+    if gap.promotion is not None:
+        state = "is promoted." if gap.promotion.promoted else "is stored, not promoted."
+        text = Markup("{} {}{}").format(gap.promotion.version, state, more.format("proof", "conditions"))
+        found.append(("Promoted" if gap.promotion.promoted else "Stored", text))
+        found.append(("Export", code.format(f"sysid export {gap.promotion.version} --to mjcf --out exports")))
+    elif gap.repaired:
+        found.append(("Store the repair", code.format(f"sysid gap {name} --add")))
+    steps = next_steps(gap, inputs.dataset) or list(gap.next_experiment)
+    if steps:
+        first = steps[0].removeprefix("Record ")
+        others = more.format("experiments", f"{len(steps) - 1} more") if len(steps) > 1 else ""
+        found.append(("Record", Markup("{}{}").format(first[:1].upper() + first[1:], others)))
+    return found
 
 
 def _legend(machine: Machine, numbers: str) -> str:
@@ -97,13 +130,16 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     cards = []
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
-        size = f"{words.signal_name(item.signal)} has an error of {display.quantity(item.stage_rmse, unit)}, "
+        error = display.quantity(item.stage_rmse, unit)
+        size = f"{words.signal_name(item.signal)} has an error of {error}, "
         details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
         title, text = (
             words.owner_name(item.target).capitalize(),
             f"{size}{times(item.stage_rmse, item.noise_floor)} the noise floor.",
         )
-        cards.append(_card(number, title, words.stage_name(item.stage), text[0].upper() + text[1:], details, sure=False))
+        value = f"{error} RMS, {times(item.stage_rmse, item.noise_floor)} the noise floor"
+        text = text[0].upper() + text[1:]
+        cards.append(_card(number, title, words.stage_name(item.stage), value, text, details, sure=False))
     return cards
 
 
@@ -113,7 +149,8 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
     cards = [_effect(number, effect, gap, dataset) for number, effect in enumerate(gap.effects, 1)]
     for tie in gap.ambiguous:
         text = f"{words.tie_text(tie, machine)}."
-        cards.append(_card(len(cards) + 1, "Ambiguous", "", text, ["These recordings cannot distinguish them."], sure=False))
+        why = "These recordings cannot distinguish them."
+        cards.append(_card(len(cards) + 1, "Ambiguous", "", text, text, [why], sure=False))
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
         size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
@@ -126,7 +163,8 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
             else "It depends on no measured signal."
         )
         quiet = [known, *_residual_models(gap, item, dataset)]
-        cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), text, quiet, sure=False))
+        value = f"{size} RMS, {known[0].lower()}{known[1:-1]}"
+        cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), value, text, quiet, sure=False))
     return cards
 
 
@@ -136,8 +174,9 @@ def _residual_models(gap: GapResult, item: Unnamed, dataset: Dataset) -> list[st
     return [f"Described by a {residual_sentence(found, dataset)}" for found in own]
 
 
-def _card(number: int, title: str, target: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:
-    return {"number": number, "title": title, "target": target, "sentence": sentence, "quiet": quiet, "sure": sure}
+def _card(number: int, title: str, target: str, value: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:
+    own = {"number": number, "title": title, "target": target, "value": value}
+    return {**own, "sentence": sentence, "quiet": quiet, "sure": sure}
 
 
 def _effect(number: int, effect: NamedEffect, gap: GapResult, dataset: Dataset) -> dict[str, Any]:
@@ -152,7 +191,8 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, dataset: Dataset) 
         quiet.append(f"Cannot be distinguished from: {others}.")
     sentence = named_sentence(effect, gap, dataset)
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
-    return _card(number, words.effect_title(effect.name, effect.target, machine), target, sentence, quiet, sure=True)
+    value = ", ".join(figure.sentence for figure in effect_figures(effect, dataset))
+    return _card(number, words.effect_title(effect.name, effect.target, machine), target, value, sentence, quiet, sure=True)
 
 
 def _still_open(gap: GapResult) -> list[str]:
@@ -165,25 +205,6 @@ def _still_open(gap: GapResult) -> list[str]:
     return [*([text] if closed else []), *open_]
 
 
-def _sentences(gap: GapResult, lines: list[ErrorFigure]) -> list[str]:
-    """The gap of the tip position, or of the signal with the largest gap, as a sentence."""
-    scored = [line for line in lines if math.isfinite(line.before) and line.noise_floor > 0.0]
-    if not scored:
-        return []
-    worst = max(scored, key=lambda line: line.before / line.noise_floor)
-    points = [line for line in scored if line.name == f"{words.owner_name('ee')} position"]
-    main = points[0] if points and points[0].before > 1.5 * points[0].noise_floor else worst
-    before, after, floor = main.texts
-    text = f"On held-out recordings, the simulated {main.name} has an error of {before} (RMS, from the commands alone)"
-    if gap.effects:
-        text += f"; with the repair {after}. The noise floor is {floor}."
-        if math.isfinite(main.closed):
-            text += f" The repair closes {display.percent(main.closed)} of the gap above the noise floor."
-    else:
-        text += f"; the noise floor is {floor}."
-    return [text]
-
-
 def _figures(lines: Sequence[ErrorFigure]) -> Table:
     rows = []
     for line in lines:
@@ -192,33 +213,29 @@ def _figures(lines: Sequence[ErrorFigure]) -> Table:
     return Table(("Signal", "Before", "After", "Noise floor", "Unit", "Closed"), rows, (1, 2, 3, 5))
 
 
-def dumbbells(lines: list[ErrorFigure], repaired: bool) -> str:
-    """Before and after as multiples of the noise floor on one logarithmic axis (inline SVG)."""
+def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> str:
+    """Before and after as multiples of the noise floor on one logarithmic axis, a row for each signal with its values."""
     scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not scored:
         return ""
     ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in scored]
     decades = max(1, math.ceil(math.log10(max(1.0, *map(max, ratios)) * 1.05)))
-    left, width, row = 190, 520, 28
-    height = 44 + row * len(scored)
 
     def x(value: float) -> float:
-        return left + width * (math.log10(max(value, 0.6)) + 0.25) / (decades + 0.25)
+        """Percent of the width; the axis begins at 0.56 noise floors."""
+        return 100.0 * (math.log10(max(value, 0.6)) + 0.25) / (decades + 0.25)
 
-    parts = [f'<rect class="noise" x="{left}" y="8" width="{x(1.5) - left:.1f}" height="{height - 36}"/>']
-    for decade in range(decades + 1):
-        at = x(10.0**decade)
-        parts.append(f'<line class="tick" x1="{at:.1f}" x2="{at:.1f}" y1="8" y2="{height - 28}"/>')
-        label = "noise floor" if decade == 0 else display.ratio(10.0**decade)
-        parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 10}" text-anchor="middle">{label}</text>')
-    for number, (line, (before, after)) in enumerate(zip(scored, ratios, strict=True)):
-        y = 24 + row * number
-        parts.append(f'<text class="row" x="{left - 12}" y="{y + 5}" text-anchor="end">{escape(line.name)}</text>')
-        if not repaired:
-            parts.append(f'<circle class="before" cx="{x(before):.1f}" cy="{y}" r="6"/>')
-            continue
-        parts.append(f'<line class="bar" x1="{x(after):.1f}" x2="{x(before):.1f}" y1="{y}" y2="{y}"/>')
-        parts.append(f'<circle class="before" cx="{x(before):.1f}" cy="{y}" r="6"/>')
-        parts.append(f'<circle class="after" cx="{x(after):.1f}" cy="{y}" r="6"/>')
-    label = 'role="img" aria-label="Error before and after as a multiple of the noise floor"'
-    return f'<svg class="dumbbells" viewBox="0 0 740 {height}" {label}>{"".join(parts)}</svg>'
+    ticks = [f'<i class="tick" style="left:{x(10.0**decade):.1f}%"></i>' for decade in range(decades + 1)]
+    band = f'<i class="noise" style="width:{x(1.5):.1f}%"></i>{"".join(ticks)}'
+    rows = []
+    for line, (before, after) in zip(scored, ratios, strict=True):
+        left, right = sorted((x(before), x(after)))
+        marks, text = f'<i class="before" style="left:{x(before):.1f}%"></i>', line.texts[0]
+        if repaired:
+            marks = f'<i class="bar" style="left:{left:.1f}%;width:{right - left:.1f}%"></i>{marks}'
+            marks += f'<i class="after" style="left:{x(after):.1f}%"></i>'
+            text += f" → {line.texts[1]}"
+        rows.append(f"<li><span>{escape(line.name)}</span><b>{band}{marks}</b><small>{escape(text)}</small></li>")
+    names = ["floor", *(display.ratio(10.0**decade) for decade in range(1, decades + 1))]
+    places = (f'<i style="left:{x(10.0**decade):.1f}%">{name}</i>' for decade, name in enumerate(names))
+    return f'<ol class="dumbbells">{"".join(rows)}<li class="scale" aria-hidden="true"><b>{"".join(places)}</b></li></ol>'

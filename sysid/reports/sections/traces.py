@@ -18,7 +18,7 @@ from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult, Traces
 from sysid.machine import Kinematics, Machine
 from sysid.reports import words
-from sysid.reports.charts import WIDE, ChartCurve, chart, embed, packed, thin
+from sysid.reports.charts import WIDE, ChartCurve, chart, embed, packed, space_path, thin
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import axis_signal, point_signals
 
@@ -202,7 +202,39 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "repaired": repaired,
         "replay": _replay(inputs, repaired),
         "moments": _moments(inputs, repaired),
+        "paths": _paths(shown, repaired),
     }
+
+
+def _paths(traces: Sequence[Traces], repaired: bool) -> list[dict[str, Any]]:
+    """The measured path of the tool, else of the tip, coloured by the distance of the simulated one [mm], in one scale."""
+    for point in ("tool", "ee"):
+        found = [(item, errors) for item in traces if (errors := _distances(item, point)) is not None]
+        if not found:
+            continue
+        trace, errors = max(found, key=lambda pair: float(np.nanmax(pair[1]["before"])))
+        most, rows = 1e3 * float(np.nanmax(errors["before"])), slice(None, None, max(1, len(trace.measured) // 1500))
+        points = trace.measured[list(point_signals(point))].to_numpy(dtype=np.float64)[rows]
+        titles = {"before": "before", "after": "after the repair"} if repaired else {"before": "simulated"}
+        return [
+            {
+                "picture": Markup(space_path(points, 1e3 * errors[version][rows], most, "mm")),
+                "caption": f"{words.owner_name(point)} in {trace.recording}, {title}: at most "
+                f"{display.quantity(float(np.nanmax(errors[version])), 'm', 2)} apart (circle)",
+            }
+            for version, title in titles.items()
+        ]
+    return []
+
+
+def _distances(trace: Traces, point: str) -> dict[str, Array] | None:
+    """Distance of a point of either version from the measured one (n,) [m]; None where it is not measured at all."""
+    names = list(point_signals(point))
+    if not all(name in table for name in names for table in (trace.measured, trace.before, trace.after)):
+        return None
+    measured = trace.measured[names].to_numpy(dtype=np.float64)
+    found = {v: np.linalg.norm(getattr(trace, v)[names].to_numpy(dtype=np.float64) - measured, axis=1) for v in VERSIONS}
+    return found if all(np.isfinite(distances).any() for distances in found.values()) else None
 
 
 def _replay(inputs: ReportInputs, repaired: bool) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from sysid import display
 from sysid.gap.result import GapResult, Map, Share, StageGap
+from sysid.names import listed
 from sysid.reports import words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
@@ -22,6 +23,8 @@ SHOWN = 3
 MIN_RATIO = 1.5
 #: Smallest explained share of a map that is described.
 MIN_EXPLAINED = 0.15
+#: Names of recordings in a sentence.
+RECORDINGS = 8
 #: Smallest listed share.
 MIN_SHARE = 0.01
 
@@ -44,26 +47,49 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "ends": _ends(inputs.gap, inputs.dataset.units),
         "outputs": _outputs(inputs.gap, inputs),
         "repaired": any(item.after for item in inputs.gap.maps),
+        "held_out": inputs.gap.held_out_recordings if inputs.gap.gap.before else (),
+        "fitted": fit_recordings(inputs),
     }
 
 
 def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, Any] | None:
-    """The signal of a stage and axis with the largest error; None if nothing is measured."""
-    scored = [(item.free_run_rmse if free else item.stage_rmse, item) for item in items]
-    scored = [(error, item) for error, item in scored if math.isfinite(error) and item.noise_floor > 0.0]
+    """Distance of a point, or the signal of a stage and axis with the largest error; None if nothing is measured."""
+    assert inputs.gap is not None
+    scored = [(*_error(item, inputs.gap, free), item.signal) for item in items]
+    scored = [(error, floor, signal) for error, floor, signal in scored if math.isfinite(error) and floor > 0.0]
     if not scored:
         return None
-    error, item = max(scored, key=lambda pair: pair[0] / pair[1].noise_floor)
-    times = error / item.noise_floor
-    unit = inputs.dataset.units.get(item.signal, "1")
+    error, floor, signal = max(scored, key=lambda found: found[0] / found[1])
+    unit, name = inputs.dataset.units.get(signal, "1"), words.signal_name(signal)
+    if items[0].target in POINTS:
+        error, floor = (math.hypot(*values) for values in ([e for e, _, _ in scored], [f for _, f, _ in scored]))
+        name = f"{words.owner_name(items[0].target)} position"
+    times = error / floor
     return {
         "ratio": display.ratio(times),
         "error": display.quantity(error, unit, 2),
-        "floor": display.quantity(item.noise_floor, unit, 2),
-        "signal": words.signal_name(item.signal),
+        "floor": display.quantity(floor, unit, 2),
+        "signal": name,
         # Logarithmic colour scale: 0 at 1.5 times the floor, 100 at a hundred times.
         "heat": round(100 * min(1.0, max(0.0, math.log10(max(times, 1e-9) / MIN_RATIO) / math.log10(100 / MIN_RATIO)))),
     }
+
+
+def _error(item: StageGap, gap: GapResult, free: bool) -> tuple[float, float]:
+    """Error and noise floor on held-out recordings; on those of the fits where a localisation held none out."""
+    held_out = gap.gap if free else gap.stage_gap
+    if item.signal in held_out.before:
+        return held_out.before[item.signal], held_out.noise_floor[item.signal]
+    return (item.free_run_rmse if free else item.stage_rmse), item.noise_floor
+
+
+def fit_recordings(inputs: ReportInputs) -> str:
+    """The recordings that localisation and fits use, in words: all that are not held out."""
+    held_out = inputs.gap.held_out_recordings if inputs.gap is not None else ()
+    names = [item.name for item in inputs.dataset.recordings]
+    if not set(held_out) <= set(names):  # blocks of recordings
+        return f"what is not held out of {listed(names, RECORDINGS)}"
+    return listed([name for name in names if name not in held_out], RECORDINGS)
 
 
 # -- shares --------------------------------------------------------------------------------------------------------------
@@ -93,7 +119,6 @@ def _ends(gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
     return [
         {
             "what": f"{words.owner_name(end)} position" if end in POINTS else words.signal_name(end),
-            "error": display.quantity(shares[0].rmse, unit),
             "rows": [
                 {
                     "where": words.stage_name(share.stage),
