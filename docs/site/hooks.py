@@ -19,6 +19,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 #: Packages of the reference: module → what it is for.
 PACKAGES = {
+    "sysid.front.gap": "what `sysid.find_gap` returns",
     "sysid.workspace": "datasets, models and results of one folder",
     "sysid.datasets": "ingest logs, store and load dataset versions",
     "sysid.machine": "the description of a machine",
@@ -39,6 +40,8 @@ PACKAGES = {
 }
 #: A link or picture: the target without spaces or title, an anchor apart.
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
+#: A picture for a dark page.
+SOURCE = re.compile(r'(srcset=")([^"]+)(")')
 #: A role of a docstring in HTML.
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
 #: The first line of a block of code with more than its language.
@@ -75,7 +78,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return markdown
     place = page.file.src_uri
     parts = CODE.split(markdown)
-    parts[::2] = [LINK.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
+    for pattern in (LINK, SOURCE):
+        parts[::2] = [pattern.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
     return "".join(parts)
 
 

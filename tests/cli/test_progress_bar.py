@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli import progress_bar
-from sysid.cli.progress_bar import LINE, PlainLines, cut
+from sysid import progress_bar
+from sysid.progress_bar import LINE, PlainLines, cut
 
 SCRIPT = """
 import time
-from sysid.cli.progress_bar import progress_bar
+from sysid.progress_bar import progress_bar
 with progress_bar("train a policy with a very long name, 12 seeds") as progress:
     progress(0.5, "command stage of boom: " + "a very long list of effects, " * 20)
     time.sleep(0.5)
