@@ -42,7 +42,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         found = sysid.find_gap(dataset, workspace=place, progress=progress)
     with step("report"):
         page = sysid.report(dataset, folder / "report.html", place)
-    gap, reports = found.values, [network.report for network in networks if network.report is not None]
+    gap, reports = found.result, [network.report for network in networks if network.report is not None]
     film = None
     if installed("rerun"):
         with step("view"):

@@ -129,7 +129,7 @@ def gap(
         on_findings=partial(show_checked, out),
         executor=open_executor(cluster, workers, trusted_network=trusted_network),
     )
-    result, dataset, workspace, tested = found.values, found.dataset, found.workspace, found.tested
+    result, dataset, workspace, tested = found.result, found.dataset, found.workspace, found.tested
     folder = None if localise else workspace.gap_folder(dataset)
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")

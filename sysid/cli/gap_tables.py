@@ -88,17 +88,12 @@ def show_missing(out: Printer, result: GapResult) -> None:
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
-    from sysid.figures import times
+    from sysid.front.gap import localised_table
     from sysid.reports.sections.where import above_floor, listed_shares, maps_of, sentence
     from sysid.reports.words import owner_name, signal_name, stage_name
 
     out.line(f"{result.headline}  [{result.verdict}]")
-    rows = []
-    for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
-        unit = dataset.units.get(item.signal)
-        error, floor, chain = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor, item.free_run_rmse))
-        rows.append((item.stage, item.signal, error, floor, times(item.stage_rmse, item.noise_floor), chain))
-    out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
+    out.show(localised_table(result, dataset))
     shares = []
     for end, unit, of_end, _ in listed_shares(result, dataset.units):
         for number, share in enumerate(of_end):

@@ -15,10 +15,10 @@ from sysid.datasets import Dataset
 from sysid.datasets.checks.finding import Finding, not_accepted, refuse_severe
 from sysid.datasets.checks.roles import check_needs
 from sysid.datasets.checks.run import check_plausibility
-from sysid.display import NOTHING, percent
+from sysid.display import NOTHING, percent, quantity
 from sysid.effects import inertial_error
 from sysid.errors import StoreError
-from sysid.figures import Table
+from sysid.figures import Table, times
 from sysid.front.drawing import Drawing, drawn_map, drawn_traces, worst_signal
 from sysid.front.place import Place, dataset_in, shown
 from sysid.front.place import open as opened
@@ -142,12 +142,12 @@ class GapResult:
     """What :func:`find_gap` has found; it prints as a short table.
 
     Args:
-        values: everything, as ``docs/result.md`` describes it.
+        result: everything, as ``docs/result.md`` describes it.
         tested: the simulation under test.
         findings: what is implausible in the recordings.
     """
 
-    values: GapValues
+    result: GapValues
     dataset: Dataset
     workspace: Workspace
     tested: Plant | Simulator
@@ -156,12 +156,12 @@ class GapResult:
     @property
     def verdict(self) -> Verdict:
         """``named``, ``no_gap``, ``ambiguous``, ``unnamed`` or ``insufficient_excitation``."""
-        return self.values.verdict
+        return self.result.verdict
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
         """The named effects, with parameters and 95 % intervals [SI]."""
-        return self.values.effects
+        return self.result.effects
 
     @property
     def repaired(self) -> RepairedPlant:
@@ -170,10 +170,10 @@ class GapResult:
         Raises:
             StoreError: none is stored.
         """
-        if not self.values.plant_after:
+        if not self.result.plant_after:
             remedy = "find_gap(…, add=True) stores it, where an effect is named."
             raise StoreError(f"gap of {self.dataset.reference}", "no repaired simulation is stored", "one", remedy)
-        return RepairedPlant(self.workspace.plant(self.dataset, self.values.plant_after), self.dataset, self.workspace)
+        return RepairedPlant(self.workspace.plant(self.dataset, self.result.plant_after), self.dataset, self.workspace)
 
     def table(self) -> pd.DataFrame:
         """A row for each parameter that the repair writes, in SI units, with its 95 % interval; ``share``: of the gap."""
@@ -181,7 +181,7 @@ class GapResult:
         rows = [
             (item.name, item.target, key, value, *item.interval95.get(key, (None, None)), item.units.get(key, ""),
              item.gap_share, item.kind)
-            for item in self.values.written
+            for item in self.result.written
             for key, value in item.parameters.items()
         ]  # fmt: skip
         return pd.DataFrame(rows, columns=columns)
@@ -192,7 +192,7 @@ class GapResult:
         Args:
             stages: each stage driven by its measured input; by default the free run from the commands.
         """
-        figures = signal_errors(self.values.stage_gap if stages else self.values.gap, self.dataset.units)
+        figures = signal_errors(self.result.stage_gap if stages else self.result.gap, self.dataset.units)
         rows = [(each.name, each.before, each.after, each.noise_floor, each.closed, each.unit) for each in figures]
         columns = ["signal", "before", "after", "noise floor", "closed", "unit"]
         return pd.DataFrame(rows, columns=columns).set_index("signal")
@@ -208,10 +208,10 @@ class GapResult:
         Raises:
             SettingsError: no such signal, variable or recording in the result.
         """
-        signal = signal or worst_signal(self.values)
+        signal = signal or worst_signal(self.result)
         if over is not None:
-            return drawn_map(self.values, signal, over)
-        return drawn_traces(self.values, signal, recording, self.dataset.units)
+            return drawn_map(self.result, signal, over)
+        return drawn_traces(self.result, signal, recording, self.dataset.units)
 
     def __repr__(self) -> str:
         from rich import box
@@ -234,24 +234,26 @@ class GapResult:
     def _repr_html_(self) -> str:
         lines = [f"<p>{escape(line)}</p>" for line in self._lines()]
         tables = [filled("table.html", table=found, look="") for found in self._tables()]
-        drawing = [self.plot().svg] if self.values.traces else []
+        drawing = [self.plot().svg] if self.result.traces else []
         return "\n".join([*lines, *tables, *drawing])
 
     def _lines(self) -> list[str]:
-        lines = [f"{self.dataset.reference}: {self.values.headline}  [{self.verdict}, {self.values.seconds:.1f} s]"]
-        if self.values.plant_after:
-            lines.append(f"Repaired simulation: {self.values.plant_after}")
+        lines = [f"{self.dataset.reference}: {self.result.headline}  [{self.verdict}, {self.result.seconds:.1f} s]"]
+        if self.result.plant_after:
+            lines.append(f"Repaired simulation: {self.result.plant_after}")
         if self.findings:
             lines.append(f"Implausible in the recordings: {len(self.findings)}, see findings")
         return lines
 
     def _tables(self) -> list[Table]:
-        written = written_table(self.values, self.dataset)
-        if all(item.kind == "named" for item in self.values.written):
+        written = written_table(self.result, self.dataset)
+        if all(item.kind == "named" for item in self.result.written):
             written = replace(written, header=written.header[:-1], rows=[row[:-1] for row in written.rows])
-        found = [written] if self.values.written else []
-        if self.values.gap.before:
-            found.append(error_table(_largest(self.values.gap), self.dataset.units))
+        found = [written] if self.result.written else []
+        if self.result.settings.get("localise_only"):
+            found.append(localised_table(self.result, self.dataset))
+        elif self.result.gap.before:
+            found.append(error_table(_largest(self.result.gap), self.dataset.units))
         return found
 
 
@@ -259,6 +261,16 @@ def _largest(gap: Gap) -> Gap:
     """The signals with the largest errors before the repair, in noise floors."""
     worst = sorted(gap.before, key=lambda name: -gap.before[name] / gap.noise_floor[name])[:ERRORS]
     return Gap(*({name: figures[name] for name in worst} for figures in (gap.before, gap.after, gap.noise_floor)))
+
+
+def localised_table(values: GapValues, dataset: Dataset) -> Table:
+    """The error of every stage output at its measured input, the largest in noise floors first, and in the free run."""
+    rows = []
+    for item in sorted(values.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
+        unit = dataset.units.get(item.signal)
+        error, floor, chain = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor, item.free_run_rmse))
+        rows.append((item.stage, item.signal, error, floor, times(item.stage_rmse, item.noise_floor), chain))
+    return Table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, (2, 3, 4, 5))
 
 
 def written_table(values: GapValues, dataset: Dataset) -> Table:

@@ -65,7 +65,7 @@ def test_a_result_prints_as_a_short_table(gap: sysid.GapResult) -> None:
     (row,) = (line for line in lines if line.startswith(" Valve dead-band"))
     assert "positive 0.110" in row
     assert any(line.split()[:1] == ["boom.cylinder"] for line in lines)
-    assert repr(gap.values) == f"GapResult(lift@1: {gap.values.headline})"
+    assert repr(gap.result) == f"GapResult(lift@1: {gap.result.headline})"
 
 
 def test_a_notebook_shows_tables_and_a_picture(gap: sysid.GapResult) -> None:
@@ -87,14 +87,14 @@ def test_tables_have_the_values_of_the_result(gap: sysid.GapResult) -> None:
     row = gap.errors().loc["boom.cylinder"]
     assert row["closed"] == pytest.approx((row["before"] - row["after"]) / (row["before"] - row["noise floor"]))
     assert row["closed"] > 0.95
-    assert gap.errors(stages=True).loc["boom.cylinder", "before"] == gap.values.stage_gap.before["boom.cylinder"]
+    assert gap.errors(stages=True).loc["boom.cylinder", "before"] == gap.result.stage_gap.before["boom.cylinder"]
 
 
 def test_plots_are_drawn_from_the_result(gap: sysid.GapResult, tmp_path: Path) -> None:
     path = gap.plot().save(tmp_path / "a.svg")
     assert path.read_text("utf-8").count("<polyline") == 3
     drawn = gap.plot("boom.cylinder", over="boom.command")._repr_svg_()
-    item = next(item for item in gap.values.maps if item.signal == "boom.cylinder" and item.over == "boom.command")
+    item = next(item for item in gap.result.maps if item.signal == "boom.cylinder" and item.over == "boom.command")
     points = [re.split("[ ,]", text) for text in re.findall(r'points="([^"]*)"', drawn)]
     assert [len(each) for each in points] == [2 * len(item.at)] * 2
     after = np.array(points[1], dtype=float)[1::2]
@@ -108,7 +108,7 @@ def test_plots_are_drawn_from_the_result(gap: sysid.GapResult, tmp_path: Path) -
 def test_the_result_and_the_repair_are_stored(gap: sysid.GapResult, place: sysid.Workspace, tmp_path: Path) -> None:
     stored = place.gap(place.dataset("lift"))
     assert stored is not None
-    assert stored.effects == gap.values.effects
+    assert stored.effects == gap.result.effects
     assert gap.repaired.reference == "lift@2"
     made = gap.repaired.export("json", tmp_path / "out")
     assert made.plant == "lift@2"
@@ -120,8 +120,8 @@ def test_the_result_and_the_repair_are_stored(gap: sysid.GapResult, place: sysid
 def test_the_verb_gives_the_same(gap: sysid.GapResult, place: sysid.Workspace, tmp_path: Path) -> None:
     assert run("--workspace", place.location, "gap", "lift", "--json", tmp_path / "g.json") == 0
     written = json.loads((tmp_path / "g.json").read_text("utf-8"))
-    assert written["effects"] == json.loads(json.dumps(gap.values.to_json()["effects"]))
-    assert written["gap"] == gap.values.to_json()["gap"]
+    assert written["effects"] == json.loads(json.dumps(gap.result.to_json()["effects"]))
+    assert written["gap"] == gap.result.to_json()["gap"]
     assert written["plant"]["after"] == ""
     assert sysid.report(workspace=place) == place.output("report.html", place.dataset("lift"))
 
@@ -130,6 +130,8 @@ def test_localise_stores_nothing_and_has_no_repair(place: sysid.Workspace) -> No
     before = place.models.list()
     located = sysid.find_gap("lift", workspace=place, localise=True, progress=silent)
     assert located.verdict == "unnamed"
+    first = next(line for line in repr(located).splitlines() if line.startswith(" command"))
+    assert first.split()[:2] == ["command", "boom.cylinder"]
     assert place.models.list() == before
     with pytest.raises(sysid.StoreError, match=r"gap of lift@1: no repaired simulation is stored.*add=True"):
         _ = located.repaired
