@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from sysid.gap import GapResult
+    from sysid.gap.result import Gap, Traces
 
 MEASURED, BEFORE, AFTER = "#30363c", "#d9822b", "#1a7f64"
 
@@ -39,16 +40,26 @@ class Drawing:
         return f"Drawing({len(self.svg)} characters of SVG)"
 
 
+def by_error(gap: Gap) -> list[str]:
+    """Signals by their held-out error before the repair, in noise floors; the largest first."""
+    return sorted(gap.before, key=lambda name: -gap.before[name] / max(gap.noise_floor[name], 1e-300))
+
+
 def worst_signal(result: GapResult) -> str:
-    """The signal with the largest held-out error before the repair, in noise floors.
+    """The signal with the largest held-out error that can be drawn.
 
     Raises:
-        SettingsError: no errors were measured.
+        SettingsError: the result has no run of a held-out recording.
     """
-    gap = result.gap
-    if not gap.before:
-        raise SettingsError(f"plot of {result.dataset}", "no errors on held-out recordings", "a result with them")
-    return max(gap.before, key=lambda name: gap.before[name] / gap.noise_floor[name])
+    drawable = set(_shared(result.traces[0])) if result.traces else set()
+    signals = [name for name in by_error(result.gap) if name in drawable]
+    if not signals:
+        raise SettingsError(f"plot of {result.dataset}", "no runs of held-out recordings", "a result with them")
+    return signals[0]
+
+
+def _shared(trace: Traces) -> list[str]:
+    return sorted(set(trace.measured.columns) & set(trace.before.columns) - {"time"})
 
 
 def drawn_traces(result: GapResult, signal: str, recording: str | None, units: Mapping[str, str]) -> Drawing:
@@ -58,9 +69,8 @@ def drawn_traces(result: GapResult, signal: str, recording: str | None, units: M
     if recording not in names:
         raise SettingsError(f"plot of {result.dataset}", f"no held-out recording {recording!r}", nearest(recording, names))
     trace = result.traces[names.index(recording)]
-    shared = sorted(set(trace.measured.columns) & set(trace.before.columns) - {"time"})
-    if signal not in shared:
-        raise SettingsError(f"plot of {result.dataset}", f"no signal {signal!r}", nearest(signal, shared))
+    if signal not in _shared(trace):
+        raise SettingsError(f"plot of {result.dataset}", f"no signal {signal!r}", nearest(signal, _shared(trace)))
     factor, _ = shown_unit(units.get(signal))
     time = trace.measured["time"].to_numpy() - trace.measured["time"].iloc[0]
     tables = {"simulated before": (trace.before, BEFORE), "measured": (trace.measured, MEASURED)}

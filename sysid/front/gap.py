@@ -19,7 +19,8 @@ from sysid.display import NOTHING, percent, quantity
 from sysid.effects import inertial_error
 from sysid.errors import StoreError
 from sysid.figures import Table, times
-from sysid.front.drawing import Drawing, drawn_map, drawn_traces, worst_signal
+from sysid.foreign import visible
+from sysid.front.drawing import Drawing, by_error, drawn_map, drawn_traces, worst_signal
 from sysid.front.place import Place, dataset_in, shown
 from sysid.front.place import open as opened
 from sysid.gap import GapResult as GapValues
@@ -29,11 +30,11 @@ from sysid.gap.experiment import Planning
 from sysid.gap.result import Gap, NamedEffect, WrittenEffect
 from sysid.gap.search_tasks import search_tasks
 from sysid.gap.stage_search import Forms
-from sysid.gap.statement import Verdict
+from sysid.gap.statement import Verdict, missing_sentences
 from sysid.plant import Plant
 from sysid.reports.pages import filled
-from sysid.reports.result_figures import error_table, parameters_of, signal_errors
-from sysid.reports.words import effect_place
+from sysid.reports.result_figures import error_table, parameters_of, signal_errors, unnamed_sentence
+from sysid.reports.words import effect_place, tie_text
 from sysid.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -217,19 +218,20 @@ class GapResult:
         from rich import box
         from rich.console import Console
         from rich.table import Table as RichTable
+        from rich.text import Text
 
-        console = Console(file=io.StringIO(), width=WIDTH, highlight=False, color_system=None, force_jupyter=False)
+        text = io.StringIO()
+        console = Console(file=text, width=WIDTH, color_system=None, force_jupyter=False)
         for line in self._lines():
-            console.print(line, markup=False)
+            console.print(Text(visible(line, len(line))))
         for found in self._tables():
             drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
             for number, name in enumerate(found.header):
-                drawn.add_column(name, justify="right" if number in found.right else "left", overflow="fold")
+                drawn.add_column(Text(name), justify="right" if number in found.right else "left", overflow="fold")
             for row in found.rows:
-                drawn.add_row(*map(str, row))
+                drawn.add_row(*(Text(visible(cell, WIDTH)) for cell in row))
             console.print(drawn)
-        assert isinstance(console.file, io.StringIO)
-        return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines())
+        return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
 
     def _repr_html_(self) -> str:
         lines = [f"<p>{escape(line)}</p>" for line in self._lines()]
@@ -243,7 +245,12 @@ class GapResult:
             lines.append(f"Repaired simulation: {self.result.plant_after}")
         if self.findings:
             lines.append(f"Implausible in the recordings: {len(self.findings)}, see findings")
-        return lines
+        machine = self.dataset.machine
+        lines += [f"Cannot be distinguished: {tie_text(tie, machine)}" for tie in self.result.ambiguous]
+        lines += [unnamed_sentence(item, machine) for item in self.result.unnamed]
+        if len(self.result.gap.before) > ERRORS:
+            lines.append(f"Below: the {ERRORS} largest errors of {len(self.result.gap.before)}; errors() has all")
+        return [*lines, *missing_sentences(self.result.missing)]
 
     def _tables(self) -> list[Table]:
         written = written_table(self.result, self.dataset)
@@ -259,7 +266,7 @@ class GapResult:
 
 def _largest(gap: Gap) -> Gap:
     """The signals with the largest errors before the repair, in noise floors."""
-    worst = sorted(gap.before, key=lambda name: -gap.before[name] / gap.noise_floor[name])[:ERRORS]
+    worst = by_error(gap)[:ERRORS]
     return Gap(*({name: figures[name] for name in worst} for figures in (gap.before, gap.after, gap.noise_floor)))
 
 

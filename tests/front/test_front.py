@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from command_line import run
 from deadband_logs import DEADBAND, MACHINE, write_logs
 
 import sysid
+from sysid.gap.result import Gap, Unnamed
+from sysid.gap.statement import Missing
 from sysid.progress import silent
 
 ROOT = Path(__file__).parents[2]
@@ -73,6 +76,19 @@ def test_a_notebook_shows_tables_and_a_picture(gap: sysid.GapResult) -> None:
     assert "<td>Valve dead-band of boom</td>" in page
     assert page.count("<table") == 2
     assert page.count("<svg") == 1
+
+
+def test_what_is_not_named_or_missing_is_in_the_text(gap: sysid.GapResult) -> None:
+    result = replace(
+        gap.result,
+        unnamed=(Unnamed("command", "boom", 1e-3, "boom.cylinder", "a ripple [x]"),),
+        ambiguous=((("input_delay", "boom"), ("first_order_lag", "boom")),),
+        missing=(Missing("maps of the error", "out of memory"),),
+        gap=Gap({f"s{k}": 1.0 for k in range(8)}, {f"s{k}": 0.0 for k in range(8)}, {f"s{k}": 0.0 for k in range(8)}),
+    )
+    text = " ".join(repr(replace(gap, result=result)).split())
+    for words in ("a ripple [x]", "Cannot be distinguished: ", "Out of memory", "the 6 largest errors of 8"):
+        assert words in text
 
 
 def test_tables_have_the_values_of_the_result(gap: sysid.GapResult) -> None:
