@@ -117,7 +117,9 @@ def test_picture_and_answer_of_the_readme_are_those_of_the_demo(tmp_path: Path, 
     for name, now in drawn(tmp_path / "workspace" / "demo" / "result.json", pipeline).items():
         kept = (PICTURES / name).read_text("utf-8")
         np.testing.assert_allclose(points(now), points(kept), rtol=0.0, atol=0.5, err_msg=name)
-        figures = [np.array(re.findall(r"[\d.]+", re.sub(r'points="[^"]*"', "", text)), dtype=float) for text in (now, kept)]
+        figures = [
+            np.array(re.findall(r"\d+(?:\.\d+)?", re.sub(r'points="[^"]*"', "", text)), dtype=float) for text in (now, kept)
+        ]
         np.testing.assert_allclose(*figures, rtol=0.05, err_msg=name)
     place = open_workspace(tmp_path / "workspace")
     dataset = place.dataset("autolog")
